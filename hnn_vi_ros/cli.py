@@ -11,7 +11,8 @@ import signal
 import sys
 import time
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
+import warnings
 
 from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
@@ -195,7 +196,11 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     for number in ENDING:
         # Nothing is to interrupt the end, that of the interpreter included.
         signal.signal(number, signal.SIG_IGN)
-    sys.exit(_with_output(shown, status))
+    status = _with_output(shown, status)
+    if status == _INTERRUPTED:
+        # The interpreter's end takes half a second, and waits for what a thread compiles.
+        os._exit(_INTERRUPTED)
+    sys.exit(status)
 
 
 def _call(name: str, argv: list[str], shown: str) -> int | str | None:
@@ -210,6 +215,7 @@ def _call(name: str, argv: list[str], shown: str) -> int | str | None:
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
         found = import_module(module)
         _merge_interrupts()
+        _warn_in_lines(shown)
         return found.main(argv)
     except HnnViRosError as problem:
         return f'{shown}: {problem}'
@@ -217,8 +223,23 @@ def _call(name: str, argv: list[str], shown: str) -> int | str | None:
         if problem.name is None or problem.name.partition('.')[0] == 'hnn_vi_ros':
             raise
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        # A command whose work can go on later says how.
+        print(f'{shown}: {str(stop) or "stopped"}', file=sys.stderr)
         return _INTERRUPTED
+
+
+def _warn_in_lines(shown: str) -> None:
+    """Let each warning be one line on standard error, once for each text."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, *_where: Any) -> None:
+        text = ' '.join(str(message).split())
+        if text not in told:
+            told.add(text)
+            print(f'{shown}: warning: {text}', file=sys.stderr)
+
+    warnings.showwarning = show
 
 
 def _missing(package: str) -> str:

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Commanded, NUMBERS
-from hnn_vi_ros.errors import StepFailure, StoppedByEvent
+from hnn_vi_ros.errors import StateError, StepFailure, StoppedByEvent
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -148,7 +149,15 @@ class SceneEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[np.ndarray, _Info]:
-        """Begin an episode; the seed is that of its initial state and of its noise."""
+        """
+        Begin an episode; the seed is that of its initial state and of its noise.
+
+        Raises
+        ------
+        StateError
+            The initial state cannot be used.
+
+        """
         super().reset(seed=seed)
         if options:
             raise ValueError(f'options = {options!r:.80}: there are none; the argument '
@@ -157,7 +166,11 @@ class SceneEnv(gymnasium.Env):
         q, p = (state.q, state.p) if self._initial_state is None else \
             self._initial_state(self.np_random)
         simulation = self._simulation
-        simulation.restart(q, p, stream=int(self.np_random.integers(2**63)))
+        try:
+            simulation.restart(q, p, stream=int(self.np_random.integers(2**63)))
+        except (StepFailure, EffectError) as problem:
+            # gymnasium makes the error of another process anew, of its message alone.
+            raise StateError(str(problem)) from problem
         self.over, self._taken, self._ahead = False, 0, None
         return np.concatenate([simulation.q, simulation.p]), {}
 

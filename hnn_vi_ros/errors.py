@@ -4,22 +4,72 @@
 
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import ClassVar, TYPE_CHECKING
+from math import isnan
+import re
+from typing import Any, ClassVar, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
     import numpy as np
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
+# Names in a list; characters of a message, of a longer one from its begin and from its end.
+_MOST_LISTED = 20
+_LONGEST, _TAIL = 2000, 400
+# What a terminal obeys, C0, DEL and C1, by which it is led to write files or to hide what was
+# printed; and what shows as nothing, ends lines, or turns the direction of what is read.
+_CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
+                      '\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]')
+
+
+def printable(text: str, keep: str = '') -> str:
+    """
+    Return a text as one line that any terminal shows: its control characters are escaped.
+
+    Names and texts of bags, scenes, models and other nodes may hold any.
+
+    Parameters
+    ----------
+    text : str
+        As it came.
+    keep : str, optional
+        Control characters that are left as they are.
+
+    """
+    return _CONTROL.sub(lambda found: found[0] if found[0] in keep else
+                        found[0].encode('unicode_escape').decode(), text)
+
+
+def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
     """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
-    nearest = get_close_matches(word, known, n=1, cutoff=0.7)
+    nearest = get_close_matches(word, known, n=1, cutoff=cutoff)
     return f'; did you mean {nearest[0]}?' if nearest else ''
+
+
+def listed(names: Iterable[object]) -> str:
+    """Return names for a message: of many the first, and how many more there are."""
+    every = [*names]
+    more = len(every) - _MOST_LISTED
+    return ', '.join(map(str, every[:_MOST_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
+
+
+def reduce_error(error: BaseException) -> tuple[Any, ...]:
+    """Let pickle call no constructor, whose arguments are not always the message alone."""
+    return _made_again, (type(error), error.args, vars(error))
+
+
+def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str, Any]
+                ) -> BaseException:
+    error = cls.__new__(cls, *args)
+    vars(error).update(state)
+    return error
 
 
 class HnnViRosError(Exception):
     """
-    Base of every error that this package raises on purpose.
+    Base of every error that this package raises on purpose; as a text it is one printable line.
+
+    A message of more than 2000 characters loses its middle: what it quotes may be of any length.
 
     Attributes
     ----------
@@ -29,6 +79,15 @@ class HnnViRosError(Exception):
     """
 
     remedy: ClassVar[str] = ''
+    __reduce__ = reduce_error
+
+    def __init__(self, message: str = ''):
+        if len(message) > _LONGEST:
+            message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class SceneError(HnnViRosError):
@@ -110,6 +169,10 @@ class StateError(HnnViRosError, ValueError):
               'where constraints hold')
 
 
+# What can be done about most steps that fail.
+ADVICE = 'use a smaller step_size or another integrator'
+
+
 class StepFailure(HnnViRosError):
     """
     One step of the integrator failed; the state before it is the last good one.
@@ -117,16 +180,18 @@ class StepFailure(HnnViRosError):
     Parameters
     ----------
     reason : str
-        What went wrong: ``'no convergence'`` or ``'not finite'``.
+        What went wrong, such as ``'no convergence'`` or ``'not finite'``.
     t : float
         Simulated time at the start of the failed step [s].
     h : float
         Step size [s].
     relative_residual : float
-        Largest residual of the implicit equation, relative to the scale of its unknowns [1], at
-        the end of the first try; 0 for an explicit method, NaN before the first step.
+        Largest residual of the equation that was not solved, relative to the scale of its
+        unknowns [1], at the end of the first try; NaN where the step failed for another reason.
     evaluations : int
         Gradients and Hessian-vector products that were evaluated for the step, all tries together.
+    advice : str, optional
+        What can be done about it.
 
     """
 
@@ -135,17 +200,20 @@ class StepFailure(HnnViRosError):
               'of the training domain needs a better model or `confine: true`')
 
     def __init__(self, reason: str, t: float, h: float, relative_residual: float,
-                 evaluations: int):
+                 evaluations: int, advice: str = ADVICE):
         self.reason, self.t, self.h = reason, t, h
         self.relative_residual, self.evaluations = relative_residual, evaluations
+        self.advice = advice
+        residual = '' if isnan(relative_residual) else (
+            f', relative residual {relative_residual:.3g}')
         super().__init__(
-            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s, relative residual '
-            f'{relative_residual:.3g} after {evaluations} evaluations of gradients and products '
-            'with second derivatives; use a smaller step_size or another integrator')
+            f'step failed at t = {t:.9g} s ({reason}): h = {h:g} s{residual} after {evaluations} '
+            f'evaluations of gradients and products with second derivatives; {advice}')
 
     def dated(self, t: float) -> 'StepFailure':
         """Return the failure at another time [s], such as that of a stamp."""
-        return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations)
+        return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations,
+                           self.advice)
 
 
 class StoppedByEvent(HnnViRosError):

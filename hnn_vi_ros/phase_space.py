@@ -131,6 +131,20 @@ class Event:
         return f'{self.when} ({self.direction}) at t = {self.t:.9g} s'
 
 
+def coordinate_rates(turning: Sequence[int], q: np.ndarray, dH_dp: np.ndarray) -> np.ndarray:
+    """Return q' of a state: H_p, and of a rotation q (omega, 0) / 2; see ``momentum_rates``."""
+    if not turning:
+        return dH_dp
+    rates, start = [], 0
+    for passed, column in enumerate(turning):
+        (*vector, scalar), omega = q[column:column + 4], dH_dp[column - passed:][:3]
+        rates += [dH_dp[start - passed:column - passed],
+                  0.5 * (scalar * omega + np.cross(vector, omega)),
+                  [-0.5 * np.dot(vector, omega)]]
+        start = column + 4
+    return np.concatenate([*rates, dH_dp[start - len(turning):]])
+
+
 def momentum_rates(turning: Sequence[int], q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                    dH_dp: np.ndarray) -> np.ndarray:
     """

@@ -13,6 +13,7 @@ import re
 from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.learning.weights import check_weights, OnWeights, with_weights
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.run.dependences import Dependence
@@ -218,8 +219,8 @@ class DifferentiableSimulation:
         """Return the names of what a run depends on, and tensors; all weights are one of them."""
         expected = [*self._names, *self._weights]
         if parameters.keys() != set(expected):
-            raise ValueError(f'parameters are {", ".join(parameters) or "none"}; expected those '
-                             f'that the simulation was made for: {", ".join(expected) or "none"}')
+            raise ValueError(f'parameters are {listed(parameters) or "none"}; expected those '
+                             f'that the simulation was made for: {listed(expected) or "none"}')
         single = {name: parameters[name] for name in self._names}
         if isinstance(step_size, torch.Tensor):
             _check_tensors({STEP: step_size})

@@ -51,6 +51,26 @@ def midpoint_lagrangian(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.T
     return h * (0.5 * velocity.square() - 9.81 * (1.0 - torch.cos(middle))).sum()
 
 
+def kepler_lagrangian(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Tensor:
+    """Return the midpoint rule for the action of a Kepler orbit."""
+    velocity, middle = (q1 - q0) / h, 0.5 * (q0 + q1)
+    return h * (0.5 * velocity.square().sum() + 1.0 / middle.square().sum().sqrt())
+
+
+def kepler_orbit(t: np.ndarray, e: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p, shape (k, 2), of the orbit of a = mu = 1 at times since its pericentre."""
+    # Kepler's equation E - e sin E = t by Newton's method, from where E is too large: all of its
+    # steps are then to one side, and those at the end rounding.
+    turns = np.round(t / (2.0 * np.pi))
+    time = t - 2.0 * np.pi * turns
+    anomaly = np.sign(time) * np.minimum(np.abs(time) + e, np.pi)
+    for _ in range(60):
+        anomaly -= (anomaly - e * np.sin(anomaly) - time) / (1.0 - e * np.cos(anomaly))
+    c, s, minor = np.cos(anomaly), np.sin(anomaly), np.sqrt(1.0 - e * e)
+    r = (1.0 - e * c)[:, None]
+    return np.stack([c - e, minor * s], axis=1), np.stack([-s, minor * c], axis=1) / r
+
+
 @dataclass(frozen=True)
 class Method:
     """

@@ -17,6 +17,7 @@ from hnn_vi_ros.networks.activations import ACTIVATIONS
 from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
 from hnn_vi_ros.version import __version__
 import pytest
+from urdf_robots import chain
 
 ROOT = Path(__file__).resolve().parents[1]
 EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
@@ -269,6 +270,22 @@ def test_error_of_the_command_line_is_one_line_with_the_name(words, what, capsys
 
 def test_activations_of_the_command_line_are_those_that_can_be_imported():
     assert set(learning.ACTIVATIONS) == set(ACTIVATIONS)
+
+
+def test_warning_is_one_line_and_stands_once(tmp_path):
+    (tmp_path / 'robot.urdf').write_text(chain([1.0], [1.0]).replace(
+        '<link name="l0"/>', '<link name="l0"><inertial><mass value="-1"/><inertia ixx="1" '
+        'ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>'))
+    (tmp_path / 'robot.yaml').write_text(
+        'hamiltonian: {kind: urdf, file: robot.urdf}\nintegrator: {kind: generalized_leapfrog}\n'
+        'step_size: 0.01\ninitial_state: {q: [1.0], p: [0.0]}\n')
+    code = ("import sys; sys.argv = ['scene', '--check', 'robot.yaml']; "
+            'from hnn_vi_ros import cli; cli.scene()')
+    result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                            timeout=240, check=False, cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (0, (
+        "scene: warning: robot.urdf:1: link 'l0': mass = -1 kg must not be negative; simulated as "
+        'it is, since it rests\n'))
 
 
 def test_letter_that_an_output_cannot_show_is_printed_escaped():

@@ -28,10 +28,11 @@ PRIVATE = {
     'bags/mcap_index.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_option_string_actions'}),
     'kernels/linking.py': ('numba', {
-        '_cache', '_cache_hits', '_cache_path', '_codegen', '_final_module',
-        '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name',
-        '_linking_libraries', '_loopvect', '_module_pass_manager', '_opt_level', '_py_func',
-        '_raise_if_finalized', '_reload_init', '_set_uuid', '_source_stamp', 'numba._dynfunc'}),
+        '_cache', '_cache_hits', '_cache_path', '_codegen', '_data_path', '_final_module',
+        '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
+        '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
+        '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
+        '_source_stamp', 'numba._dynfunc'}),
     'ros/rclpy_internals.py': ('rclpy', {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',

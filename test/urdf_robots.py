@@ -3,6 +3,9 @@
 """Robots of tests, as the text of their URDF."""
 
 from pathlib import Path
+import re
+
+from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = sorted((ROOT / 'config' / 'robots').glob('*.urdf'))
@@ -54,6 +57,17 @@ TREE = """\
 TREE_ARGUMENTS = {
     'joints': ['wrist', 'tail', 'rail', 'hip', 'finger'], 'locked': {'follower': 0.03},
     'gravity': [1.0, -2.0, -9.0], 'rotor_inertia': {'hip': 0.3, 'rail': 1.5, 'wrist': 0.02}}
+
+
+def with_quaternions(text: str, version: str = '1.2') -> str:
+    """Return a URDF with quaternions in the place of angles, which are of any length and sign."""
+    def turned(angles: re.Match) -> str:
+        turn = Rotation.from_euler('xyz', [float(angle) for angle in angles[1].split()])
+        numbers = ' '.join(map(repr, (-3.0 * turn.as_quat()).tolist()))
+        return f'quat_xyzw="{numbers}"'
+
+    return re.sub('rpy="([^"]*)"', turned, text).replace(
+        '<robot ', f'<robot version="{version}" ', 1)
 
 
 def chain(masses: list[float], lengths: list[float]) -> str:

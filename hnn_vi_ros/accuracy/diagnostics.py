@@ -4,10 +4,10 @@
 
 from collections.abc import Callable, Sequence
 
-from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS
+from hnn_vi_ros.integrators.base import (
+    Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, step_failure)
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import angle_columns
@@ -105,7 +105,7 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
     if outcome == OK and not is_finite(z1):
         outcome = NOT_FINITE
     if outcome != OK:
-        raise StepFailure(REASONS[outcome], 0.0, h, residual, spent)
+        raise step_failure(outcome, 0.0, h, residual, spent)
     return z1.q, z1.p
 
 

@@ -161,6 +161,20 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
     return described if isinstance(described, dict) else {}
 
 
+def counted_messages(folder: Path, names: Sequence[str]) -> int | None:
+    """Return how many messages metadata.yaml counts in files of a bag; None if it does not."""
+    described = read_bag_metadata(folder)
+    if described.get('relative_file_paths') == list(names):
+        counts = [described.get('message_count')]
+    else:
+        # Some files of several.
+        listed = described.get('files')
+        entries = {str(entry.get('path')): entry for entry in listed
+                   if isinstance(entry, dict)} if isinstance(listed, list) else {}
+        counts = [entries.get(name, {}).get('message_count') for name in names]
+    return sum(counts) if all(type(count) is int for count in counts) else None
+
+
 def read_description(text: str | bytes) -> dict[str, Any]:
     """Return rosbag2's description of a bag from its YAML; empty if that is damaged."""
     try:

@@ -56,6 +56,10 @@ class Source(ABC):
         are known once these are read.
     incomplete : int
         Bytes of a record with which the file breaks off.
+    held : int
+        How many messages there are, by all that tells it before they are read.
+    counted : int or None
+        How many the recorder has counted; None where it has not.
 
     """
 
@@ -65,7 +69,8 @@ class Source(ABC):
         self.schemas: dict[int, Schema] = {}
         self.pieces: list[Piece] = []
         self.unread: dict[int, int] = {}
-        self.incomplete = 0
+        self.incomplete = self.held = 0
+        self.counted: int | None = None
 
     @abstractmethod
     def read(self, piece: Piece) -> Iterable[Message]:

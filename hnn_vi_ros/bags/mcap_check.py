@@ -5,17 +5,16 @@
 import os
 import struct
 from typing import BinaryIO
-import zlib
 
+from hnn_vi_ros.bags.mcap_definitions import Definitions
 from hnn_vi_ros.bags.mcap_file import McapFile
 from hnn_vi_ros.bags.mcap_frames import Gap, walk
 from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, decode, MAGIC, MESSAGE, PREFIX, read_content, unpack)
+    chunk_head, crc_of, decode, MAGIC, MESSAGE, PREFIX, read_content, unpack)
 from hnn_vi_ros.bags.mcap_survey import Indexed, Survey
 from mcap.opcode import Opcode
-from mcap.records import DataEnd, Footer
+from mcap.records import DataEnd
 
-_BLOCK = 2**20
 _CRC = struct.Struct('<I')
 
 
@@ -36,8 +35,13 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
     statistics = file.survey.statistics
     return statistics is not None and statistics.message_count == messages \
         and not file.unread and not file.incomplete \
-        and _framed(stream) and _counts(file.survey) and _summary_crc(stream, file.survey) \
-        and all(_agrees(stream, indexed) for indexed in file.survey.chunks)
+        and _framed(stream) and _counts(file.survey) and _summarised(file.survey) \
+        and not _defined_twice(file) and not contradicted(stream, file.survey)
+
+
+def contradicted(stream: BinaryIO, survey: Survey) -> int:
+    """Return how many chunks have indexes that are not those of their messages."""
+    return sum(not _agrees(stream, indexed) for indexed in survey.chunks)
 
 
 def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
@@ -45,7 +49,7 @@ def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
     stream.seek(survey.end)
     data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
     return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
-        0, _crc(stream, 0, survey.end - PREFIX.size))
+        0, crc_of(stream, 0, survey.end - PREFIX.size))
 
 
 def _framed(stream: BinaryIO) -> bool:
@@ -71,21 +75,17 @@ def _counts(survey: Survey) -> bool:
         len(survey.chunks), len(survey.attachments), len(survey.metadata))
 
 
-def _summary_crc(stream: BinaryIO, survey: Survey) -> bool:
+def _defined_twice(file: McapFile) -> bool:
+    """Return whether a schema or a channel is defined otherwise than it is believed."""
+    return Definitions([*file.schemas.values(), *file.channels.values(),
+                        *file.survey.definitions, *file.survey.repeated]).contradicted
+
+
+def _summarised(survey: Survey) -> bool:
+    """Return whether there is a footer, and what it says of the summary is so."""
     footer = survey.footer
-    end = os.fstat(stream.fileno()).st_size - len(MAGIC) - _CRC.size
-    begin = footer.summary_start if footer else 0
-    data_end = survey.end + _CRC.size
-    return isinstance(footer, Footer) and begin in (0, data_end) and footer.summary_crc in (
-        0, _crc(stream, data_end, end))
-
-
-def _crc(stream: BinaryIO, start: int, end: int) -> int:
-    stream.seek(start)
-    found, left = 0, end - start
-    while left > 0 and (block := stream.read(min(left, _BLOCK))):
-        found, left = zlib.crc32(block, found), left - len(block)
-    return found
+    return footer is not None and survey.summary is not False and footer.summary_start in (
+        0, survey.end + _CRC.size)
 
 
 def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:

@@ -3,7 +3,7 @@
 """The messages of an MCAP file, finished, cut off or damaged."""
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
 import struct
@@ -11,19 +11,22 @@ from typing import BinaryIO, final
 
 from hnn_vi_ros.bags.bag_metadata import DEFINITIONS, described_channels
 from hnn_vi_ros.bags.bag_source import Piece, Source
+from hnn_vi_ros.bags.mcap_definitions import Definitions, loose_definitions
 from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, decode, Frame, read_content, records_in, unpack)
-from hnn_vi_ros.bags.mcap_survey import Indexed, Survey, survey
+    chunk_head, ChunkHead, decode, Frame, PREFIX, read_content, records_in, unpack)
+from hnn_vi_ros.bags.mcap_survey import Survey, survey
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.files.regular_file import open_file
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, McapRecord, Message, Schema
+from mcap.records import Attachment, McapRecord, Message
 import numpy as np
 
 _CHANNEL = struct.Struct('<H')
 # Where the entries of a message index begin.
 _ENTRIES = 6
+# What a chunk tells before its data fits in so many bytes.
+_HEAD = 64
 # Records in chunks, over the size of the file and beside so many: of messages without content
 # whose stamps are even, zstd packs 1.4 into a byte; of those that are equal in all, 350.
 _PER_BYTE, _AT_LEAST = 4, 2**20
@@ -65,47 +68,89 @@ class McapFile(Source):
 
     def __init__(self, path: Path, name: Path, thorough: bool = False):
         super().__init__(path, name)
-        self._left = _PER_BYTE * path.stat().st_size + _AT_LEAST
+        with open_file(path, name) as stream:
+            end = self._begin(stream, None, thorough)
+            # Where a chunk defines a channel otherwise than one before it, another file begins.
+            while end is not None:
+                end = self._begin(stream, end, thorough)
+        self.pieces = sorted(self.pieces + self.survey.runs, key=lambda piece: piece.start)
+        self._define()
+        self._count()
+
+    def _begin(self, stream: BinaryIO, end: int | None, thorough: bool) -> int | None:
+        """Note what is in the file up to a place; return where another one begins before that."""
+        self.survey: Survey = survey(stream, end)
+        if not self.survey.is_mcap:
+            stream.seek(0)
+            refuse_pointer(stream.read(32), self.name, RecordingError)
+            reason = 'it does not begin like one' if stream.seek(0, 2) else 'it is empty'
+            raise RecordingError(f'{self.name}: no MCAP file: {reason}; give a bag or its file')
+        self.pieces, self.unread, self.incomplete, self.held = [], {}, 0, self.survey.messages
+        for gap in [*self.survey.gaps, *filter(None, [self.survey.another])]:
+            if gap.incomplete:
+                self.incomplete += gap.end - gap.start
+            else:
+                self.unread[gap.start] = gap.end - gap.start
+        self._left = _PER_BYTE * stream.seek(0, 2) + _AT_LEAST
         # How many records each chunk that was opened might hold then.
         self._most: dict[int, int] = {}
-        with open_file(path, name) as stream:
-            self.survey: Survey = survey(stream)
-            if not self.survey.is_mcap:
-                stream.seek(0)
-                refuse_pointer(stream.read(32), name, RecordingError)
-                reason = 'it does not begin like one' if path.stat().st_size else 'it is empty'
-                raise RecordingError(f'{name}: no MCAP file: {reason}; give a bag or its file')
-            for gap in self.survey.gaps:
-                if gap.incomplete:
-                    self.incomplete += gap.end - gap.start
-                else:
-                    self.unread[gap.start] = gap.end - gap.start
-            self._numbers = set(self.survey.numbers)
-            if not thorough:
-                self._take(self.survey.definitions)
-            for indexed in self.survey.chunks:
-                self._add_chunk(stream, indexed, thorough)
-        # What has no checksum comes last.
-        self._take(self.survey.definitions + self.survey.repeated)
-        if not self._numbers <= self.channels.keys() and self.metadata(DEFINITIONS):
+        self._numbers = set(self.survey.numbers)
+        # What chunks define, to which their checksums speak, and what stands outside of them.
+        self._defined, self._loose = Definitions(), loose_definitions(self.survey)
+        self._entries: dict[int, int] = {}
+        self._read_indexes(stream, self.survey.stray)
+        return self._note_chunks(stream, thorough)
+
+    def _note_chunks(self, stream: BinaryIO, thorough: bool) -> int | None:
+        """Note the chunks up to one that contradicts those before it; return its place."""
+        seen = set[tuple[ChunkHead | None, int]]()
+        for chunk, indexes in self.survey.chunks:
+            head = chunk_head(read_content(stream, chunk._replace(
+                length=min(chunk.length, _HEAD))))
+            if head is not None and head.crc and (head, chunk.length) in seen:
+                # A copy of one before it.
+                self.unread[chunk.start] = chunk.length
+                continue
+            seen.add((head, chunk.length))
+            entries = self._read_indexes(stream, indexes)
+            if thorough or not chunk.whole or not self._trust(chunk, head, entries):
+                self._open_chunk(stream, chunk)
+            if self._defined.contradicted:
+                return chunk.start - PREFIX.size
+        return None
+
+    def _define(self) -> None:
+        """Define the channels; what has no checksum comes last."""
+        self._defined.add(self._loose)
+        if not self._numbers <= self._defined.channels.keys() and self.metadata(DEFINITIONS):
             for record in reversed(self.survey.metadata):
                 if record.name == 'rosbag2':
-                    self._take(described_channels(record.metadata, self.metadata(DEFINITIONS)))
-        # Of unknown channels, beside chunks that are all there, they are damaged indexes.
-        believed = not self.survey.complete or self.survey.numbers <= self.channels.keys()
-        self.pieces = sorted(self.pieces + self.survey.runs * believed,
-                             key=lambda piece: piece.start)
+                    self._defined.add(Definitions(described_channels(
+                        record.metadata, self.metadata(DEFINITIONS))))
+        self.schemas, self.channels = self._defined.schemas, self._defined.channels
+
+    def _count(self) -> None:
+        """Take the count of the summary; else that of the indexes, where they list more."""
+        listed = sum(self._entries.values())
+        self._entries.clear()
+        if self.survey.statistics is not None:
+            self.counted = self.survey.statistics.message_count
+        elif listed > self.held:
+            self.counted = listed
 
     def read(self, piece: Piece) -> Iterator[Message]:
         """See Source."""
         with open_file(self.path, self.name) as stream:
             records, sound = self._open(stream, piece)
         for record in records:
-            if isinstance(record, Message):
-                if record.channel_id in self.channels:
-                    yield record
-                else:
+            if not isinstance(record, Message):
+                if self._defined.contradicts(record):
                     sound = False
+                    break
+            elif record.channel_id in self.channels:
+                yield record
+            else:
+                sound = False
         if not sound:
             self.unread[piece.start] = piece.length
 
@@ -131,50 +176,53 @@ class McapFile(Source):
         found = [record.metadata for record in self.survey.metadata if record.name == name]
         return found[-1] if found else {}
 
-    def _add_chunk(self, stream: BinaryIO, indexed: Indexed, thorough: bool) -> None:
-        chunk = indexed.chunk
-        kind = _Kind.CHUNK if chunk.whole else _Kind.BROKEN_CHUNK
+    def _open_chunk(self, stream: BinaryIO, chunk: Frame) -> None:
+        """Take what a chunk defines, and note its messages."""
         self.incomplete += 0 if chunk.whole else chunk.length
-        times = None if thorough or not chunk.whole else self._trusted(stream, indexed)
-        if times is None:
-            piece = Piece(0, 0, chunk.start, chunk.length, kind)
-            records, sound = self._open(stream, piece)
-            if not sound:
-                self.unread[chunk.start] = chunk.length
-            found = array('Q')
-            for record in records:
-                if isinstance(record, Message):
-                    self._numbers.add(record.channel_id)
-                    found.append(record.log_time)
-                else:
-                    self._take([record])
-            if not found:
-                return
-            times = min(found), max(found)
-        self.pieces.append(Piece(*times, chunk.start, chunk.length, kind))
-
-    def _trusted(self, stream: BinaryIO, indexed: Indexed) -> tuple[int, int] | None:
-        """Return the times of a chunk, if it and its indexes agree and know all channels."""
-        times, numbers = [], set()
-        for frame in indexed.indexes:
-            content = read_content(stream, frame)
-            numbers.add(_CHANNEL.unpack_from(content)[0])
-            times.append(np.frombuffer(content, '<u8', offset=_ENTRIES)[::2])
-        head = chunk_head(read_content(stream, indexed.chunk._replace(
-            length=min(indexed.chunk.length, 64))))
-        if head is None or not any(len(some) for some in times) \
-                or not numbers <= self.channels.keys():
-            return None
-        found = np.concatenate(times)
-        agreed = (head.first, head.last) == (int(found.min()), int(found.max()))
-        return (head.first, head.last) if agreed else None
-
-    def _take(self, records: Iterable[McapRecord]) -> None:
+        kind = _Kind.CHUNK if chunk.whole else _Kind.BROKEN_CHUNK
+        records, sound = self._open(stream, Piece(0, 0, chunk.start, chunk.length, kind))
+        if not sound:
+            self.unread[chunk.start] = chunk.length
+        times = array('Q')
         for record in records:
-            if isinstance(record, Schema):
-                self.schemas.setdefault(record.id, record)
-            elif isinstance(record, Channel):
-                self.channels.setdefault(record.id, record)
+            if isinstance(record, Message):
+                self._numbers.add(record.channel_id)
+                times.append(record.log_time)
+            else:
+                self._defined.take(record)
+        if times:
+            self._add_piece(Piece(min(times), max(times), chunk.start, chunk.length, kind),
+                            len(times))
+
+    def _read_indexes(self, stream: BinaryIO, frames: Sequence[Frame]
+                      ) -> list[tuple[int, np.ndarray]]:
+        """Return channel and entries of indexes, and count these; of equal indexes one counts."""
+        found = []
+        for frame in frames:
+            content = read_content(stream, frame)
+            entries = np.frombuffer(content, '<u8', offset=_ENTRIES).reshape(-1, 2)
+            self._entries[hash(content)] = len(entries)
+            found.append((_CHANNEL.unpack_from(content)[0], entries))
+        return found
+
+    def _trust(self, chunk: Frame, head: ChunkHead | None,
+               indexes: Sequence[tuple[int, np.ndarray]]) -> bool:
+        """Note a chunk without opening it, if it and its indexes agree and it defines nothing."""
+        numbers = {number for number, _ in indexes}
+        times, places = np.concatenate(
+            [np.empty((0, 2), '<u8'), *(entries for _, entries in indexes)]).T
+        # What a chunk defines comes before the first message of it.
+        if head is None or not len(times) or places.min() != 0 or len(numbers) < len(indexes) \
+                or not numbers <= {*self._defined.channels, *self._loose.channels} \
+                or (head.first, head.last) != (int(times.min()), int(times.max())):
+            return False
+        self._add_piece(
+            Piece(head.first, head.last, chunk.start, chunk.length, _Kind.CHUNK), len(times))
+        return True
+
+    def _add_piece(self, piece: Piece, messages: int) -> None:
+        self.pieces.append(piece)
+        self.held += messages
 
     def _open(self, stream: BinaryIO, piece: Piece) -> tuple[Iterator[McapRecord], bool]:
         """Return the records of a piece, and whether all that is there can be read."""

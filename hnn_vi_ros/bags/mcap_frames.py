@@ -170,7 +170,7 @@ class _Finder:
             return length >= MESSAGE_HEAD
         if opcode == Opcode.MESSAGE_INDEX:
             entries, start = length - _INDEX_HEAD, PREFIX.size + 2
-            return entries >= 0 and entries % 16 == 0 and entries == int.from_bytes(
+            return 0 <= entries < LARGEST and entries % 16 == 0 and entries == int.from_bytes(
                 head[start:start + 4], 'little')
         return (opcode == Opcode.ATTACHMENT or length <= _LONGEST) and decode(
             opcode, self._spend(read_content(self._stream, frame))) is not None

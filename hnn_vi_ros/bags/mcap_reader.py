@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import final, NamedTuple
 
 from hnn_vi_ros.bags.bag_files import bag_files, open_source
+from hnn_vi_ros.bags.bag_metadata import counted_messages
 from hnn_vi_ros.bags.bag_source import Piece, Source
 from hnn_vi_ros.bags.mcap_records import LARGEST
 from hnn_vi_ros.errors import RecordingError
@@ -106,13 +107,23 @@ class BagReader:
     @property
     def damage(self) -> str:
         """Return what is to be reported of parts that could not be read; empty if none."""
-        places = [(source, start) for source in self._sources for start in sorted(source.unread)]
-        if not places:
-            return ''
-        size = sum(source.unread[start] for source, start in places)
-        source, start = places[0]
-        return (f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be read, the '
-                f'first at {start}: what they held is missing')
+        found = []
+        if places := [(source, start) for source in self._sources
+                      for start in sorted(source.unread)]:
+            size = sum(source.unread[start] for source, start in places)
+            source, start = places[0]
+            found.append(f'{source.name}: {len(places)} damaged parts, {size} bytes, cannot be '
+                         f'read, the first at {start}: what they held is missing')
+        found += [f'{source.name}: holds {source.held} messages, and its summary or indexes count '
+                  f'{source.counted}' for source in self._sources
+                  if source.counted not in (None, source.held)]
+        held = sum(source.held for source in self._sources)
+        counted = counted_messages(self._files[0].parent, [path.name for path in self._files])
+        # None is counted as long as a recorder writes.
+        if counted and counted != held and not found:
+            found.append(f'{self.path}: holds {held} messages, and its metadata.yaml counts '
+                         f'{counted}')
+        return '; '.join(found)
 
     def digest(self) -> str:
         """Return the SHA-256 of the files."""

@@ -5,7 +5,7 @@
 from collections.abc import Iterator
 from io import BytesIO
 import struct
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, TypeGuard
 import zlib
 
 import lz4.frame
@@ -31,6 +31,11 @@ _READERS = {
     Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
     Opcode.METADATA_INDEX: MetadataIndex, Opcode.STATISTICS: Statistics,
     Opcode.SUMMARY_OFFSET: SummaryOffset, Opcode.DATA_END: DataEnd, Opcode.FOOTER: Footer}
+# Where a name begins in records that may be as long as a message, in files without chunks; and the
+# counts of statistics, which have none.
+_NAMES = {Opcode.HEADER: 0, Opcode.METADATA: 0, Opcode.SCHEMA: 2, Opcode.CHANNEL: 4,
+          Opcode.ATTACHMENT: 16, Opcode.METADATA_INDEX: 16, Opcode.ATTACHMENT_INDEX: 40}
+_COUNTS = 42
 # Of a message: its channel and its log time.
 MESSAGE = struct.Struct('<HxxxxQ')
 # Channel, sequence, log time and publish time come before its data.
@@ -38,6 +43,7 @@ _MESSAGE_HEAD = struct.Struct('<HIQQ')
 MESSAGE_HEAD = _MESSAGE_HEAD.size
 # No record with more bytes, and nothing that unpacks to more, is opened.
 LARGEST = 2**28
+_BLOCK = 2**20
 COMPRESSIONS = ('', 'zstd', 'lz4')
 
 
@@ -121,6 +127,28 @@ def decode(opcode: int, content: bytes) -> McapRecord | None:
     return record if stream.count == len(content) else None
 
 
+def is_another_kind(content: bytes) -> bool:
+    """Return whether the content of a message is that of another record, to its last byte."""
+    return any(_is_named(content, start) and decode(opcode, content) is not None
+               for opcode, start in _NAMES.items()) or (
+        int.from_bytes(content[_COUNTS:_COUNTS + 4], 'little') == len(content) - _COUNTS - 4
+        and is_consistent(decode(Opcode.STATISTICS, content)))
+
+
+def is_consistent(record: McapRecord | None) -> TypeGuard[Statistics]:
+    """Return whether a record is statistics that do not contradict themselves."""
+    return isinstance(record, Statistics) and record.message_count == sum(
+        record.channel_message_counts.values())
+
+
+def _is_named(content: bytes, start: int) -> bool:
+    """Return whether a name stands there that prints, with its length before it."""
+    begin = start + 4
+    end = begin + int.from_bytes(content[start:begin], 'little')
+    name = content[begin:end]
+    return begin < end <= len(content) and name.isascii() and name.decode().isprintable()
+
+
 def _message(content: bytes) -> Message | None:
     """Return a message, without the stream that would take the most of the time of a bag."""
     if len(content) < MESSAGE_HEAD:
@@ -136,6 +164,15 @@ def read_content(stream: BinaryIO, frame: Frame) -> bytes:
         return b''
     stream.seek(frame.start)
     return stream.read(frame.length)
+
+
+def crc_of(stream: BinaryIO, start: int, end: int) -> int:
+    """Return the CRC of bytes of a stream."""
+    stream.seek(start)
+    found, left = 0, end - start
+    while left > 0 and (block := stream.read(min(left, _BLOCK))):
+        found, left = zlib.crc32(block, found), left - len(block)
+    return found
 
 
 def chunk_head(content: bytes) -> ChunkHead | None:

@@ -16,12 +16,12 @@ from typing import BinaryIO
 
 from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.bag_metadata import (
-    bag_metadata, Extent, NEVER, read_bag_metadata, Topic, write_bag_metadata)
+    bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
 from hnn_vi_ros.bags.even_grid import Missing, missing_in_all
-from hnn_vi_ros.bags.mcap_check import data_crc_holds, is_finished
+from hnn_vi_ros.bags.mcap_check import contradicted, data_crc_holds, is_finished
 from hnn_vi_ros.bags.mcap_copy import copy_messages, describe_topic, ros_distro
 from hnn_vi_ros.bags.mcap_file import McapFile
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 
 
@@ -52,8 +52,16 @@ class Recovery:
         Their bytes.
     altered : bool
         Whether the header or metadata, of which nothing else tells, are not as recorded.
+    another : int or None
+        Where a second file begins behind the first, which alone is kept.
     fewer : int
-        Messages that there were, by the file's own count or metadata.yaml's, and are not kept.
+        Messages that there were, by the counts in the file or metadata.yaml's, and are not kept.
+    more : int
+        Messages that are kept and were not counted.
+    files : int
+        Attachments and metadata that there were, by the file's own count, and are not kept.
+    contradicted : int
+        Chunks whose indexes are not those of their messages: these are made again.
     gaps : list of Missing
         Where stamps are missing that otherwise come evenly.
 
@@ -70,13 +78,18 @@ class Recovery:
     damaged: int = 0
     unread: int = 0
     altered: bool = False
+    another: int | None = None
     fewer: int = 0
+    more: int = 0
+    files: int = 0
+    contradicted: int = 0
     gaps: list[Missing] = field(default_factory=list)
 
     @property
     def lost(self) -> bool:
-        """Return whether something that was recorded is not kept."""
-        return bool(self.damaged or self.altered or self.fewer or self.gaps)
+        """Return whether something that was recorded is not kept, or not known to be."""
+        return bool(self.damaged or self.altered or self.fewer or self.more or self.files
+                    or self.gaps)
 
     @property
     def seconds(self) -> float:
@@ -109,7 +122,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     path = files[0]
     if len(files) > 1 or path.name.endswith(('.db3', '.zstd')):
         raise RecordingError(f'{bag}: expected one .mcap file, found '
-                             f'{", ".join(file.name for file in files)}; give one, unpacked')
+                             f'{listed(file.name for file in files)}; give one, unpacked')
     try:
         with open_file(path, path) as stream, _not_being_recorded(stream, path):
             file = McapFile(path, path, thorough=True)
@@ -151,33 +164,29 @@ def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
     recovery.first = min(map(min, stamps.values()), default=NEVER)
     recovery.last = max(map(max, stamps.values()), default=0)
     finished = is_finished(stream, file, recovery.messages)
+    recovery.contradicted = 0 if finished else contradicted(stream, file.survey)
     recovery.altered = finished and not data_crc_holds(stream, file.survey)
     recovery.changed = not finished or recovery.altered
     recovery.incomplete = file.incomplete
     recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
-    recorded = _recorded(file)
-    # A count of fewer was made before the recording ended, and tells nothing.
-    if recovery.changed and recorded is not None and recorded >= recovery.messages:
-        recovery.fewer = max(0, recorded - recovery.messages)
-    elif recovery.changed:
+    recovery.another = file.survey.another and file.survey.another.start
+    recovery.files = file.survey.missing
+    total = max(file.counted or 0,
+                counted_messages(file.path.parent, [file.path.name]) or 0)
+    recovery.fewer = max(0, max(total, _described(file)) - recovery.messages)
+    if file.counted is not None:
+        recovery.more = max(0, recovery.messages - file.counted)
+    # A total of fewer was counted before the recording ended, and tells nothing.
+    if recovery.changed and (total < recovery.messages or not total):
         recovery.gaps = missing_in_all(list(stamps.values()))
     return recovery
 
 
-def _recorded(file: McapFile) -> int | None:
-    """Return how many messages were recorded; None if that is not known."""
-    if file.survey.statistics is not None:
-        return file.survey.statistics.message_count
-    described = read_bag_metadata(file.path.parent)
-    if described.get('relative_file_paths') == [file.path.name]:
-        files = [described]
-    else:
-        # Of each file of several.
-        listed = described.get('files')
-        files = [entry for entry in (listed if isinstance(listed, list) else ())
-                 if isinstance(entry, dict) and entry.get('path') == file.path.name]
-    count = files[0].get('message_count') if files else None
-    return count if isinstance(count, int) else None
+def _described(file: McapFile) -> int:
+    """Return how many messages there were when the file was described the last time."""
+    text = file.metadata('rosbag2').get('serialized_metadata', '')
+    count = read_description(text).get('message_count')
+    return count if type(count) is int else 0
 
 
 def _refuse_if_nothing(file: McapFile, recovery: Recovery) -> None:

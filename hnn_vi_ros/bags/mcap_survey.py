@@ -8,12 +8,18 @@ from typing import BinaryIO, NamedTuple
 
 from hnn_vi_ros.bags.bag_source import Piece
 from hnn_vi_ros.bags.mcap_frames import Gap, walk
-from hnn_vi_ros.bags.mcap_records import decode, Frame, MAGIC, MESSAGE, PREFIX, read_content
+from hnn_vi_ros.bags.mcap_records import (
+    crc_of, decode, Frame, is_another_kind, is_consistent, MAGIC, MESSAGE, PREFIX,
+    read_content)
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
 # Messages outside of chunks are read together up to so many bytes.
 _PIECE = 2**18
+# Larger records that are messages by their opcode are not asked whether they are others.
+_OTHERWISE = 2**20
+_CRC_SIZE = 4
+_OF_CHUNKS = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX)
 _DATA = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA)
 
 
@@ -37,8 +43,12 @@ class Survey:
         Where the data end [bytes].
     header, statistics, footer : McapRecord or None
         If they are there; statistics that contradict themselves are not.
+    header_end : int
+        Where the records behind the header begin [bytes].
     chunks : list of Indexed
         In the order of the file, as all below.
+    stray : list of Frame
+        Indexes of messages before any chunk.
     runs : list of Piece
         Messages outside of chunks, those that follow one another together.
     messages : int
@@ -57,6 +67,12 @@ class Survey:
         What cannot be read and may have held messages, attachments or metadata.
     private : int
         Bytes of records whose kind is not known.
+    summary : bool or None
+        Whether what is behind the data is as it was written; None where no CRC tells.
+    chunked : bool
+        Whether messages are in chunks: then none is believed that is not.
+    another : Gap or None
+        A second file behind the first one, of which nothing is read.
 
     """
 
@@ -65,7 +81,9 @@ class Survey:
     header: Header | None = None
     statistics: Statistics | None = None
     footer: Footer | None = None
+    header_end: int = 0
     chunks: list[Indexed] = field(default_factory=list)
+    stray: list[Frame] = field(default_factory=list)
     runs: list[Piece] = field(default_factory=list)
     messages: int = 0
     numbers: set[int] = field(default_factory=set)
@@ -75,6 +93,9 @@ class Survey:
     repeated: list[Schema | Channel] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
     private: int = 0
+    summary: bool | None = None
+    chunked: bool = False
+    another: Gap | None = None
 
     @property
     def is_mcap(self) -> bool:
@@ -90,40 +111,84 @@ class Survey:
             return False
         return bool(self.chunks) or count.message_count == self.messages
 
+    @property
+    def missing(self) -> int:
+        """Return how many attachments and metadata are not there that the statistics count."""
+        count = self.statistics
+        return 0 if count is None else (
+            max(0, count.attachment_count - len(self.attachments))
+            + max(0, count.metadata_count - len(self.metadata)))
+
     def forgive(self) -> None:
         """Forget what is damaged where nothing is lost: after the data, or if all is there."""
         self.gaps = [gap for gap in self.gaps if not self.complete and gap.start < self.end]
 
+    def disbelieve(self) -> None:
+        """Take messages outside of chunks for what is damaged."""
+        self.gaps += [Gap(run.start, run.start + run.length, False) for run in self.runs]
+        self.runs, self.messages, self.numbers = [], 0, set()
 
-def survey(stream: BinaryIO) -> Survey:
-    """Return what a file holds; its position does not count."""
-    size = os.fstat(stream.fileno()).st_size
+
+def survey(stream: BinaryIO, size: int | None = None) -> Survey:
+    """
+    Return what a file holds; its position does not count.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        The file.
+    size : int, optional
+        Where another one begins behind it [bytes].
+
+    """
+    whole = os.fstat(stream.fileno()).st_size
+    size = whole if size is None else size
     stream.seek(0)
     found = Survey(stream.read(len(MAGIC)) == MAGIC, size)
     for frame in walk(stream, size):
         if isinstance(frame, Gap):
             found.gaps.append(frame)
             continue
-        if frame.opcode in _DATA:
+        if frame.opcode == Opcode.HEADER and (begin := _second(found, stream, frame)):
+            # What comes before it may break off there.
+            return survey(stream, begin)
+        if frame.opcode in _DATA and not (frame.opcode == Opcode.MESSAGE and found.chunked):
             # An end of the data that came before was none.
             found.end = size
             found.definitions += found.repeated
             found.repeated.clear()
         _add(found, stream, frame)
+    if found.chunked:
+        found.disbelieve()
     found.forgive()
+    if found.footer is not None and found.footer.summary_crc:
+        found.summary = found.footer.summary_crc == crc_of(
+            stream, found.end + _CRC_SIZE, size - len(MAGIC) - _CRC_SIZE)
+    found.another = Gap(size, whole, False) if size < whole else None
     return found
+
+
+def _second(found: Survey, stream: BinaryIO, header: Frame) -> int:
+    """Return where the file of a header begins behind another one, 0 if that is the first."""
+    begin = header.start - PREFIX.size
+    stream.seek(max(0, begin - len(MAGIC)))
+    if begin > len(MAGIC) and stream.read(len(MAGIC)) == MAGIC and found.is_mcap:
+        return begin - len(MAGIC)
+    # One right behind the first header is a copy of it: a file without records ends nothing.
+    return begin if found.header is not None and begin != found.header_end else 0
 
 
 def _add(found: Survey, stream: BinaryIO, frame: Frame) -> None:
     opcode = frame.opcode
+    found.chunked |= opcode in _OF_CHUNKS
+    if opcode == Opcode.HEADER:
+        found.header_end = frame.end
     if opcode == Opcode.CHUNK:
         found.chunks.append(Indexed(frame, []))
     elif opcode == Opcode.MESSAGE_INDEX:
-        if found.chunks:
-            found.chunks[-1].indexes.append(frame)
+        (found.chunks[-1].indexes if found.chunks else found.stray).append(frame)
     elif opcode == Opcode.MESSAGE:
-        stream.seek(frame.start)
-        _add_message(found, frame, *MESSAGE.unpack(stream.read(MESSAGE.size)))
+        _add_message(found, stream, frame)
     elif opcode == Opcode.ATTACHMENT:
         found.attachments.append(frame)
     elif opcode == Opcode.DATA_END:
@@ -144,16 +209,21 @@ def _add_record(found: Survey, record: McapRecord | None, start: int) -> None:
         (found.definitions if start < found.end else found.repeated).append(record)
     elif isinstance(record, Footer):
         found.footer = record
-    elif isinstance(record, Statistics) and record.message_count == sum(
-            record.channel_message_counts.values()):
+    elif is_consistent(record):
         found.statistics = record
 
 
-def _add_message(found: Survey, frame: Frame, channel: int, time: int) -> None:
+def _add_message(found: Survey, stream: BinaryIO, frame: Frame) -> None:
     """Note a message outside of chunks: together with the one before it, if there is one."""
+    start, length = frame.start - PREFIX.size, frame.length + PREFIX.size
+    content = read_content(stream, frame._replace(
+        length=frame.length if frame.length <= _OTHERWISE else MESSAGE.size))
+    if is_another_kind(content):
+        found.gaps.append(Gap(start, frame.end, False))
+        return
+    channel, time = MESSAGE.unpack_from(content)
     found.messages += 1
     found.numbers.add(channel)
-    start, length = frame.start - PREFIX.size, frame.length + PREFIX.size
     before = found.runs[-1] if found.runs else None
     if before and before.start + before.length == start and before.length < _PIECE:
         found.runs[-1] = Piece(min(before.first, time), max(before.last, time), before.start,

@@ -9,7 +9,7 @@ from hnn_vi_ros.bags import arguments
 from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.mcap_recovery import describe, recover, Recovery
 from hnn_vi_ros.command_line import called
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import printable, RecordingError
 
 
 def main(argv: list[str]) -> int:
@@ -25,7 +25,7 @@ def _recover(bag: Path, replace: bool) -> int:
         files = bag_files(bag)
         for path in [bag] if len(files) == 1 else files:
             recovery = recover(path, replace)
-            print(_summary(recovery), flush=True)
+            print(printable(_summary(recovery)), flush=True)
             status, changed = max(status, int(recovery.lost)), changed or recovery.changed
         if len(files) > 1 and (changed or not (bag / 'metadata.yaml').exists()):
             messages = describe(bag, files)
@@ -49,6 +49,8 @@ def _summary(recovery: Recovery) -> str:
     if recovery.described and not recovery.changed:
         done = 'whole already, metadata.yaml written'
     parts = [f'{recovery.path}: {done}: {recovery.messages} messages, {recovery.seconds:.2f} s']
+    if recovery.contradicted:
+        parts.append(f'{recovery.contradicted} indexes contradicted their messages')
     if recovery.incomplete:
         parts.append(f'it breaks off in a record of which {recovery.incomplete} bytes are there')
     if recovery.lost:
@@ -63,8 +65,15 @@ def _losses(recovery: Recovery) -> list[str]:
     losses = []
     if recovery.damaged:
         losses.append(f'{recovery.damaged} damaged parts, {recovery.unread} bytes not understood')
+    if recovery.another is not None:
+        losses.append(f'a second file behind the first, from byte {recovery.another} on: cut it '
+                      f'out by `tail -c +{recovery.another + 1}`')
     if recovery.fewer:
         losses.append(f'{recovery.fewer} messages that had been counted')
+    if recovery.more:
+        losses.append(f'the count: {recovery.more} messages more than were counted')
+    if recovery.files:
+        losses.append(f'{recovery.files} attachments or metadata that had been counted')
     if recovery.gaps:
         first = recovery.gaps[0]
         losses.append(f'{sum(gap.count for gap in recovery.gaps)} stamps in {len(recovery.gaps)} '

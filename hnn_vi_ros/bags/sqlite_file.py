@@ -54,6 +54,7 @@ class SqliteFile(Source):
             self.unread.update(database.execute(
                 'SELECT min(rowid), coalesce(sum(length(CAST(data AS BLOB))), 0) '
                 f'FROM messages WHERE NOT ({_STAMPED}) HAVING count(*) > 0'))
+            self.held, = database.execute('SELECT count(*) FROM messages').fetchone()
 
     def read(self, piece: Piece) -> list[Message]:
         """See Source."""

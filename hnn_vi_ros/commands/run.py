@@ -5,10 +5,7 @@
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
-import sys
-import warnings
 
-from hnn_vi_ros.command_line import called
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.run.ensemble import simulate
@@ -50,18 +47,12 @@ def main(argv: list[str]) -> int:
 
 
 def _simulated(options: Namespace) -> Trajectory:
-    """Return the trajectory; each warning is a line on standard error."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always')
-        try:
-            trajectory = simulate(
-                options.scene, options.duration, step_size=options.step_size,
-                integrator=options.integrator, every=options.every)
-        except ValueError as problem:
-            raise ParameterError(str(problem)) from problem
-    for warning in caught:
-        print(f'{called("run")}: warning: {warning.message}', file=sys.stderr)
-    return trajectory
+    try:
+        return simulate(
+            options.scene, options.duration, step_size=options.step_size,
+            integrator=options.integrator, every=options.every)
+    except ValueError as problem:
+        raise ParameterError(str(problem)) from problem
 
 
 def _writers(options: Namespace) -> list[tuple[str, Path, Callable[[Trajectory, Path], object]]]:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from hnn_vi_ros.effects.commands import Reference
+from hnn_vi_ros.errors import listed, reduce_error
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
@@ -71,10 +72,9 @@ class EffectState(NamedTuple):
     @classmethod
     def empty(cls, effects: int, dimension: int, knots: int = 0) -> 'EffectState':
         """Return the state before the first step, with room for the knots of a path."""
-        return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects),
-                   np.zeros(dimension + 1), np.zeros(3, dtype=np.int64),
-                   np.zeros((dimension, dimension)), np.zeros(effects),
-                   Reference.empty(dimension, knots))
+        return cls(np.zeros(2), np.zeros((effects, 2)), np.zeros(effects), np.zeros(dimension + 1),
+                   np.zeros(3, dtype=np.int64), np.zeros((dimension, dimension)),
+                   np.zeros(effects), Reference.empty(dimension, knots))
 
     def reset(self, stream: int, time: float = 0.0,
               held: Mapping[str, np.ndarray] | None = None) -> None:
@@ -105,6 +105,8 @@ class EffectError(ValueError):
     def __init__(self, index: int, message: str):
         super().__init__(message)
         self.index = index
+
+    __reduce__ = reduce_error
 
 
 class Effect(ABC):
@@ -384,7 +386,7 @@ def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:
     """Return the column of a coordinate in q, or raise ValueError with the valid names."""
     places = scalar_columns(coordinates)
     if name not in places:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(places)}')
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(places)}')
     return places[name]
 
 
@@ -394,5 +396,5 @@ def per_coordinate(coordinates: Sequence[Coordinate], name: str, values: float |
     array, names = np.array(values, dtype=np.float64), columns(coordinates)[1]
     if array.ndim and array.size != len(names):
         raise ValueError(f'{name} has {array.size} values, expected 1 or one for each of the '
-                         f'coordinates {", ".join(names)}')
+                         f'coordinates {listed(names)}')
     return np.broadcast_to(array, len(names)).copy()

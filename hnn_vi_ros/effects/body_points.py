@@ -8,6 +8,7 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.attitudes import add_turned_slope, dot, turned, turned_change, Vector
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Potential
 from hnn_vi_ros.effects.points import check_pair
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
@@ -129,7 +130,7 @@ def _resolve_end(coordinates: Sequence[Coordinate], end: str, names: Sequence[st
                  in_body: Sequence[float] | None) -> tuple[list[int], list[float]]:
     """Return the columns of an end, and its arm, or raise ValueError."""
     if not _is_body(coordinates, names):
-        bodies = ', '.join(c.name for c in coordinates if c.kind != 'scalar') or 'none'
+        bodies = listed(c.name for c in coordinates if c.kind != 'scalar') or 'none'
         if in_body is not None or len(names) != 3:
             raise ValueError(f'{end} = {list(names)} must be the name of a body ({bodies})'
                              + ('' if in_body is not None else ', or of three coordinates'))

@@ -9,7 +9,7 @@ from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import Integrator, NO_IMPACT, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -147,7 +147,7 @@ def bounce(step: Step, high: bool) -> Step:
             elif outcome == OK and state.resting[effect] > 0.0:
                 work, rests = _hold(kernel, start, z1, wall, push)
             if np.isnan(work) or (impacts > MOST_IMPACTS and not rests):
-                outcome = NO_CONVERGENCE
+                outcome = NO_IMPACT
             if outcome != OK:
                 put_back(state, wall.kept, 2, first)
                 return outcome, residual, total
@@ -190,7 +190,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, flo
             if outcome == OK and state.resting[effect] > 0.0 and _push(
                     kernel, part, start, z1, wall, rates, push):
                 if push[0] > PUSHES:
-                    outcome = NO_CONVERGENCE
+                    outcome = NO_IMPACT
                     break
                 put_back(state, wall.kept, 0, draws)
                 forget(inside)
@@ -204,7 +204,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, bool, float, flo
             add(wall.search, part, wall.sign * (reached - position), slope, bend, rounding, high)
             action, wanted = seek(wall.search, h, rounding, high)
             if action == LOST:
-                outcome = NO_CONVERGENCE
+                outcome = NO_IMPACT
                 break
             if action == FREE:
                 wanted = rest

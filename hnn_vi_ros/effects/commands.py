@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.errors import listed
 import numpy as np
 
 
@@ -204,7 +205,7 @@ def places_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) ->
     for name in asked:
         if name not in known:
             raise ValueError(f'no joint {name[:80]!r} is driven so; valid joints: '
-                             f'{", ".join(known)}')
+                             f'{listed(known)}')
     return np.array([known.index(name) for name in asked], dtype=np.int64)
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.attitudes import turned
 from hnn_vi_ros.effects.base import coordinate_index, EffectState
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs, PackedOutputs
@@ -119,7 +119,7 @@ def by_name(state: EffectState, coordinates: Sequence[Coordinate], names: Sequen
     valid = _axes(coordinates)
     unknown = [name for name in names if name not in valid]
     if unknown:
-        raise ValueError(f'no coordinate {unknown[0]!r}; valid coordinates: {", ".join(valid)}')
+        raise ValueError(f'no coordinate {unknown[0]!r}; valid coordinates: {listed(valid)}')
     if len(names) >= state.command.size:
         raise ValueError(f'coordinates has {len(names)} entries, expected at most '
                          f'{state.command.size - 1}: what acts along the axes of a body needs not '

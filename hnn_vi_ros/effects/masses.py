@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 import warnings
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
@@ -23,7 +24,7 @@ def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
     """Return the column in p of what turns or moves, or raise ValueError with the valid names."""
     names = columns(coordinates)[1]
     if name not in names:
-        raise ValueError(f'no coordinate {name!r}; valid coordinates: {", ".join(names)}')
+        raise ValueError(f'no coordinate {name!r}; valid coordinates: {listed(names)}')
     return names.index(name)
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.constraints import Constraints, evaluator
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point, REDUNDANT, Step
+from hnn_vi_ros.integrators.base import Integrator, NOT_HELD, OK, Point, REDUNDANT, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
@@ -143,7 +143,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             outcome = _solve(constraints, constraints.new, 0.5 * h)
             if outcome != OK:
                 break
-            outcome = NO_CONVERGENCE
+            outcome = NOT_HELD
             if not error < np.inf:
                 break
             if error <= _EPS or (error >= previous and error <= _ROUNDING * _EPS):
@@ -223,7 +223,7 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
     -------
     int
         OK; REDUNDANT, and which is noted, where one row depends on those before it; else
-        NO_CONVERGENCE, where a step is too long, or no number comes out.
+        NOT_HELD, where a step is too long, or no number comes out.
 
     """
     matrix, count = constraints.matrix, constraints.defect.size
@@ -237,7 +237,7 @@ def _solve(constraints: Constraints, gradient: np.ndarray, factor: float) -> int
     if row < 0:
         return OK
     if not abs(matrix[row, row]) <= DEPENDENT * constraints.scale[row]:
-        return NO_CONVERGENCE
+        return NOT_HELD
     constraints.dependent[0] = row
     return REDUNDANT
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects.commands import (
     Aim, Command, JointCommand, JointPath, LARGEST, places_of, Reference, told)
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
@@ -204,7 +205,7 @@ def _check_path(path: JointPath, names: Sequence[str]) -> None:
     n = len(path.times)
     if sorted(path.names) != sorted(names) and (n or path.names):
         raise ValueError(f'joint_names = [{told(path.names)}] must be '
-                         f'{", ".join(names)}, each once')
+                         f'{listed(names)}, each once')
     if not n:
         return
     if n >= MOST_KNOTS:

@@ -39,7 +39,7 @@ class SoftWall(Potential):
     side : str
         ``'above'`` or ``'below'``: where the motion is free.
     stiffness : float
-        k > 0 [N/m].
+        k > 0 [N/m], [N m/rad].
     width : float
         w > 0, over which the wall sets in, in the coordinate's unit.
 

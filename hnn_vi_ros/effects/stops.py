@@ -18,7 +18,7 @@ from hnn_vi_ros.effects.held import (
     hold, is_in, match, OFF, ON, push, Stops, StopsWork, take_back)
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point, Step
+from hnn_vi_ros.integrators.base import NO_IMPACT, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -69,7 +69,7 @@ def stop(step: Step, high: bool) -> Step:
                     done, resting = _meet(
                         kernel, z1, stops, work, met, done, resting, ends, rest, h, rounding)
             if np.isnan(done) or impacts > MOST_IMPACTS:
-                outcome = NO_CONVERGENCE
+                outcome = NO_IMPACT
             if outcome != OK:
                 put_back(state, stops.kept, 2, first)
                 return outcome, residual, total
@@ -114,7 +114,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                 again = push(kernel, wanted, z1, stops, state.resting[effect], work, tries)
                 tries += 1
                 if tries > PUSHES * (stops.places.size + 1):
-                    outcome = NO_CONVERGENCE
+                    outcome = NO_IMPACT
                     break
             if not again:
                 if at == stops.places.size:
@@ -126,7 +126,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
                     stops, state.resting[effect], z1, work.rates, have, until, met, at, h,
                     rounding, high)
                 if action == LOST:
-                    outcome = NO_CONVERGENCE
+                    outcome = NO_IMPACT
                     break
                 if action == FREE and (wanted == have or not wanted > 0.0):
                     break

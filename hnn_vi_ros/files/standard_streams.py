@@ -8,6 +8,8 @@ import signal
 import sys
 from typing import Any, TextIO
 
+from hnn_vi_ros.errors import printable
+
 # By which a user or the system ends a process in good order; the last when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -40,8 +42,37 @@ class _Lossy(io.FileIO):
         return len(data)
 
 
+class _Plain(io.TextIOWrapper):
+    """Text stream that shows control characters: what is printed may hold texts of others."""
+
+    keep = '\n\t'
+
+    def write(self, text: str) -> int:
+        """Write a text of any origin."""
+        super().write(printable(text, self.keep))
+        return len(text)
+
+    def rewrite(self, text: str) -> None:
+        """Write a text in place of the line in which the cursor of a terminal is."""
+        super().write(f'\r\x1b[K{printable(text)}')
+
+
+def rewrite_line(stream: TextIO, text: str) -> None:
+    """Show a text in place of the last line of a terminal."""
+    if isinstance(stream, _Plain):
+        stream.rewrite(text)
+    else:
+        stream.write(f'\r\x1b[K{printable(text)}')
+    stream.flush()
+
+
 def guard_streams() -> None:
-    """Let no write to standard output or error raise; see ``lost_output``."""
+    """
+    Let no write to standard output or error raise, and no terminal obey what is printed.
+
+    See ``lost_output``; how far a training or a study is shows by carriage returns on standard
+    error.
+    """
     for number in range(3):
         try:
             os.fstat(number)
@@ -49,7 +80,9 @@ def guard_streams() -> None:
             # Else the next file that is opened, such as a bag, would be what is printed to. Opened
             # so that writing fails, as it does to what is closed.
             os.open(os.devnull, os.O_WRONLY if number == 0 else os.O_RDONLY)
-    sys.stdout, sys.stderr = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
+    out, error = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
+    error.keep += '\r'
+    sys.stdout, sys.stderr = out, error
 
 
 def spare_output() -> None:
@@ -65,10 +98,10 @@ def lost_output() -> tuple[OSError | None, bool]:
     return buffer.raw.problem, buffer.raw.matters
 
 
-def _guarded(number: int, stream: TextIO | None) -> TextIO:
+def _guarded(number: int, stream: TextIO | None) -> _Plain:
     """Return a text stream like the one that Python has made, if it has made one."""
     terminal = os.isatty(number)
-    return io.TextIOWrapper(
+    return _Plain(
         io.BufferedWriter(_Lossy(number, 'w', closefd=False)),
         encoding=stream.encoding if stream else 'utf-8',
         # A letter that a terminal cannot show, or a name that is no text, is to end nothing.

@@ -18,8 +18,14 @@ Model = TypeVar('Model', bound=BaseModel)
 
 # Characters of a value in an error.
 _LONGEST_VALUE = 60
-# The first unit in a description: 'h [s]; ...'.
-_UNIT = re.compile(r'\[([^\[\],]+)\]')
+# The first units in a description: 'h [s]; ...', 'k of each joint [N/m], [N m/rad]'.
+_UNITS = re.compile(r'\[[^\[\],]+\](?:(?:,| or) \[[^\[\],]+\])*')
+
+
+def units_in(description: str | None) -> tuple[str, ...]:
+    """Return the unit in brackets in a description, or several for what may be of each kind."""
+    found = _UNITS.search(description or '')
+    return tuple(re.findall(r'\[(.*?)\]', found[0])) if found else ()
 
 
 class StrictModel(BaseModel):
@@ -110,13 +116,13 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
         key, message = (*key, str(loc[-1])), first['msg']
     else:
         message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
-                               _unit_at(schema, loc, key))
+                               _units_at(schema, loc, key))
     # What the file as a whole lacks names its key itself.
     place = places.place(*key) if key else places.top
     return f'{place}: {one_line(message)}'
 
 
-def _wrong_value(problems: Sequence[Any], unit: str) -> str:
+def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
     """Return what a value should be, as far as its types tell, and what it is."""
     if any(p['type'] in ('value_error', 'assertion_error') for p in problems):
         # From a schema of ours, whose message tells the value where that helps.
@@ -126,7 +132,8 @@ def _wrong_value(problems: Sequence[Any], unit: str) -> str:
     shown = repr(given) if len(repr(given)) <= _LONGEST_VALUE else \
         f'{repr(given)[:_LONGEST_VALUE]} ...'
     if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
-        what = 'number of seconds, e.g. 0.001' if unit == 's' else f'number{_bracketed(unit)}'
+        what = 'number of seconds, e.g. 0.001' if [*units] == ['s'] else \
+            f'number{_bracketed(units)}'
         return f'{shown} is no {what}'
     words = re.findall(r"'([^']*)'", problems[0].get('ctx', {}).get('expected', ''))
     if words and len(problems) == 1:
@@ -135,25 +142,25 @@ def _wrong_value(problems: Sequence[Any], unit: str) -> str:
     expected = ' or '.join(dict.fromkeys(
         re.sub('^Input should be ', '', p['msg']) for p in problems))
     if all(p['msg'].startswith('Input should be ') for p in problems):
-        return f'must be {expected}{_bracketed(unit)}, not {shown}'
+        return f'must be {expected}{_bracketed(units)}, not {shown}'
     return expected if ', not ' in expected else f'{expected}, not {shown}'
 
 
-def _bracketed(unit: str) -> str:
-    return '' if unit in ('', '1') else f' [{unit}]'
+def _bracketed(units: Sequence[str]) -> str:
+    named = ' or '.join(f'[{unit}]' for unit in units if unit != '1')
+    return f' {named}' if named else ''
 
 
-def _unit_at(schema: type[BaseModel], loc: tuple[int | str, ...], key: Sequence[str]) -> str:
-    """Return the unit that the description of a number names in brackets; empty if none."""
-    names = [(i, part) for i, part in enumerate(loc) if part in key and isinstance(part, str)]
-    if not names:
-        return ''
-    i, name = names[-1]
-    fields = [owner.model_fields[name] for owner in _schemas_at(schema, loc[:i])
-              if name in owner.model_fields]
-    units = {found[1] for field in fields
-             if (found := _UNIT.search(field.description or ''))}
-    return units.pop() if len(units) == 1 else ''
+def _units_at(schema: type[BaseModel], loc: tuple[int | str, ...], key: Sequence[str]
+              ) -> tuple[str, ...]:
+    """Return the units that the description of a number names in brackets."""
+    units: set[tuple[str, ...]] = set()
+    for i, part in enumerate(loc):
+        # That of a mapping holds for its values, whose keys are no fields.
+        if part in key and (fields := [owner.model_fields[part] for owner in _schemas_at(
+                schema, loc[:i]) if isinstance(part, str) and part in owner.model_fields]):
+            units = {own for field in fields if (own := units_in(field.description))}
+    return units.pop() if len(units) == 1 else ()
 
 
 def _schemas_at(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:

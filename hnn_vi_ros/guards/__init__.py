@@ -40,8 +40,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     if hamiltonian.box is not None:
         yield BoxGuard(hamiltonian.box, hamiltonian.gauge)
     if simulation.conservative:
-        yield ResolutionGuard(band_limit, scale, simulation.step_size, method.order,
-                              simulation.modification is not None)
+        yield ResolutionGuard(band_limit, scale, simulation.modification is not None)
     yield EnergyGuard(change_limit, scale)
     if simulation.usual_gradients:
         yield CostGuard(simulation)

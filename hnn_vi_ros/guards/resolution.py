@@ -25,23 +25,18 @@ class ResolutionGuard(BandGuard):
         The band that is allowed, over the scale.
     scale : callable
         Returns the energy scale as of a sample [J]; see SampledScale.
-    step_size : float
-        h [s].
-    order : int
-        Of the method: the band of H is O(h^order).
     modified : bool, optional
-        Whether a modified energy is known, with a band of O(h^(2 order)).
+        Whether a modified energy is known.
 
     """
 
     kind = 'under-resolved'
-    remedy = 'use the step_size that the message names, or a method of higher order'
+    remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
+              'method of higher order')
 
-    def __init__(self, share: float, scale: Callable[[Observed], float], step_size: float,
-                 order: int, modified: bool = False):
+    def __init__(self, share: float, scale: Callable[[Observed], float], modified: bool = False):
         super().__init__()
-        self._share, self._scale = share, scale
-        self._step_size, self._order, self._modified = step_size, order, modified
+        self._share, self._scale, self._modified = share, scale, modified
         self._lowest, self._highest = math.inf, -math.inf
 
     def allow(self, band: float, change: float) -> None:
@@ -71,16 +66,11 @@ class ResolutionGuard(BandGuard):
     def _alarm(self, step: int, limit: float) -> Alarm:
         # Of H, if that is what went too far.
         plain = self._modified and self.band > super().band
-        order = self._order if plain or not self._modified else 2 * self._order
         band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
                          'under-resolved; use a smaller step_size, or start elsewhere')
         share = self._share * self.band / limit * (PLAIN if plain else 1.0)
-        enough = self._step_size * min(limit / band, 1.0) ** (1.0 / order)
-        # Rounded down, to two digits.
-        digits = 10.0 ** (math.floor(math.log10(enough)) - 1)
-        enough = math.floor(enough / digits) * digits
         return Alarm(self.kind, step, band, limit,
                      f'the energy is kept only to {share:.2g} of the energies in play: '
-                     f'under-resolved; use step_size <= {enough:.2g} s')
+                     'under-resolved; use a smaller step_size, or a method of higher order')

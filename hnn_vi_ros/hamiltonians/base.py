@@ -100,6 +100,12 @@ class Hamiltonian(ABC):
         from hnn_vi_ros.kernels.addresses import by_address
         return by_address(self.kernel)
 
+    def compile(self) -> None:  # noqa: A003
+        """Compile energy, gradient and Hessian-vector product now, not when they are called."""
+        if self._called.compiled:
+            from hnn_vi_ros.kernels.addresses import provide
+            provide(self._called, 0, 1, 2)
+
     def energy(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """
         Return H(q, p) [J], shape (...), for q and p of shape (..., d).

@@ -8,8 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import (
-    Joint, JointCoordinate, Robot, SLIDING)
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate, Robot
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
@@ -82,5 +81,4 @@ class RigidBodyTree(Hamiltonian):
 
 
 def _coordinate(joint: Joint) -> JointCoordinate:
-    units = ('m', 'kg m/s') if joint.kind == SLIDING else ('rad', 'kg m2/s')
-    return JointCoordinate(joint.name, *units, joint=joint)
+    return JointCoordinate(joint.name, joint.units.q, joint.units.p, joint=joint)

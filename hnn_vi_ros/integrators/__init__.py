@@ -64,10 +64,12 @@ def method_name(integrator: Integrator) -> str:
         if isinstance(integrator, Composition) else name
 
 
-def methods_that(can: Callable[[Integrator], bool]) -> str:
-    """Return the names of methods of the kernel's H that can do something, with commas."""
-    return ', '.join(name for name, method in INTEGRATORS.items()
-                     if method.requirements.hamiltonian and can(method()))
+def methods_that(can: Callable[[Integrator], bool], hamiltonian: Hamiltonian) -> str:
+    """Return the names of the methods that take an H and can do something, with commas."""
+    methods = ((name, kind()) for name, kind in INTEGRATORS.items()
+               if kind.requirements.hamiltonian)
+    return ', '.join(name for name, method in methods
+                     if not method.refusal(hamiltonian) and can(method)) or 'none for this H'
 
 
 def check_method(integrator: Integrator, hamiltonian: Hamiltonian) -> None:
@@ -80,8 +82,7 @@ def check_method(integrator: Integrator, hamiltonian: Hamiltonian) -> None:
         The method does not apply; the message names those that do.
 
     """
-    problem = integrator.requirements.refusal(hamiltonian)
+    problem = integrator.refusal(hamiltonian)
     if problem:
-        able = methods_that(lambda method: not method.requirements.refusal(hamiltonian))
+        able = methods_that(lambda method: True, hamiltonian)
         raise UnsupportedSystem(f'{method_name(integrator)} {problem}; methods that can: {able}')
-    integrator.check(hamiltonian)

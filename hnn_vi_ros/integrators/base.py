@@ -4,8 +4,10 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+import math
 from typing import ClassVar, NamedTuple
 
+from hnn_vi_ros.errors import ADVICE, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.requirements import Requirements
@@ -14,13 +16,20 @@ import numpy as np
 
 # Outcomes of one step, as numbers that compiled code can return.
 (OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION,
- TURNED) = range(9)
+ TURNED, NOT_HELD, NO_IMPACT, ENDLESS) = range(12)
 REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            BEYOND: 'beyond the limit of stability',
            NO_MASS: 'H_pp is not positive definite, so that there are no masses',
-           REDUNDANT: 'it depends on the constraints before it; leave it out',
+           REDUNDANT: 'it depends on the constraints before it',
            NO_SOLUTION: 'no solution is connected to h = 0',
-           TURNED: 'a body would turn by nearly pi or more in one step'}
+           TURNED: 'a body would turn by nearly pi or more in one step',
+           NOT_HELD: 'no impulses hold the constraints over the step',
+           NO_IMPACT: 'its impacts cannot be followed',
+           ENDLESS: 'the steps of its own that it takes become too many, or too short'}
+# What a user can do about those that another step size or method does not cure.
+REMEDIES = {NO_MASS: 'start elsewhere, or take another model', REDUNDANT: 'leave it out',
+            ENDLESS: 'start elsewhere, or use another integrator; time_transformed takes fewer '
+                     'with a larger force'}
 # What may be done about a step that fails; see Rescue.
 ON_FAILURE = ('substep', 'implicit', 'stop')
 
@@ -71,6 +80,15 @@ class PointWork(NamedTuple):
     point: Point
 
 
+def step_failure(outcome: int, t: float, h: float, residual: float, evaluations: int,
+                 reason: str = '') -> StepFailure:
+    """Return the error of a step with an outcome, whose reason may be told more closely."""
+    # Of no other outcome is it that of an equation that was not solved.
+    unsolved = residual if outcome == NO_CONVERGENCE else math.nan
+    return StepFailure(reason or REASONS[outcome], t, h, unsolved, evaluations,
+                       REMEDIES.get(outcome, ADVICE))
+
+
 class Integrator(ABC):
     """
     A one-step map of (q, p) for Hamilton's equations.
@@ -108,16 +126,9 @@ class Integrator(ABC):
     halves: 'tuple[Callable, Callable] | None' = None
     step: Callable
 
-    def check(self, hamiltonian: Hamiltonian) -> None:  # noqa: B027
-        """
-        Refuse a Hamiltonian for another reason than those of the requirements; see check_method.
-
-        Raises
-        ------
-        UnsupportedSystem
-            The method does not apply; the message says what would.
-
-        """
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
+        """Return why it takes no such Hamiltonian, to follow its name, or ''; see Requirements."""
+        return self.requirements.refusal(hamiltonian)
 
     @property
     def kernel_name(self) -> str:

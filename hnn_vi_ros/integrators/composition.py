@@ -64,9 +64,9 @@ class Composition(Integrator):
         self.step = _compose(self.base.step, self.fractions)
         self.requirements, self.explicit = self.base.requirements, self.base.explicit
 
-    def check(self, hamiltonian: Hamiltonian) -> None:
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Refuse what the base does; see Integrator."""
-        self.base.check(hamiltonian)
+        return self.base.refusal(hamiltonian)
 
     @property
     def kernel_name(self) -> str:

@@ -10,10 +10,12 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike
 
 _Value = float | np.ndarray
+# The ends of a step that is one part, in shares of it.
+WHOLE = np.array([0.0, 1.0])
 
 
 @inlined
-def cubic(h: float, x0: _Value, v0: _Value, x1: _Value, v1: _Value) -> tuple[Any, ...]:
+def cubic(h: _Value, x0: _Value, v0: _Value, x1: _Value, v1: _Value) -> tuple[Any, ...]:
     """
     Return the coefficients of the cubic Hermite polynomial in theta = t / h, constant first.
 
@@ -21,7 +23,7 @@ def cubic(h: float, x0: _Value, v0: _Value, x1: _Value, v1: _Value) -> tuple[Any
 
     Parameters
     ----------
-    h : float
+    h : float or np.ndarray
         Length of the step [s].
     x0, v0, x1, v1 : float or np.ndarray of one shape
         Value and slope [1/s] at t = 0 and at t = h.
@@ -32,7 +34,7 @@ def cubic(h: float, x0: _Value, v0: _Value, x1: _Value, v1: _Value) -> tuple[Any
 
 
 @inlined
-def quintic(h: float, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Value, a1: _Value
+def quintic(h: _Value, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Value, a1: _Value
             ) -> tuple[Any, ...]:
     """
     Return the coefficients of the quintic Hermite polynomial in theta = t / h, constant first.
@@ -41,7 +43,7 @@ def quintic(h: float, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Value
 
     Parameters
     ----------
-    h : float
+    h : float or np.ndarray
         Length of the step [s].
     x0, v0, a0, x1, v1, a1 : float or np.ndarray of one shape
         Value, slope [1/s] and second derivative [1/s^2] at t = 0 and at t = h.
@@ -57,21 +59,28 @@ def quintic(h: float, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Value
 
 class DenseOutput:
     """
-    A polynomial in time through one step, for all coordinates and momenta at once.
+    A polynomial in time through one step, or one through each part of it, for all of the state.
 
     Parameters
     ----------
     order : int
         m: its error is O(h^(m + 1)) anywhere in the step, beside that of the step's ends.
-    coefficients : np.ndarray, shape (k, 2 n)
-        Of (q, p), of the powers of theta = t / h, or of Legendre's polynomials in 2 theta - 1.
+    coefficients : np.ndarray, shape (j, k, n)
+        Of (q, p) in k parts, of the powers of theta = t / h in each, or of Legendre's polynomials
+        in 2 theta - 1.
+    momenta : int
+        The column in which p begins.
+    ends : np.ndarray, shape (k + 1,)
+        Where the parts begin and end, in shares of the step.
     in_legendre : bool
         Which of the two: high powers would lose digits.
 
     """
 
-    def __init__(self, order: int, coefficients: np.ndarray, in_legendre: bool = False):
-        self.order, self._coefficients, self._in_legendre = order, coefficients, in_legendre
+    def __init__(self, order: int, coefficients: np.ndarray, momenta: int,
+                 ends: np.ndarray = WHOLE, in_legendre: bool = False):
+        self.order, self._coefficients, self._momenta = order, coefficients, momenta
+        self._ends, self._in_legendre = ends, in_legendre
 
     def __call__(self, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -89,34 +98,43 @@ class DenseOutput:
 
         """
         share = np.asarray(theta, dtype=np.float64)
-        if self._in_legendre:
-            z: np.ndarray = legendre.legval(2.0 * share - 1.0, self._coefficients)
-        else:
-            z = polynomial.polyval(share, self._coefficients)
-        n = len(z) // 2
-        return z.T[..., :n], z.T[..., n:]
+        part: int | np.ndarray = 0
+        if self._ends is not WHOLE:
+            part = np.clip(np.searchsorted(self._ends, share, 'right') - 1, 0,
+                           self._ends.size - 2)
+            share = (share - self._ends[part]) / (self._ends[part + 1] - self._ends[part])
+        share, coefficients = share[..., None], self._coefficients[:, part]
+        z: np.ndarray = (legendre.legval(2.0 * share - 1.0, coefficients, tensor=False)
+                         if self._in_legendre else
+                         polynomial.polyval(share, coefficients, tensor=False))
+        return z[..., :self._momenta], z[..., self._momenta:]
 
 
-def hermite_output(h: float, z0: np.ndarray, v0: np.ndarray, z1: np.ndarray, v1: np.ndarray,
-                   a0: np.ndarray | None = None, a1: np.ndarray | None = None) -> DenseOutput:
+def hermite_output(h: float, momenta: int, z: np.ndarray, v: np.ndarray,
+                   a: np.ndarray | None = None, ends: np.ndarray = WHOLE) -> DenseOutput:
     """
-    Return the Hermite polynomial of a step: quintic if second derivatives are given, else cubic.
+    Return Hermite polynomials of a step: quintic if second derivatives are given, else cubic.
 
     Parameters
     ----------
     h : float
         Length of the step [s].
-    z0, v0, z1, v1, a0, a1 : np.ndarray, shape (2 n,)
-        (q, p), and its first and second derivatives, at both ends.
+    momenta, ends
+        See DenseOutput.
+    z, v, a : np.ndarray, shape (k + 1, n)
+        (q, p), and its first and second derivatives, at the ends of all parts.
 
     References
     ----------
     E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.6.
 
     """
-    if a0 is None or a1 is None:
-        return DenseOutput(3, np.array(cubic(h, z0, v0, z1, v1)[:4]))
-    return DenseOutput(5, np.array(quintic(h, z0, v0, a0, z1, v1, a1)))
+    parts = h * np.diff(ends)[:, None]
+    if a is None:
+        coefficients = cubic(parts, z[:-1], v[:-1], z[1:], v[1:])[:4]
+        return DenseOutput(3, np.array(coefficients), momenta, ends)
+    coefficients = quintic(parts, z[:-1], v[:-1], a[:-1], z[1:], v[1:], a[1:])
+    return DenseOutput(5, np.array(coefficients), momenta, ends)
 
 
 def collocation_output(h: float, z0: np.ndarray, slopes: np.ndarray) -> DenseOutput:
@@ -147,4 +165,4 @@ def collocation_output(h: float, z0: np.ndarray, slopes: np.ndarray) -> DenseOut
     derivative = np.einsum('j,jk,jn->kn', weights, basis, slopes)
     path = legendre.legint(derivative, lbnd=-1.0, scl=0.5 * h)
     path[0] += z0
-    return DenseOutput(stages, path, in_legendre=True)
+    return DenseOutput(stages, path[:, None], z0.size // 2, in_legendre=True)

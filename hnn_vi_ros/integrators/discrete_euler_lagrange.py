@@ -5,7 +5,6 @@
 from collections.abc import Callable
 from typing import Annotated
 
-from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
@@ -78,19 +77,12 @@ class DiscreteEulerLagrange(Integrator):
             ) from problem
         self.order = order
 
-    def check(self, hamiltonian: Hamiltonian) -> None:
-        """
-        Refuse a Hamiltonian that is not that of the learned Lagrangian.
-
-        Raises
-        ------
-        UnsupportedSystem
-            Its momenta and energy are others; names the remedy.
-
-        """
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
+        """Refuse a Hamiltonian that is not that of the learned Lagrangian; see Integrator."""
         if self._model and hamiltonian.provenance.get('model_sha256') != self._model.sha256:
-            raise UnsupportedSystem('discrete_euler_lagrange: its model is not that of the '
-                                    'Hamiltonian, whose momenta are others; name the same')
+            return ('needs the Hamiltonian of its own model, since the momenta of others are '
+                    'not the same: name the same model in both')
+        return super().refusal(hamiltonian)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return the discrete Lagrangian."""

@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
@@ -69,6 +69,6 @@ class DOP853(Integrator):
         solution = solve_ivp(field, (0.0, h), np.concatenate([z.q, z.p]), method='DOP853',
                              rtol=max(options.relative, 3e-14), atol=options.absolute)
         if not solution.success:
-            return NO_CONVERGENCE, np.inf, solution.nfev
+            return ENDLESS, np.inf, solution.nfev
         z1.q[:], z1.p[:] = solution.y[:n, -1], solution.y[n:, -1]
         return OK, 0.0, solution.nfev

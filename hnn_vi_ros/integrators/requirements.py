@@ -5,6 +5,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 
 
@@ -48,15 +49,15 @@ class Requirements:
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Return why a Hamiltonian cannot be integrated, to follow the method's name, or ''."""
-        turning = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates
-                            if coordinate.kind != 'scalar')
+        turning = listed(coordinate.name for coordinate in hamiltonian.coordinates
+                         if coordinate.kind != 'scalar')
         if turning and self.coordinates != 'group':
             return (f'adds to coordinates, which would take a rotation ({turning}) off its '
                     'group')
         if not turning and self.coordinates == 'group':
             return 'is made for rotations and poses, of which this H has none'
         if not hamiltonian.canonical and self.coordinates == 'canonical':
-            names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+            names = listed(coordinate.name for coordinate in hamiltonian.coordinates)
             return (f'needs canonical coordinates, which those of this model ({names}) are not: '
                     'its steps, those of eq. (6) too, would keep another 2-form than the one it '
                     'learned')

@@ -26,7 +26,6 @@ from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part, part, Whole
 from hnn_vi_ros.kernels.sources import digest_of, reached
 from hnn_vi_ros.kernels.value_types import type_of
-import numba
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import numpy as np
@@ -112,7 +111,7 @@ def _entry(step: Step, kinds: tuple[types.Type, ...], name: str, own: bool) -> D
         **globals(), 'function': copy, 'inside_kind': kinds[0], 'memory_kind': kinds[1]},
         _step_entry.__name__)
     entry.__qualname__ = name
-    dispatcher: Any = (kept(**_ENTRY) if own else numba.njit(**_ENTRY))(entry)
+    dispatcher: Any = kept(own, **_ENTRY)(entry)
     dispatcher.compile((types.int64, types.int64, types.float64, *[types.int64] * 13))
     return dispatcher
 

@@ -7,7 +7,7 @@ from functools import cache
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -46,6 +46,8 @@ class ControlledWork(NamedTuple):
     ----------
     kept : Ahead
         For the next step of the clock.
+    own_step : np.ndarray, shape (1,)
+        The steps of the base where the density is 1, 0 for those of the clock [s].
     at : Point
         The state that a step of the base begins with.
     v_q, v_p, change_q, change_p : np.ndarray
@@ -54,6 +56,7 @@ class ControlledWork(NamedTuple):
     """
 
     kept: Ahead
+    own_step: np.ndarray
     at: Point
     v_q: np.ndarray
     v_p: np.ndarray
@@ -64,7 +67,13 @@ class ControlledWork(NamedTuple):
     def empty(cls, n: int, dtype: type = np.float64) -> 'ControlledWork':
         """Return the workspace for n coordinates, before the first step."""
         kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n, dtype))
-        return cls(kept, Point.empty(n, dtype), *np.zeros((4, n), dtype))
+        return cls(kept, np.zeros(1), Point.empty(n, dtype), *np.zeros((4, n), dtype))
+
+
+@inlined
+def own_length(own_step: np.ndarray, h: float) -> float:
+    """Return the length of the base's steps: as long as that of the clock, unless it is given."""
+    return own_step[0] if own_step[0] > 0.0 else h
 
 
 @cache
@@ -100,6 +109,7 @@ def controlled(base_step: Callable) -> Callable:
             copy_point(z, ahead)
             clock[0], clock[1], clock[2] = 0.0, 0.0, 0.0
         copy_point(ahead, at)
+        own_step = own_length(work.own_step, h)
         worst, gradients, density, time, carry = 0.0, 0, clock[0], clock[1], clock[2]
         for _ in range(_MOST_STEPS):
             if time >= h:
@@ -108,19 +118,19 @@ def controlled(base_step: Callable) -> Callable:
             rate, square = _rate(kernel, at, force, exponent, work)
             if fresh:
                 # 1 / g at the start, and from there half a step back.
-                density = (1.0 + square) ** (0.5 * exponent) - 0.5 * h * rate
+                density = (1.0 + square) ** (0.5 * exponent) - 0.5 * own_step * rate
                 fresh = False
-            density += h * rate
+            density += own_step * rate
             if not density > 0.0:
                 return NOT_FINITE, worst, gradients
-            outcome, residual, more = base_step(kernel, h / density, inner, at, z1, own)
+            outcome, residual, more = base_step(kernel, own_step / density, inner, at, z1, own)
             worst, gradients = max(worst, residual), gradients + 2 + more
             if outcome != OK:
                 return outcome, residual, gradients
-            time, carry = plus(time, carry, h / density)
+            time, carry = plus(time, carry, own_step / density)
             copy_point(z1, at)
         if time < h:
-            return NO_CONVERGENCE, worst, gradients
+            return ENDLESS, worst, gradients
         kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
         forget(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, at, z1, at_clock)

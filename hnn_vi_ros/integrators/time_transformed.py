@@ -9,11 +9,12 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.requirements import Requirements
-from hnn_vi_ros.integrators.step_size_control import Ahead, controlled, ControlledWork
+from hnn_vi_ros.integrators.step_size_control import (
+    Ahead, controlled, ControlledWork, own_length)
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -93,12 +94,15 @@ class TransformedWork(NamedTuple):
     ----------
     kept : Ahead
         For the next step of the clock; in place of the density, H_0 [J].
+    own_step : np.ndarray, shape (1,)
+        See ControlledWork.
     at, after : Point
         The states that a step of the base begins with and ends in.
 
     """
 
     kept: Ahead
+    own_step: np.ndarray
     at: Point
     after: Point
 
@@ -106,7 +110,7 @@ class TransformedWork(NamedTuple):
     def empty(cls, n: int, dtype: type = np.float64) -> 'TransformedWork':
         """Return the workspace for n coordinates, before the first step."""
         kept = Ahead(np.zeros(1, dtype=np.int64), np.zeros(3, dtype), Point.empty(n + 1, dtype))
-        return cls(kept, Point.empty(n + 1, dtype), Point.empty(n + 1, dtype))
+        return cls(kept, np.zeros(1), Point.empty(n + 1, dtype), Point.empty(n + 1, dtype))
 
 
 class TimeTransformed(Integrator):
@@ -227,13 +231,14 @@ def _transform(base_step: Callable) -> Callable:
         transformed = Kernel(kernel.energy, _gradient, _hessian_vector, parameters, n + 1,
                              kernel.gradient_scale, kernel.compiled, 1)
         copy_point(ahead, at)
+        own_step = own_length(work.own_step, h)
         worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]
         if fresh:
             transformed.gradient(transformed.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
         for _ in range(_MOST_STEPS):
             if time >= h:
                 break
-            outcome, residual, more = base_step(transformed, h, inner, at, after, own)
+            outcome, residual, more = base_step(transformed, own_step, inner, at, after, own)
             # Each evaluation takes a gradient of H and a product with its second derivatives.
             worst, gradients = max(worst, residual), gradients + 2 * more
             if outcome != OK:
@@ -244,7 +249,7 @@ def _transform(base_step: Callable) -> Callable:
             copy_point(after, at)
             at.q[n], at.p[n], at.q_carry[n], at.p_carry[n] = 0.0, 0.0, 0.0, 0.0
         if time < h:
-            return NO_CONVERGENCE, worst, gradients
+            return ENDLESS, worst, gradients
         seen = Point(at.q[:n], at.p[:n], at.q_carry[:n], at.p_carry[:n],
                      after.dH_dq[:n], after.dH_dp[:n])
         kernel.gradient(kernel.parameters, seen.q, seen.p, seen.dH_dq, seen.dH_dp)

@@ -178,8 +178,7 @@ def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
     copy = Part(function.py_func, targetoptions={**options, 'forceinline': True})
     entry = FunctionType(code, {**globals(), 'function': copy, 'kind': kind}, code.co_name)
     entry.__qualname__ = name
-    compile_ = kept(**_ENTRY) if is_own(function.py_func.__module__) else numba.njit(**_ENTRY)
-    dispatcher: Dispatcher = compile_(entry)
+    dispatcher: Dispatcher = kept(is_own(function.py_func.__module__), **_ENTRY)(entry)
     dispatcher.compile((types.int64,) * (_ARRAYS[k] + 2))
     return _Entry(dispatcher, k)
 

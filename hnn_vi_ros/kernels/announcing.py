@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Announcement of what numba is about to compile, and for about how long."""
+"""Announcement of what numba is about to compile, and for about how long; or refusal of it."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from threading import get_ident
 from typing import Any
 
 from hnn_vi_ros.kernels.sources import reached
@@ -53,6 +54,32 @@ def announced(tell: Callable[[str], None]) -> Iterator[None]:
 
     """
     with install_listener('numba:compile', _Announcer(tell)):
+        yield
+
+
+class NotKept(Exception):
+    """Refusal to compile what is not on disk."""
+
+
+class _Refuser(Listener):
+    """Listener that refuses compilations of the thread that it was made in."""
+
+    def __init__(self) -> None:
+        self._thread = get_ident()
+
+    def on_start(self, event: Event) -> None:
+        """Refuse it; what is found on disk comes here not at all."""
+        if get_ident() == self._thread:
+            raise NotKept
+
+    def on_end(self, event: Event) -> None:
+        """Nothing was begun."""
+
+
+@contextmanager
+def kept_only() -> Iterator[None]:
+    """Raise NotKept where this thread would compile a function meanwhile."""
+    with install_listener('numba:compile', _Refuser()):
         yield
 
 

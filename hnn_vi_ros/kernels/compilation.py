@@ -10,7 +10,8 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import find, keep, keep_loop, Part, set_identity, Whole
+from hnn_vi_ros.kernels.linking import (
+    aside, find, keep, keep_loop, Part, set_identity, Whole)
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 from hnn_vi_ros.kernels.value_types import kind_of, type_of
@@ -25,7 +26,7 @@ _naming = Lock()
 _entries: dict[Any, Callable[..., Any]] = {}
 
 
-def kept(**options: Any) -> Callable[[_Function], _Function]:
+def kept(own: bool = True, **options: Any) -> Callable[[_Function], _Function]:
     """
     Return a decorator that compiles a function of this package, for callers in Python as well.
 
@@ -34,12 +35,14 @@ def kept(**options: Any) -> Callable[[_Function], _Function]:
 
     Parameters
     ----------
+    own : bool, optional
+        Whether all of it is this package's; what is not is compiled in each process.
     options
         Of numba.njit.
 
     """
     def compile_(function: _Function) -> _Function:
-        return keep(numba.njit(**options)(function))
+        return (keep if own else aside)(numba.njit(**options)(function))
     return compile_
 
 
@@ -131,7 +134,7 @@ def compiled_loop(loop: Callable[..., Any], kernel: Kernel, method: str,
 
 @cache
 def _uncached(loop: _Function) -> _Function:
-    return numba.njit(loop, **_LOOP)
+    return aside(numba.njit(loop, **_LOOP))
 
 
 @cache

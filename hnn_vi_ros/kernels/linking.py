@@ -11,15 +11,19 @@ inlined into their callers, whose own compilation optimises them, once.
 This is the one file that uses numba's compiler passes, code libraries and cache.
 """
 
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from hashlib import sha256
+from pathlib import Path
 import pickle
-from typing import Any, cast
+from threading import current_thread, main_thread, Thread
+from typing import Any
 import warnings
 
 from hnn_vi_ros.kernels.marks import register_by
 from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite.binding import Linkage
+import numba
 from numba import _dynfunc
 from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -209,26 +213,97 @@ def _register(function: Callable[..., Any], inline: bool) -> None:
 register_by(_register)
 
 
+# What a file begins with: what it can be read by, then the digest of the rest.
+_MARK = b'hnn_vi_ros, numba '
+_HEAD = _MARK + numba.__version__.encode() + b'\n'
+# What those of other versions begin with; before files had a digest, they were pickles.
+_OTHERS = (_MARK, pickle.PROTO)
+
+
 class _Files(IndexDataCacheFile):
-    """Numba's files of a function, of which those that a power cut has damaged are absent."""
+    """
+    Numba's files of a function, each with a digest; what is in one tells where it belongs.
+
+    Those that are damaged, or stand in the place of another, are absent: a bit that has changed in
+    machine code ends a process, or changes a number. Those of other versions are absent as well.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep what belongs to a key."""
+        super().save(key, (key, data))
+
+    def load(self, key: Any) -> Any:
+        """Return what belongs to a key, None where there is nothing."""
+        own, data = super().load(key) or (key, None)
+        if own != key:
+            self._warn('files are in the place of others')
+            return None
+        return data
 
     def _load_index(self) -> dict[Any, str]:
-        try:
-            return cast('dict[Any, str]', super()._load_index())
-        except _DAMAGED:
-            return {}
+        stamp, overloads = self._read(self._index_path) or (None, {})
+        return overloads if stamp == self._source_stamp else {}
+
+    def _save_index(self, overloads: dict[Any, str]) -> None:
+        self._write(self._index_path, (self._source_stamp, overloads))
 
     def _load_data(self, name: str) -> Any:
+        return self._read(self._data_path(name))
+
+    def _save_data(self, name: str, data: Any) -> None:
+        self._write(self._data_path(name), data)
+
+    def _write(self, path: str, content: Any) -> None:
+        data = self._dump((self._index_name, content))
+        with self._open_for_write(path) as file:
+            file.write(_HEAD + sha256(data).digest() + data)
+
+    def _read(self, path: str) -> Any:
+        """Return what a file of this function holds, None if it cannot be used."""
         try:
-            return super()._load_data(name)
-        except _DAMAGED as problem:
-            # As numba has it of a file that was removed.
-            raise FileNotFoundError(name) from problem
+            whole = Path(path).read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as problem:
+            self._warn(problem.strerror or str(problem))
+            return None
+        head, digest, data = _parts(whole, len(_HEAD), sha256().digest_size)
+        if head != _HEAD and head.startswith(_OTHERS):
+            return None
+        if head != _HEAD or sha256(data).digest() != digest:
+            self._warn('files are damaged')
+            return None
+        try:
+            name, content = pickle.loads(data)
+        except Exception:
+            # Of other sources, whose types are not there any more.
+            return None
+        if name != self._index_name:
+            self._warn('files are in the place of others')
+            return None
+        return content
+
+    def _warn(self, reason: str) -> None:
+        _warn_once(f'compiled code in {self._cache_path} cannot be used', reason,
+                   'it is compiled again')
 
 
-# What pickle raises of bytes that it did not write.
-_DAMAGED = (pickle.UnpicklingError, EOFError, ValueError, TypeError, IndexError, KeyError,
-            AttributeError, ImportError)
+def _parts(whole: bytes, *sizes: int) -> Iterator[bytes]:
+    """Yield parts of bytes of these sizes, and the rest."""
+    for size in sizes:
+        yield whole[:size]
+        whole = whole[size:]
+    yield whole
+
+
+_warned: set[str] = set()
+
+
+def _warn_once(what: str, reason: str, then: str) -> None:
+    """Warn of what comes of a reason, once for all files."""
+    if then not in _warned:
+        _warned.add(then)
+        warnings.warn(f'{what} ({reason}): {then}', stacklevel=2)
 
 
 class _LoopCache(FunctionCache):
@@ -250,10 +325,10 @@ class _LoopCache(FunctionCache):
             _warn_of_lost(self._cache_path, problem.strerror or str(problem))
 
 
-@cache
 def _warn_of_lost(folder: str, reason: str) -> None:
-    warnings.warn(f'compiled code cannot be kept in {folder} ({reason}): the next start compiles '
-                  'again; free space, or set NUMBA_CACHE_DIR to another folder', stacklevel=2)
+    _warn_once(f'compiled code cannot be kept in {folder}', reason,
+               'the next start compiles again; free space, or set NUMBA_CACHE_DIR to another '
+               'folder')
 
 
 class _Cache(_LoopCache):
@@ -285,13 +360,40 @@ def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
         return True
 
 
-def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
-    """Have a function of this package found again on disk while its sources stay as they are."""
-    dispatcher._cache = _Cache(dispatcher.py_func)
+def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
+    """
+    Have a function compiled in a thread of its own wherever the main thread wants it.
+
+    Signals are handled by the main thread alone, between instructions of Python. Of those the
+    first, after seconds of optimising, may be one of llvmlite's that swallows KeyboardInterrupt.
+    """
+    compile_ = dispatcher.compile
+
+    def compile_aside(signature: Any) -> Any:
+        if current_thread() is not main_thread():
+            return compile_(signature)
+        found: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                found.set_result(compile_(signature))
+            except BaseException as problem:
+                found.set_exception(problem)
+        Thread(target=run).start()
+        return found.result()
+    dispatcher.compile = compile_aside
     return dispatcher
+
+
+def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispatcher:
+    """Have a function of this package found again on disk while its sources stay as they are."""
+    try:
+        dispatcher._cache = kind(dispatcher.py_func)
+    except RuntimeError:
+        _warn_of_lost('the package or a folder of caches', 'neither can be written')
+    return aside(dispatcher)
 
 
 def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Have a loop, whose name tells what it is compiled from, found again on disk."""
-    dispatcher._cache = _LoopCache(dispatcher.py_func)
-    return dispatcher
+    return keep(dispatcher, _LoopCache)

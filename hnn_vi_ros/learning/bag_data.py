@@ -176,8 +176,12 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
     """Yield the columns of each stretch of a bag without a gap."""
     signals = _signals(reader, data)
     commands = None if data.commands is None else reader.read(data.commands, '*')
-    found = False
-    for window in _windows(signals.values()):
+    found, begin = False, -np.inf
+    if commands is not None and reader.commanded_before:
+        begin = commands.t[0]
+        _LOGGER.warning('train: warning: %s: was begun while a command was held, which is not in '
+                        'it: what comes before the first one is left out', reader.path)
+    for window in _windows(signals.values(), begin):
         parts = {name: _within(signal, window) for name, signal in signals.items()}
         grid = _grid(list(parts.values()), data.spacing)
         if len(grid) >= _LEAST:
@@ -191,9 +195,9 @@ def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarr
                         'smaller data.spacing')
 
 
-def _windows(signals: Iterable[Signal]) -> Iterator[tuple[float, float]]:
+def _windows(signals: Iterable[Signal], start: float) -> Iterator[tuple[float, float]]:
     """Yield the times [s] from which to which every signal goes on without a gap."""
-    gaps, start, last = [], -np.inf, np.inf
+    gaps, last = [], np.inf
     for t, _ in signals:
         intervals = np.diff(t)
         gaps.extend((t[i], t[i + 1])

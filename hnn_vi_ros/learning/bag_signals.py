@@ -9,8 +9,11 @@ from typing import final, NamedTuple, TYPE_CHECKING
 from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import MOMENTUM
-from hnn_vi_ros.errors import DataError, RecordingError
+from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.run.held_state import STATE_FILE
 import numpy as np
+import safetensors
+import safetensors.numpy
 
 if TYPE_CHECKING:
     from mcap.records import Channel
@@ -81,6 +84,15 @@ class SignalReader:
     def digest(self) -> str:
         """Return the SHA-256 of the bag's files."""
         return self._reader.digest()
+
+    @property
+    def commanded_before(self) -> bool:
+        """Return whether a simulator held a command when it began the bag, which lacks that."""
+        try:
+            state = safetensors.numpy.load(self._reader.attachment(STATE_FILE))
+        except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
+            return False
+        return 'live.command' in state and bool(state['live.command'].any())
 
     def type_of(self, topic: str) -> str:
         """Return the type of a topic; DataError if the bag does not hold it."""
@@ -180,7 +192,7 @@ class SignalReader:
                 rows.append(found[1])
         if len(rows) < (1 if field == '*' else 2):
             raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
-                            f'{", ".join(self._joints)}; record for longer, or name joints that '
+                            f'{listed(self._joints)}; record for longer, or name joints that '
                             'it has in data.joints')
         if len({len(row) for row in rows}) != 1:
             raise DataError(f'{self.path}: {name}: its messages have different lengths')
@@ -212,7 +224,7 @@ class SignalReader:
         if not set(self._joints) <= seen:
             raise DataError(f'{self.path}: {name} has no joint '
                             f'{next(joint for joint in self._joints if joint not in seen)!r}; '
-                            f'its joints: {", ".join(sorted(seen)) or "none"}')
+                            f'its joints: {listed(sorted(seen)) or "none"}')
         return self._times(name, stamps), np.array(rows)
 
     def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
@@ -318,8 +330,8 @@ class SignalReader:
         return [channel for channel in self._reader.channels.values() if channel.topic == topic]
 
     def _contents(self) -> str:
-        return ', '.join(sorted({f'{channel.topic} ({self._schema(channel)})'
-                                 for channel in self._reader.channels.values()})) or 'nothing'
+        return listed(sorted({f'{channel.topic} ({self._schema(channel)})'
+                              for channel in self._reader.channels.values()})) or 'nothing'
 
     def _schema(self, channel: 'Channel') -> str:
         schema = self._reader.schemas.get(channel.schema_id)

@@ -5,7 +5,7 @@
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.motion_arrays import read_archive
 from hnn_vi_ros.models.attitude_features import turn_matrices
@@ -145,10 +145,10 @@ def _of_runs(path: Path, arrays: dict[str, np.ndarray], data: BodyArrays, kind: 
     runs = [key.rpartition('/')[0] for key in arrays if key.rpartition('/')[2] == data.time]
     if not runs:
         raise DataError(f'{path}: no key {data.time}, nor any RUN/{data.time}; it has '
-                        f'{", ".join([*arrays][:8]) or "none"}; name the keys in data')
+                        f'{listed(arrays) or "none"}; name the keys in data')
     for run in data.test_runs:
         if run not in runs:
-            raise DataError(f'{path}: data.test_runs: no run {run!r} among {", ".join(runs)}')
+            raise DataError(f'{path}: data.test_runs: no run {run!r} among {listed(runs)}')
     train, test = [], []
     for run in runs:
         motion = _of_run(path, arrays, data, kind, f'{run}/' if run else '')
@@ -185,7 +185,7 @@ def _of_run(path: Path, arrays: dict[str, np.ndarray], data: BodyArrays, kind: s
 
 def _array(path: Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray:
     if key not in arrays:
-        raise DataError(f'{path}: no key {key}; it has {", ".join([*arrays][:8])}; name the keys '
+        raise DataError(f'{path}: no key {key}; it has {listed(arrays)}; name the keys '
                         'in data')
     values = arrays[key]
     if values.dtype.kind not in 'fiu' or not np.isfinite(values).all():

@@ -17,7 +17,6 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
-from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.identify_fit import fit, Problem, search, Solution
@@ -27,7 +26,7 @@ from hnn_vi_ros.learning.identify_scene import write_fitted
 from hnn_vi_ros.learning.identify_statistics import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.identify_windows import Windows
-from hnn_vi_ros.learning.motion_arrays import ArraysData, NOT_ARRAYS, split_runs
+from hnn_vi_ros.learning.motion_arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.motion_bags import BagMotions
 from hnn_vi_ros.learning.motion_sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.motions import Motion, steps_between
@@ -211,10 +210,8 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
 
 def _arrays(path: Path, data: ArraysData) -> ArraysData:
     """Return the keys that arrays have; what is wrong with the file, its reader will tell."""
-    try:
-        with np.load(regular(path), allow_pickle=False) as archive:
-            keys = {key.rpartition('/')[2] for key in archive.files}
-    except (OSError, *NOT_ARRAYS):
+    keys = keys_of(path)
+    if not keys:
         return data
     return data.model_copy(update={
         'v': next((name for name in _VELOCITIES if name in keys), None),

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
-import re
 from typing import Any
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ParameterError
+from hnn_vi_ros.files.yaml_file import units_in
 from hnn_vi_ros.learning.identify_robot import robot_numbers, with_robot_numbers
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
@@ -17,7 +17,6 @@ import numpy as np
 
 # What is no number of a scene: the states that windows begin in, and how late forces come [s].
 STATES, DELAY = 'initial_state', 'input_delay'
-_UNIT = re.compile(r'\[([^\[\],]+)\]')
 
 
 @dataclass(frozen=True)
@@ -199,13 +198,38 @@ def _units(scene: Scene) -> dict[str, str]:
     """Return the unit of each number whose description tells one."""
     parts: dict[str, Any] = {'hamiltonian': scene.hamiltonian} | {
         f'effects.{i}': effect for i, effect in enumerate(scene.effects)}
+    hamiltonian = scene.create_hamiltonian()
+    own = {coordinate.name: coordinate.q_unit for coordinate in hamiltonian.coordinates}
+    if hamiltonian.robot is not None:
+        own |= {joint.name: joint.units.q for link in hamiltonian.robot.links.values()
+                for joint in link.joints if joint.moves}
     units = {name: unit for name, (_, unit) in robot_numbers(scene).items()}
     units[DELAY] = 's'
     for place in numbers_of(scene):
         owner = next(key for key in sorted(parts, key=len, reverse=True)
                      if place.startswith(f'{key}.'))
-        name = place.removeprefix(f'{owner}.').partition('.')[0]
+        name, _, item = place.removeprefix(f'{owner}.').partition('.')
         described = type(parts[owner]).model_fields.get(name)
-        found = _UNIT.search(described.description or '') if described else None
-        units[place] = found[1] if found else ''
+        named = _named(parts[owner], item)
+        units[place] = _unit(units_in(described.description) if described else (), {
+            own[one] for one in (own if named is None else named) if one in own})
     return units
+
+
+def _named(part: Any, item: str) -> list[str] | None:
+    """Return the coordinates that an item of H or of an effect is of; None for any."""
+    given = getattr(part, 'coordinates', None)
+    if item.isdecimal() and isinstance(given, list):
+        return given[int(item):int(item) + 1]
+    if item:
+        return [item]
+    one = getattr(part, 'coordinate', None)
+    return [one] if isinstance(one, str) else given if isinstance(given, list) else None
+
+
+def _unit(among: Sequence[str], kinds: set[str]) -> str:
+    """Return the unit, of those of angles and of lengths, that belongs to coordinates in these."""
+    if len(among) > 1 and kinds in ({'rad'}, {'m'}):
+        turning = [one for one in among if 'rad' in one or one in ('N m', 'kg m2', 'kg m^2')]
+        among = turning if 'rad' in kinds else [one for one in among if one not in turning]
+    return ' or '.join(among)

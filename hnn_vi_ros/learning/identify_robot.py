@@ -8,7 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
+from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Units
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
 from hnn_vi_ros.scene import Scene
 
 _MOMENTS = 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'
@@ -21,8 +23,8 @@ _LINK: dict[str, _Place] = {
     **{name: (('inertial', 'inertia'), name, None) for name in _MOMENTS}}
 _JOINT: dict[str, _Place] = {
     'damping': (('dynamics',), 'damping', None), 'friction': (('dynamics',), 'friction', None)}
-_UNITS = {'mass': 'kg', 'damping': 'N m s/rad', 'friction': 'N m',
-          **{f'centre_{axis}': 'm' for axis in _AXES}, **dict.fromkeys(_MOMENTS, 'kg m2')}
+_UNITS = {'mass': 'kg', **{f'centre_{axis}': 'm' for axis in _AXES},
+          **dict.fromkeys(_MOMENTS, 'kg m2')}
 
 
 def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
@@ -30,7 +32,9 @@ def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
     if scene.hamiltonian.kind != 'urdf':
         return {}
     root = _parsed(robot_file(scene))
-    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS[name])
+    own = {joint.get('name'): Units.of(joint.get('type', '')) for joint in root.findall('joint')}
+    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS.get(name) or (
+        own[owner].damping if name == 'damping' else own[owner].force))
             for owner, name, element, attribute, word in _numbers(root)}
 
 
@@ -40,7 +44,15 @@ def robot_file(scene: Scene) -> Path:
 
 
 def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -> Scene:
-    """Return a scene whose robot has other numbers, from a URDF that is written for it."""
+    """
+    Return a scene whose robot has other numbers, from a URDF that is written for it.
+
+    Raises
+    ------
+    ModelError
+        No body could be a link with these numbers, whatever it is fixed to.
+
+    """
     root = _parsed(robot_file(scene))
     for owner, name, element, attribute, word in _numbers(root):
         place = f'{owner}.{name}'
@@ -52,7 +64,13 @@ def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -
             words[word] = text
             text = ' '.join(words)
         element.set(attribute, text)
-    file.write_text(ElementTree.tostring(root, encoding='unicode') + '\n', encoding='utf-8')
+    text = ElementTree.tostring(root, encoding='unicode') + '\n'
+    file.write_text(text, encoding='utf-8')
+    links = parse_urdf(text.encode(), str(file)).links
+    for owner, _, name in (place.rpartition('.') for place in numbers):
+        inertial = links[owner].inertial if name in _LINK else None
+        if inertial is not None and inertial.fault:
+            raise ModelError(f'{links[owner].place}: {inertial.fault}')
     choice = scene.hamiltonian.model_dump()
     return scene.changed({'hamiltonian': {**choice, 'file': str(file.resolve())}})
 

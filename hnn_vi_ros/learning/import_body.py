@@ -23,6 +23,7 @@ Groups for Robot Dynamics Learning and Control, IEEE Trans. Robot. 40 (2024).
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
@@ -68,7 +69,7 @@ def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floo
     every = needed | set(sources['dissipation'])
     if not (needed <= names.keys() <= every) or 0 < len(
             names.keys() & set(sources['dissipation'])) < len(sources['dissipation']):
-        raise ValueError(f'networks {", ".join(sorted(names)) or "none"}; the layout {layout} has '
+        raise ValueError(f'networks {listed(sorted(names)) or "none"}; the layout {layout} has '
                          f'{", ".join(sorted(needed))}, and for friction '
                          f'{", ".join(sources["dissipation"])}')
     seen: list[Any] = ['attitude'] if layout == 'so3' else ['position', 'attitude']

@@ -11,12 +11,14 @@ import pickle
 import signal
 import sys
 import time
+import zipfile
 
 from hnn_vi_ros.errors import Interrupted, ParameterError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.learning.config import TrainingConfig
 from hnn_vi_ros.learning.dataset import Dataset
 from hnn_vi_ros.learning.loop import Loop
+from hnn_vi_ros.learning.state_dict import check_pickles
 import numpy as np
 import torch
 
@@ -63,13 +65,14 @@ class Keeper:
 
         """
         try:
+            check_pickles(self.path)
             saved = torch.load(self.path, weights_only=True)
             of_this = saved['digest'] == self._digest
         except FileNotFoundError as problem:
             raise ParameterError(f'--resume: no interrupted run at {self.path}; begin one without '
                                  '--resume') from problem
-        except (OSError, RuntimeError, EOFError, KeyError, TypeError,
-                pickle.UnpicklingError) as problem:
+        except (OSError, RuntimeError, EOFError, KeyError, TypeError, ValueError,
+                pickle.UnpicklingError, zipfile.BadZipFile) as problem:
             raise ParameterError(f'--resume: {self.path} cannot be read; remove it and begin anew '
                                  'without --resume') from problem
         if not of_this:

@@ -8,7 +8,7 @@ from pathlib import Path
 import re
 from typing import Annotated, Any, ClassVar, Literal
 
-from hnn_vi_ros.errors import DataError, ModelError
+from hnn_vi_ros.errors import DataError, listed, ModelError
 from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
@@ -336,7 +336,7 @@ def combination(text: str, names: list[str], key: str) -> list[float]:
         term = _TERM.match(text, at)
         if term is None or (at > 0 and not term[1]) or term[3] not in names:
             raise ValueError(f'{key}: {text!r} is no linear combination of the coordinates '
-                             f'{", ".join(names)}, such as {" + ".join(names[:2])}')
+                             f'{listed(names)}, such as {" + ".join(names[:2])}')
         row[names.index(term[3])] += float(f'{term[1]}{term[2] or 1.0}')
         at = term.end()
     return row

@@ -10,8 +10,9 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.files.limits import read_limited
+from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.energy_account import balance
 from hnn_vi_ros.learning.evaluate import judge, numbers, own_effects, simulation_of, verdict
@@ -49,8 +50,8 @@ _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
 def own_family(source: Path) -> str:
     """Return the family of a configuration whose schema is its own, such as mechanical; or ''."""
     try:
-        text = source.read_text(encoding='utf-8')
-    except (OSError, ValueError):
+        text = read_limited(source, MAX_BYTES)
+    except OSError:
         return ''  # the other schema's reader tells what is wrong
     data, _ = parse_mapping(text, source, DataError)
     family = data.get('family')
@@ -290,7 +291,7 @@ def _read(source: Path, config: MachineConfig, given: list[str]
     names = list(dict.fromkeys(run_of(motion) for motion in motions))
     for run in data.test_runs:
         if run not in names:
-            raise DataError(f'{source}: data.test_runs: no run {run!r} among {", ".join(names)}')
+            raise DataError(f'{source}: data.test_runs: no run {run!r} among {listed(names)}')
     train, test = split_motions(motions, data.test_runs)
     if not train:
         raise DataError(f'{source}: data.test_runs leave nothing to learn from')

@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read measured logs: rows of numbers in a text file, derivatives estimated where missing."""
 
-from hashlib import sha256
+from array import array
 import os
 from pathlib import Path
 import re
 from typing import Literal, Protocol
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.dataset import (
@@ -96,8 +97,7 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
         expected.
 
     """
-    raw = read_log(path)
-    table, lines = parse_log(path, raw, data)
+    table, lines, digest = read_log(path, data)
     column = {name: table[:, i] for i, name in enumerate(data.columns)}
     trials = column[data.trial] if data.trial else np.zeros(len(table))
     parts, start = [], 0
@@ -109,65 +109,75 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
         start += block.max(initial=0) + 1
     *states, t, block, trajectory = (np.concatenate(arrays) for arrays in zip(
         *parts, strict=True))
-    description = f'{path.name} ({len(table)} rows, sha256 {sha256(raw).hexdigest()[:16]})'
+    description = f'{path.name} ({len(table)} rows, sha256 {digest[:16]})'
     return Dataset(*states, block, description, t, trajectory).checked()
 
 
-def read_log(path: Path) -> bytes:
-    """Return the bytes of a log of at most 256 MiB, or raise DataError."""
+def read_log(path: Path, data: Columns, lacking: bool = False
+             ) -> tuple[np.ndarray, np.ndarray, str]:
+    """
+    Return the numbers of a log, the line of each row, and its SHA-256; or raise DataError.
+
+    Parameters
+    ----------
+    path : Path
+        A text file of at most 256 MiB.
+    data : Columns
+        How its rows are read.
+    lacking : bool
+        Whether a field that is empty or ``nan`` is a number that lacks.
+
+    Returns
+    -------
+    np.ndarray, shape (N, columns), np.ndarray of int, shape (N,), and str
+        What is told above.
+
+    """
     if not os.path.isfile(path):
         raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
                         '--data FILE')
+    # As numbers, of eight bytes each: lists of lists would take ten times the log.
+    numbers, lines = array('d'), array('q')
     try:
-        with path.open('rb') as stream:
-            raw = stream.read(MAX_BYTES + 1)
+        for number, line in text_lines(path, MAX_BYTES):
+            if row := _row(f'{path}:{number}', line, data, lacking, not lines):
+                numbers.extend(row)
+                lines.append(number)
+        digest = sha256_of(path, MAX_BYTES)
     except OSError as problem:
-        raise DataError(f'{path}: cannot be read: {problem.strerror}') from problem
-    if len(raw) > MAX_BYTES:
-        raise DataError(f'{path}: larger than {MAX_BYTES >> 20} MiB; give a part of it')
-    return raw
+        raise DataError(f'{path}: cannot be read: {problem.strerror}; give a smaller part of it, '
+                        'or another log') from problem
+    except ValueError as problem:
+        raise DataError(f'{path}:{problem}; give a log of rows of numbers') from problem
+    if len(lines) < 2:
+        raise DataError(f'{path}: {len(lines)} rows of data, expected a longer log')
+    return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest
 
 
-def parse_log(path: Path, raw: bytes, data: Columns, lacking: bool = False
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the numbers, shape (N, columns), and the line of each row; or raise DataError.
-
-    Where numbers may be lacking, a field that is empty or ``nan`` is not a number.
-    """
-    try:
-        text = raw.decode('utf-8-sig')
-    except UnicodeDecodeError as problem:
-        raise DataError(f'{path}: not a text file in UTF-8: {problem.reason} at byte '
-                        f'{problem.start}') from problem
-    rows, lines = [], []
-    for number, line in enumerate(text.split('\n'), start=1):
-        if not line.strip() or line.lstrip().startswith(data.comment):
-            continue
-        fields = [field.strip() for field in line.strip('\r').split(_SEPARATORS[data.delimiter])]
-        if not rows and fields == data.columns:
-            continue  # a header line
-        if len(fields) != len(data.columns):
-            raise DataError(f'{path}:{number}: {len(fields)} columns, expected '
-                            f'{len(data.columns)}: {", ".join(data.columns)}')
-        rows.append([np.nan if lacking and fields[i].lower() in ('', 'nan') else
-                     _number(path, number, i, fields[i], name)
-                     for i, name in enumerate(data.columns)])
-        lines.append(number)
-    if len(rows) < 2:
-        raise DataError(f'{path}: {len(rows)} rows of data, expected a longer log')
-    return np.array(rows), np.array(lines)
+def _row(place: str, line: str, data: Columns, lacking: bool, first: bool) -> list[float]:
+    """Return the numbers of a line; none of a comment, or of the header that may come first."""
+    if not line.strip() or line.lstrip().startswith(data.comment):
+        return []
+    # No further than needed: a line may be as long as the file.
+    fields = [field.strip() for field in line.split(
+        _SEPARATORS[data.delimiter], len(data.columns) + 1)]
+    if first and fields == data.columns:
+        return []
+    if len(fields) != len(data.columns):
+        more = ' or more' * (len(fields) > len(data.columns) + 1)
+        raise DataError(f'{place}: {len(fields)} columns{more}, expected '
+                        f'{len(data.columns)}: {listed(data.columns)}')
+    return [np.nan if lacking and field.lower() in ('', 'nan') else
+            _number(place, i, field, name)
+            for i, (field, name) in enumerate(zip(fields, data.columns, strict=True))]
 
 
-def _number(path: Path, line: int, index: int, field: str, name: str) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        value = np.nan
+def _number(place: str, index: int, field: str, name: str) -> float:
+    value = plain_number(field)
     if not abs(value) <= MAX_VALUE:
         remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
             'name the columns in data.columns, and in data.comment how lines to skip begin'
-        raise DataError(f'{path}:{line}: column {index + 1} ({name}): expected a finite number, '
+        raise DataError(f'{place}: column {index + 1} ({name}): expected a finite number, '
                         f'found {field[:40]!r}; {remedy}')
     return value
 

@@ -3,21 +3,18 @@
 """Measured motions from arrays in an .npz file."""
 
 from collections.abc import Sequence
-from hashlib import sha256
+import errno
 import os
 from pathlib import Path
-import zipfile
-import zlib
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field
 
 MAX_BYTES = 1 << 30
-# What numpy raises of a file that is no .npz file of plain arrays, or a damaged one.
-NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 class ArraysData(MotionData):
@@ -59,19 +56,23 @@ def read_archive(path: Path) -> tuple[dict[str, np.ndarray], str]:
 
     """
     try:
-        if regular(path).stat().st_size > MAX_BYTES:
-            raise DataError(f'{path}: larger than {MAX_BYTES >> 30} GiB; give a part of it')
-        digest = sha256(path.read_bytes()).hexdigest()[:16]
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
+        return unpack_arrays(path, MAX_BYTES), sha256_of(path, MAX_BYTES)[:16]
     except OSError as problem:
-        raise DataError(f'{path}: cannot be read ({problem.strerror or problem}); give an .npz '
-                        'file that numpy.savez wrote') from problem
-    except NOT_ARRAYS as problem:
-        # Not numpy's own words, which advise to unpickle what anybody may have written.
-        raise DataError(f'{path}: not an .npz file of plain arrays; give one that numpy.savez '
-                        'wrote') from problem
-    return arrays, digest
+        what, remedy = f'cannot be read ({problem.strerror or problem})', 'numpy.savez wrote'
+        if problem.errno == errno.EFBIG:
+            what, remedy = str(problem.strerror), 'is smaller, such as a part of it'
+        raise DataError(f'{path}: {what}; give an .npz file that {remedy}') from problem
+    except ValueError as problem:
+        raise DataError(f'{path}: {problem}; give an .npz file that numpy.savez wrote'
+                        ) from problem
+
+
+def keys_of(path: Path) -> set[str]:
+    """Return the keys of an .npz file without those of its runs; none of one that is none."""
+    try:
+        return {key.rpartition('/')[2] for key in array_names(path, MAX_BYTES)}
+    except (OSError, ValueError):
+        return set()
 
 
 def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
@@ -108,10 +109,10 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
     for run in wanted:
         if run not in found:
             raise DataError(f'{path}: no run {run!r} with a key {first}; its runs: '
-                            f'{", ".join(found) or "none"}; name the keys in data')
+                            f'{listed(found) or "none"}; name the keys in data')
     if not wanted:
         raise DataError(f'{path}: no key {first}, nor any RUN/{first}; it has '
-                        f'{", ".join([*arrays][:8]) or "none"}; name the keys in data')
+                        f'{listed(arrays) or "none"}; name the keys in data')
     found_runs = [_run(path, run, arrays, data, d) for run in wanted]
     named = ', '.join(run for run in wanted if run)
     return as_motions(found_runs, data, f'{path.name}: {named}' if named else path.name,
@@ -123,7 +124,7 @@ def _run(path: Path, run: str, arrays: dict[str, np.ndarray], data: ArraysData, 
     def array(key: str, shape: tuple[int, ...], fewer: bool = False) -> np.ndarray:
         name = f'{run}/{key}' if run else key
         if name not in arrays:
-            raise DataError(f'{path}: no key {name}; it has {", ".join([*arrays][:8])}; name the '
+            raise DataError(f'{path}: no key {name}; it has {listed(arrays)}; name the '
                             'keys in data')
         values = arrays[name]
         fits = values.shape == shape or (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.learning.bag_signals import ARRAY, SignalReader
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
@@ -64,7 +64,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     joints = data.joints or list(names)
     if len(joints) != len(names):
         raise DataError(f'data.joints names {len(joints)} joints for {len(names)} coordinates: '
-                        f'{", ".join(names)}')
+                        f'{listed(names)}')
     runs, digests = [], []
     for path in paths:
         reader, forces = _reader(path, joints, data)
@@ -118,6 +118,8 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints:
         lacking = [name for name, there in zip(of, given, strict=True) if not there]
         notes.append(f'no effort of {", ".join(lacking)}, which counts as no motor')
         tau = np.where(given, tau, 0.0)
+    if reader.damage:
+        notes.append(reader.damage)
     return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,
                        None if data.estimate_velocity else v,
                        tau if forces and given.any() else None, forces not in ('', EFFORT),
@@ -150,6 +152,9 @@ def _commanded(reader: SignalReader, forces: str, t: np.ndarray, data: BagMotion
     if before == len(t):
         raise DataError(f'{reader.path}: no command of {forces} comes before the last state; look '
                         'at their stamps, and at data.stamps')
+    held = reader.commanded_before
     if before:
-        notes.append(f'no force for {before} samples before the first command')
-    return np.vstack([np.where(motors, 0.0, np.nan)[None], values[order]])[at], notes
+        notes.append(f'{"an unknown" if held else "no"} force for {before} samples before the '
+                     'first command')
+    first = np.where(motors & (not held), 0.0, np.nan)
+    return np.vstack([first[None], values[order]])[at], notes

@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured motions from logs: text files with a row of numbers for each instant."""
 
-from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.dataset import Names
-from hnn_vi_ros.learning.measured_log import parse_log, read_log
+from hnn_vi_ros.learning.measured_log import read_log
 from hnn_vi_ros.learning.motions import as_motions, MeasuredRun, Motion, MotionData
 import numpy as np
 from pydantic import Field, model_validator
@@ -68,8 +67,7 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Motion], str]:
         The file cannot be read, or a row cannot; names file and line.
 
     """
-    raw = read_log(path)
-    table, lines = parse_log(path, raw, data, lacking=True)
+    table, lines, digest = read_log(path, data, lacking=True)
     column = dict(zip(data.columns, table.T, strict=True))
 
     def stacked(names: Names | None, rows: np.ndarray) -> np.ndarray | None:
@@ -87,4 +85,4 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Motion], str]:
         runs.append(MeasuredRun(name, f'{path}: {name}', column[data.time][rows],
                                 stacked(data.q, rows), stacked(data.v, rows),
                                 stacked(data.tau, rows), a=stacked(data.a, rows)))
-    return as_motions(runs, data, path.name, sha256(raw).hexdigest()[:16])
+    return as_motions(runs, data, path.name, digest[:16])

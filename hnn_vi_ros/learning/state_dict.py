@@ -4,11 +4,13 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+import pickletools
 import re
 import stat
+from typing import IO
 import zipfile
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
@@ -18,6 +20,11 @@ import torch
 MAX_BYTES = 64 << 20
 _TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 _NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
+# What of a pickle names something; and what those of tensors name.
+_NAMING = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
+_PLAIN = re.compile(r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|'
+                    r'torch\.storage \w+|torch\.serialization _get_layout|'
+                    r'torch\.nn\.parameter Parameter')
 _SHAPES = ('expected the state_dict of a network whose layers are named linear1, linear2, ... '
            'with weights and biases')
 
@@ -34,7 +41,7 @@ def read_layers(path: Path) -> Layers:
     """
     networks = read_networks(path)
     if len(networks) != 1:
-        names = ', '.join(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
+        names = listed(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
         raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
                          f'{_SHAPES}')
     (layers,) = networks.values()
@@ -72,6 +79,7 @@ def read_networks(path: Path) -> dict[str, Layers]:
             refuse_pointer(stream.read(32), path, ModelError)
         if max(status.st_size, _unpacked_size(path)) > MAX_BYTES:
             raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no network needs')
+        check_pickles(path)
         state = torch.load(path, map_location='cpu', weights_only=True)
     except FileNotFoundError as problem:
         raise ModelError(f'{path}: no such file; give the file that torch.save wrote') from problem
@@ -83,6 +91,34 @@ def read_networks(path: Path) -> dict[str, Layers]:
                          f'({type(problem).__name__}: {first[:200]}); nothing in it was run; have '
                          'its author save the state_dict') from problem
     return _networks(path, state)
+
+
+def check_pickles(path: Path) -> None:
+    """
+    Raise ValueError where a file of torch.save names anything but what tensors are made of.
+
+    ``weights_only`` runs no code of others, but it makes a bytearray, or an empty tensor, of any
+    size that is asked for.
+    """
+    with path.open('rb') as stream:
+        if not zipfile.is_zipfile(stream):
+            stream.seek(0)
+            # A magic number, a version, the system, what was saved, and the names of its storages.
+            for _ in range(5):
+                _check_pickle(stream)
+            return
+        with zipfile.ZipFile(stream) as archive:
+            for member in archive.infolist():
+                if member.filename.endswith('data.pkl'):
+                    with archive.open(member) as content:
+                        _check_pickle(content)
+
+
+def _check_pickle(stream: IO[bytes]) -> None:
+    for code, argument, _ in pickletools.genops(stream):
+        if code.name in _NAMING and not (
+                code.name == 'GLOBAL' and _PLAIN.fullmatch(str(argument))):
+            raise ValueError(f'it names {str(argument)[:80]}')
 
 
 def _unpacked_size(path: Path) -> int:

@@ -5,7 +5,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.families.base import gradient
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
@@ -72,7 +72,7 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
     known = dict(_tensors(checkpoint))
     for name in names:
         if name not in known:
-            raise ValueError(f'the model has no tensor {name!r}; it has: {", ".join(known)}')
+            raise ValueError(f'the model has no tensor {name!r}; it has: {listed(known)}')
     return known
 
 

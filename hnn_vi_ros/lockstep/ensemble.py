@@ -15,6 +15,7 @@ from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.lockstep.devices import kernels_of, open_device, STEPS
 from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.lockstep.steps import first_state, Progress, State, step_of, System
+from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
@@ -97,7 +98,7 @@ class LockstepEnsemble:
             raise UnsupportedSystem(
                 f'{", ".join(labels)}: trajectories step on a device without effects; leave '
                 'device out, or the effects')
-        self._step = step_of(integrator)
+        self._step = step_of(integrator, hamiltonian)
         assert isinstance(integrator, ImplicitIntegrator), 'only such have a step here'
         self._hamiltonian, self._integrator, self._h = hamiltonian, integrator, step_size
         self._on_failure, self._alone = on_failure, None
@@ -159,6 +160,7 @@ class LockstepEnsemble:
                   counts: Counts, failures: dict[int, StepFailure]) -> State:
         """Return the state when nothing is to do, with what ``Simulation`` has taken of it."""
         while progress.todo.any():
+            heed()
             state, outcome = self._launch(state, progress, end)
             for k in (outcome != OK).nonzero()[:, 0].tolist():
                 row, steps = int(rows[k]), end - int(progress.todo[k])

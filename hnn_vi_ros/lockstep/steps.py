@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.integrators import INTEGRATORS, method_name
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, OK
 from hnn_vi_ros.integrators.equations import LEAST_SCALE
 from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
@@ -287,14 +288,14 @@ _STEPS: dict[str, Step] = {
     'implicit_midpoint': _implicit_midpoint}
 
 
-def step_of(integrator: Integrator) -> Step:
+def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
     """
     Return the step of a method for many trajectories.
 
     Raises
     ------
     UnsupportedSystem
-        It has none; names the methods that do.
+        It has none; names the methods for H that do.
 
     """
     if isinstance(integrator, Gauss):
@@ -302,10 +303,10 @@ def step_of(integrator: Integrator) -> Step:
         return lambda system, state: _gauss(system, state, stages)
     name = method_name(integrator)
     if name not in _STEPS:
-        able = ', '.join([*_STEPS, *(key for key, kind in INTEGRATORS.items()
-                                     if issubclass(kind, Gauss))])
+        able = methods_that(lambda method: isinstance(method, Gauss) or method_name(
+            method) in _STEPS, hamiltonian)
         raise UnsupportedSystem(f'{name} has no step for many trajectories on a device; leave '
-                                f'device out, or take one of: {able}')
+                                f'device out; methods that have: {able}')
     return _STEPS[name]
 
 

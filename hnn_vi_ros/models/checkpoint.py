@@ -12,18 +12,19 @@ ModelCard as JSON. Nothing in it is ever executed.
 """
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
-from hashlib import sha256
+import hashlib
+from io import BufferedReader
 from itertools import pairwise
-import json
 import os
 from pathlib import Path
-import stat
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.lfs_pointer import refuse_pointer
+from hnn_vi_ros.files.limits import limited, parse_json, safetensors_header
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np
@@ -132,20 +133,14 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
         The file is missing, damaged, or not a model of ours; one line says which.
 
     """
-    raw = _read(Path(path))
-    refuse_pointer(raw, path, ModelError)
-    try:
+    with _opened(Path(path)) as stream:
+        # Before the tensors are read.
+        card = _card(path, _metadata(path, stream))
+        stream.seek(0)
+        raw = stream.read()
+    with _plain(path, raw):
         tensors = dict(safetensors.deserialize(raw))
-        metadata = json.loads(raw[8:8 + int.from_bytes(raw[:8], 'little')]).get('__metadata__')
-    except (safetensors.SafetensorError, ValueError, RecursionError) as problem:
-        if raw.startswith(_PICKLES):
-            raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
-                             'loaded; a model is a .safetensors file, which the network of the '
-                             'original HNN code becomes by: '
-                             f'{command("import_checkpoint --help")}') from problem
-        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
-                         ) from problem
-    card, digest = _card(path, metadata or {}), sha256(raw).hexdigest()
+    digest = hashlib.sha256(raw).hexdigest()
     if card.ensemble is not None and not ensembles:
         raise ModelError(f'{path}: an ensemble of {len(card.ensemble.members)} models; the '
                          'Hamiltonian of a scene takes it, and friction and forces of the family '
@@ -157,6 +152,32 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     if tensors:
         raise ModelError(f'{path}: unknown tensor {min(tensors)}; {_ANEW}')
     return Checkpoint(card, networks, digest, members)
+
+
+def _metadata(path: str | Path, stream: BinaryIO) -> dict[str, Any]:
+    """Return the metadata of a file, which are in its header."""
+    begin = stream.read(32)
+    refuse_pointer(begin, path, ModelError)
+    stream.seek(0)
+    with _plain(path, begin):
+        header = parse_json(safetensors_header(stream))
+    metadata = header.get('__metadata__') if isinstance(header, dict) else None
+    return metadata if isinstance(metadata, dict) else {}
+
+
+@contextmanager
+def _plain(path: str | Path, begin: bytes) -> Iterator[None]:
+    """Say of an error inside that a file, which begins so, is none of safetensors."""
+    try:
+        yield
+    except (safetensors.SafetensorError, ValueError) as problem:
+        if begin.startswith(_PICKLES):
+            raise ModelError(f'{path}: a pickle or torch.save file, which could run code when '
+                             'loaded; a model is a .safetensors file, which the network of the '
+                             'original HNN code becomes by: '
+                             f'{command("import_checkpoint --help")}') from problem
+        raise ModelError(f'{path}: not a safetensors file ({one_line(problem)}); {_ANEW}'
+                         ) from problem
 
 
 def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix: str = ''
@@ -172,7 +193,8 @@ def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix
 
 def file_digest(path: Path) -> str:
     """Return the SHA-256 of a model file, as load_checkpoint returns it; ModelError if none."""
-    return sha256(_read(path)).hexdigest()
+    with _opened(path) as stream:
+        return hashlib.file_digest(stream, 'sha256').hexdigest()
 
 
 def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
@@ -267,25 +289,22 @@ def _replace(path: Path, raw: bytes) -> None:
         raise
 
 
-def _read(path: Path) -> bytes:
+@contextmanager
+def _opened(path: Path) -> Iterator[BufferedReader]:
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
-            raise ModelError(f'{path}: is {what}; give the path of a .safetensors file')
-        if status.st_size > MAX_BYTES:
-            raise ModelError(f'{path}: is larger than any model, of {status.st_size} bytes; '
-                             'give the .safetensors file of a model')
-        return path.read_bytes()
+        with limited(path, MAX_BYTES) as stream:
+            yield stream
     except FileNotFoundError as problem:
         raise ModelError(f'{path}: no such model file; train one with: '
                          f'{command("train --config NAME")}') from problem
     except (OSError, ValueError) as problem:
-        raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
+        what = getattr(problem, 'strerror', None) or one_line(problem)
+        raise ModelError(f'{path}: cannot be read: {what}; give the path of a .safetensors file'
+                         ) from problem
 
 
-def _card(path: str | Path, metadata: dict[str, str]) -> ModelCard:
-    if 'model_card' not in metadata:
+def _card(path: str | Path, metadata: dict[str, Any]) -> ModelCard:
+    if not isinstance(metadata.get('model_card'), str):
         raise ModelError(f'{path}: has no model_card in its metadata, so it is not a model of '
                          f'hnn_vi_ros; train one with: {command("train --config NAME")}')
     try:

@@ -14,6 +14,7 @@ from functools import cache
 import inspect
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.kernel import Functions
@@ -53,7 +54,7 @@ def create(kind: str, parameters: dict[str, float]) -> Hamiltonian:
     """Return a system with these parameters; ValueError for any that it does not take."""
     names = [*parameters_of(kind)]
     if sorted(parameters) != sorted(names):
-        raise ValueError(f'prior: parameters {", ".join(parameters) or "none"}, expected '
+        raise ValueError(f'prior: parameters {listed(parameters) or "none"}, expected '
                          f'{", ".join(names) or "none"}')
     found: Hamiltonian = HAMILTONIANS[kind](**parameters)
     return found

@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
@@ -199,7 +200,7 @@ class MechanicalCard(StrictModel):
             return
         names = parameter_names(self.features)
         if sorted(prior.parameters) != sorted(names):
-            raise ValueError(f'prior: parameters {", ".join(prior.parameters)}, expected '
+            raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')
         rows, matrices = self.terms[:2]
         # Of two links M is smallest where they are in line.

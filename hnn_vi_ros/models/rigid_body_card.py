@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, SLIDING, TURNING, Units
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.hamiltonians.rigid_body.tree import frame_of, MOST_JOINTS
 import numpy as np
@@ -25,8 +25,6 @@ _INERTIAL = ('mass', 'first_x', 'first_y', 'first_z', 'inertia_xx', 'inertia_xy'
 INERTIAL = len(_INERTIAL)
 # Parameters of each body, with those of its joint.
 EACH = INERTIAL + 2
-_TURNING = ('kg m2', 'N m')
-_SLIDING = ('kg', 'N')
 # Of the largest eigenvalue of a pseudo-inertia: what rounding leaves of zero.
 _ROUNDING = 1e-9
 
@@ -78,11 +76,11 @@ class TreeCard(StrictModel):
         """Return the parameters of all bodies, one after another, and their units."""
         found: dict[str, str] = {}
         for body in self.bodies:
-            rotor, force = _SLIDING if body.prismatic else _TURNING
+            own = Units.of(SLIDING if body.prismatic else TURNING[0])
             units = 'kg', *3 * ('kg m',), *6 * ('kg m2',)
             found |= {f'{body.link}.{name}': unit
                       for name, unit in zip(_INERTIAL, units, strict=True)}
-            found |= {f'{body.joint}.rotor_inertia': rotor, f'{body.joint}.offset': force}
+            found |= {f'{body.joint}.rotor_inertia': own.rotor, f'{body.joint}.offset': own.force}
         return found
 
 

@@ -45,6 +45,7 @@ class BagOutput(Sink):
         self.wanted = settings.record
         self._bags: list[Path] = []
         self._begin: Beginning
+        self._begun_at: bytes
         self._sink: McapSink
 
     @property
@@ -60,6 +61,7 @@ class BagOutput(Sink):
     def open(self, begin: Beginning) -> bool:  # noqa: A003
         """See Sink."""
         self._begin, self._bags = begin, []
+        self._begun_at = state_file(begin.simulation)
         if self.wanted:
             self._bags.append(self._free())
             self._open_bag()
@@ -104,8 +106,9 @@ class BagOutput(Sink):
         attachments = {
             'scene.yaml': scene.encode(),
             'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
-        if simulation.steps != report['first_step']:
-            attachments[STATE_FILE] = state_file(simulation)
+        # Steps that were taken, a command that is held already: what the scene does not tell.
+        if (state := state_file(simulation)) != self._begun_at:
+            attachments[STATE_FILE] = state
         sink = McapSink(self._bags[-1], self._topics.tick, attachments)
         # Stamped with the state that the bag begins at, from which on it acts.
         sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=scene)))

@@ -222,7 +222,9 @@ class Control:
                 if time.monotonic() + wait > until:
                     return
                 time.sleep(max(wait, 0.0))
-            elif run.step() == 0:
+            elif (taken := run.step()) is None:
+                time.sleep(LONGEST_CALL)
+            elif taken == 0:
                 self.set_paused(True)
             elif run.at_sample and run.pacer.paced and run.simulation.motors.takes:
                 return
@@ -230,6 +232,9 @@ class Control:
     def _take_requested(self) -> None:
         """Take a batch of the steps that were asked for; show where they end."""
         taken = self._run.step(self._left)
+        if taken is None:
+            time.sleep(LONGEST_CALL)
+            return
         self._left -= taken
         if taken and self._progress is not None:
             self._progress(self._asked - self._left, self._left)

@@ -9,10 +9,9 @@ public way to learn what it was given; ``declare_parameters`` then declares its 
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
-from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
 from hnn_vi_ros.ros.parameters import Specification
 from hnn_vi_ros.ros.qos_overrides import Endpoint, expected, parameter_names, PREFIX
 from rclpy.node import Node
@@ -103,7 +102,8 @@ def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
     for option, path in pairwise(arguments):
         if option == '--params-file':
             # ROS has read it already, and refused what is no parameter file. Only names count.
-            content, _ = parse_mapping(Path(path).read_bytes(), path, ParameterError)
+            with open(path, 'rb') as stream:
+                content, _ = parse_mapping(stream.read(MAX_BYTES + 1), path, ParameterError)
             yield from _sections_in(content, '')
 
 

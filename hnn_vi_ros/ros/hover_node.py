@@ -7,11 +7,11 @@ from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.hover_parameters import HoverSettings, PARAMETERS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from nav_msgs.msg import Odometry
 import numpy as np
 import rclpy
-from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray
 
 # Of the scene quadrotor.
@@ -64,7 +64,7 @@ def matrix(turn: Quaternion) -> np.ndarray:
     return np.eye(3) + 2.0 * (turn.w * cross + cross @ cross)
 
 
-class Hover(Node):
+class Hover(RobustNode):
     """Answer each odometry with one command."""
 
     def __init__(self):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Initial states from messages like those that the simulator publishes as joint states."""
 
+from hnn_vi_ros.effects.commands import told
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.legendre import momenta
 import numpy as np
@@ -38,9 +40,8 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
                          "scene's initial_state")
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     if len(message.name) != len(names) or sorted(message.name) != sorted(names):
-        given = ', '.join(message.name[:10])
-        raise ValueError(f'name = [{given[:80]}] must be the coordinates {", ".join(names)}, each '
-                         'once')
+        raise ValueError(f'name = [{told(message.name)}] must be the coordinates '
+                         f'{listed(names)}, each once')
     places = [list(message.name).index(name) for name in names]
     values = []
     for field in ('position', 'velocity'):

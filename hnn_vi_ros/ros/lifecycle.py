@@ -10,12 +10,12 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.graph import THREAD_TURN
 from hnn_vi_ros.ros.rclpy_internals import answer_changes, state_machine
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.task import Future
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -31,7 +31,7 @@ _PUBLIC = {
 }
 
 
-class ManagedNode(LifecycleNodeMixin, Node):
+class ManagedNode(LifecycleNodeMixin, RobustNode):
     """
     A lifecycle node that goes on serving while a transition takes its time.
 
@@ -48,7 +48,7 @@ class ManagedNode(LifecycleNodeMixin, Node):
 
     def __init__(self, name: str):
         with plain_ros_errors('ROS'):
-            Node.__init__(self, name, automatically_declare_parameters_from_overrides=True)
+            RobustNode.__init__(self, name, automatically_declare_parameters_from_overrides=True)
         # All services of this group answer while a transition is under way.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
         # The mixin's own handler lets the error of an illegal transition end the process.

@@ -4,13 +4,13 @@
 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
-from rclpy.node import Node
 from std_msgs.msg import Float64
 
 
-class Listener(Node):
+class Listener(RobustNode):
     """Print every hundredth energy."""
 
     def __init__(self):

@@ -3,6 +3,7 @@
 """Preparation of a run, which takes long: for a thread beside the one that serves."""
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 import time
 from typing import Any, NamedTuple
 import warnings
@@ -11,7 +12,7 @@ from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.kernels.announcing import announced
+from hnn_vi_ros.kernels.announcing import announced, kept_only, NotKept
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.rclpy_internals import Logger
@@ -47,7 +48,7 @@ class Prepared(NamedTuple):
     chosen : Chosen or None
         What the integrator auto chose, if the scene has it.
     simulation : Simulation
-        Made of it, compiled, in its initial state.
+        Made of it, compiled, in its initial state; see ``rescue_ready``.
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p that pictures leave room for.
     report : dict
@@ -104,27 +105,38 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         A parameter, the scene or its model is not usable, or a file; one line.
 
     """
+    def tell(line: str) -> None:
+        begin(line)
+        logger.info(line)
+
     begin('loading the scene')
     factor = settings.real_time_factor
-    scene, step, origin = _load(settings)
+    scene, step, origin, damage = _load(settings)
     begin('selecting the integrator')
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
-    simulation = _compile(scene, logger, begin)
-    with scene.placed('uncertainty'):
-        members = None if scene.uncertainty is None else Members(scene)
-    twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
+    with announced(tell):
+        simulation = _compile(scene, logger)
+        with scene.placed('uncertainty'):
+            members = None if scene.uncertainty is None else Members(scene)
+        twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
+        # What looks into steps, or goes along with them, waits for nothing in the run.
+        alone = not (scene.events or settings.publish_accuracy or members or twin)
+        ready = compile_rest(simulation, kept_only if alone else nullcontext)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
     if step:
         log_lines.append(
             LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+    if damage:
+        log_lines.append(LogLine(damage, 'WARN'))
     sampler.count(settings.duration)
     check_pace(factor, sampler.tick)
     begin('looking ahead')
     seconds = _SEEN * (factor or 1.0)
-    box, cost = look_ahead(simulation, min(seconds, settings.duration or seconds))
+    with announced(tell):
+        box, cost = look_ahead(simulation, min(seconds, settings.duration or seconds))
     if simulation.hamiltonian.box is not None:
         box = simulation.hamiltonian.box
     if settings.explain and scene.effects:
@@ -142,24 +154,25 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin(OPENING)
     recording = Recording(
         logger, scene, simulation, settings, topics, box, report, sampler)
+    simulation.rescue_ready = ready
     return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
                     twin)
 
 
-def _load(settings: Settings) -> tuple[Scene, int, int]:
-    """Return the scene, and the step and the stamp of step 0 [ns] from which it goes on."""
+def _load(settings: Settings) -> tuple[Scene, int, int, str]:
+    """Return the scene, the step and the stamp of step 0 [ns] to go on from, damage of its log."""
     overrides = {name: value for name, value in (
         ('step_size', settings.step_size), ('integrator', settings.integrator)) if value}
     if not settings.resume:
         return load_scene(settings.scene).with_overrides(
-            overrides.get('step_size'), overrides.get('integrator')), 0, 0
+            overrides.get('step_size'), overrides.get('integrator')), 0, 0, ''
     if overrides:
         raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
                              'is resumed; leave it out, or leave out resume')
     # Imported here: it reads bags, which few runs begin with.
     from hnn_vi_ros.ros.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
-    return found.scene, found.step, found.origin
+    return found.scene, found.step, found.origin, found.damage
 
 
 def check_pace(real_time_factor: float, tick: float) -> None:
@@ -169,19 +182,30 @@ def check_pace(real_time_factor: float, tick: float) -> None:
                              f'{_LONGEST_WAIT:.0e} s would pass between two samples')
 
 
-def _compile(scene: Scene, logger: Logger, begin: Callable[[str], None]) -> Simulation:
-    def tell(line: str) -> None:
-        begin(line)
-        logger.info(line)
-
-    with warnings.catch_warnings(record=True) as caught, announced(tell):
+def _compile(scene: Scene, logger: Logger) -> Simulation:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
         simulation = build(scene)
         seconds = simulation.compile()
+        # Of messages of states, and what is drawn.
+        simulation.hamiltonian.energy(simulation.q, simulation.p)
+        simulation.hamiltonian.gradient(simulation.q, simulation.p)
     for warning in caught:
         logger.warning(str(warning.message))
     logger.info(f'scene {scene.source}: kernel compiled in {seconds:.2f} s')
     return simulation
+
+
+def compile_rest(simulation: Simulation,
+                 where: Callable[[], AbstractContextManager[None]] = nullcontext) -> bool:
+    """Compile what a run may need later, or return False: H'', and what takes failed steps."""
+    try:
+        with where():
+            simulation.hamiltonian.compile()
+            simulation.compile_rescue()
+    except NotKept:
+        return False
+    return True
 
 
 def with_start(scene: Scene, q: Sequence[float], p: Sequence[float]) -> Scene:

@@ -6,11 +6,13 @@ Internals of rclpy that are used; nothing public of it does the same.
 Its errors RCLError and UnknownROSArgsError have no public name, and neither has the type of a
 node's logger. A managed node's own handler of ``change_state`` lets the error of an illegal
 transition end the process, which is prevented only by an answer of ours from the same service.
+What its loggers write goes past the streams of Python.
 """
 
 from collections.abc import Callable
 from typing import Any, TYPE_CHECKING
 
+from hnn_vi_ros.errors import printable
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -20,6 +22,18 @@ if TYPE_CHECKING:
 RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 Logger = RcutilsLogger
+
+
+_write_to_log = rclpy_implementation.rclpy_logging_rcutils_log
+
+
+def log_plainly() -> None:
+    """Let each entry of the log be one line that any terminal shows; see errors.printable."""
+    rclpy_implementation.rclpy_logging_rcutils_log = _write_plainly
+
+
+def _write_plainly(severity: int, name: str, message: str, *place: Any) -> None:
+    _write_to_log(severity, name, printable(message), *place)
 
 
 def answer_changes(node: 'LifecycleNodeMixin', callback: Callable[..., Any]) -> None:

@@ -6,13 +6,14 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+import math
 from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.inputs import INPUTS
@@ -27,6 +28,8 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
 
+# No two stamps are further apart [ns].
+_LONGEST = 2**63
 # How far back from its end a bag is searched for its last state, each time farther [ns].
 _BACK = (10**9, 10**11, 2**64)
 
@@ -48,12 +51,15 @@ class Resumption:
         Steps that the run had taken.
     origin : int
         Stamp of its step 0 [ns].
+    damage : str
+        What is to be reported of parts of the log that could not be read; else empty.
 
     """
 
     scene: Scene
     step: int
     origin: int
+    damage: str = ''
 
     def simulation(self) -> Simulation:
         """Return a simulation that stands where the log ends; HnnViRosError if none can be."""
@@ -232,8 +238,10 @@ class RecordedRun:
         where = f'{self.reader.path}: its parameters'
         rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
         try:
-            if isinstance(rate, float | int) and rate > 0:
-                return round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+            if isinstance(rate, float | int) and 0 < rate < math.inf:
+                spacing = round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+                if spacing < _LONGEST:
+                    return spacing
         except (OverflowError, ZeroDivisionError):
             # No number tells how many steps of almost no time lie between two samples.
             pass
@@ -265,7 +273,7 @@ class RecordedRun:
             raise RecordingError(f'{self.reader.path}: holds no state to go on from')
         stamp, q, p = last
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
-        return Resumption(scene, self.step_of(stamp), self.origin)
+        return Resumption(scene, self.step_of(stamp), self.origin, self.reader.damage)
 
     def _array(self, message: Recorded) -> np.ndarray:
         return np.array(self.decoded(message, Float64MultiArray).data)
@@ -307,7 +315,7 @@ class RecordedRun:
                 return next((node for node in nodes if f'{node}/scene' in kinds), nodes[0]), names
         raise RecordingError(
             f'{self.reader.path}: holds no topic state of a simulator, nor q and p; topics: '
-            f'{", ".join(sorted(kinds)) or "none"}')
+            f'{listed(sorted(kinds)) or "none"}')
 
     def _type_of(self, channel: int) -> str:
         schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)

@@ -3,6 +3,7 @@
 """Simulate a recorded run again, and compare it with its log bit by bit."""
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +18,9 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
-# A relative change of the initial state that is far above round-off and far below the motion.
-_SHAKE = 2.0**-26
+# Relative changes of the initial state: one that is far above round-off and far below the motion,
+# and none. Added to -0.0, 0.0 would change it.
+_SHAKE, _NONE = 2.0**-26, -0.0
 # Rounding of one step, in units of the last place of the largest coordinate or momentum: an
 # implicit equation is solved to some of them, and a network sums up hundreds of terms.
 _PLACES = 64.0
@@ -26,8 +28,6 @@ _EPSILON = np.finfo(np.float64).eps
 # What is simulated for a bag: so many steps a sample, which of 1 to 3 us each are as many as run
 # in real time at a sample a second; and so many for samples of before another recorder began.
 _MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
-# Steps between which a signal is noticed.
-_BATCH = 10**5
 
 
 class Verdict(NamedTuple):
@@ -91,10 +91,12 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     begin = simulation.steps
     samples, difference = _first_difference(run, simulation)
     missing = _missing(run, begin)
+    if difference is None and not samples:
+        return Verdict(f'{run.reader.path}: holds no samples to compare{missing}', False)
     agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
         f'{samples} samples agree bit by bit, {where}'
     if difference is None:
-        return Verdict(f'{agreed}{missing}', bool(samples) and not missing)
+        return Verdict(f'{agreed}{missing}', not missing)
     margin = _margin(run)
     size = abs(difference.simulated - difference.recorded)
     within = margin.difference <= margin.explained < np.inf
@@ -111,21 +113,25 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
 
 
 def _missing(run: RecordedRun, begin: int) -> str:
-    """Return what is to be reported of samples that are not there to be compared; else empty."""
+    """Return what is to be reported of samples that are missing, or there twice; else empty."""
     text, stamps = '', [stamp for stamp, _, _ in run.samples()]
-    if run.own:
+    if repeated := [stamp for before, stamp in pairwise(stamps) if stamp == before]:
+        text = (f'; BUT {len(repeated)} samples are duplicates, the first at t = '
+                f'{repeated[0] * 1e-9:.9g} s')
+    if run.own and stamps:
         # Others may begin in the middle of a run; the simulator itself records all from here on.
         stamps.append(run.stamp_of(begin))
     if gaps := missing_stamps(stamps, run.spacing):
         first = gaps[0]
-        text = (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} gaps, '
-                f'the first from t = {first.after * 1e-9:.9g} s to {first.before * 1e-9:.9g} s')
+        text += (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} '
+                 f'gaps, the first from t = {first.after * 1e-9:.9g} s to '
+                 f'{first.before * 1e-9:.9g} s')
     if run.reader.damage:
         text += f'; BUT {run.reader.damage}'
     return text
 
 
-def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
+def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
     """Return a simulation of the bag's beginning, its first state changed by a small part."""
     simulation = build(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
@@ -134,7 +140,7 @@ def _simulation(run: RecordedRun, shake: float = 0.0) -> Simulation:
                 f'{run.reader.path}: was recorded with another model: its {name} is '
                 f'{run.described[name]}, that of the one found is {value}')
     q, p = simulation.q.copy(), simulation.p.copy()
-    change = shake * max(np.abs(q).max(), np.abs(p).max())
+    change = shake * _size(simulation)
     simulation.restart(q + change, p + change, step=run.first_step)
     if (state := run.held_state) is not None:
         restore_state(simulation, state, str(run.reader.path), change)
@@ -176,9 +182,11 @@ def _values(simulation: Simulation) -> dict[str, np.ndarray]:
 
 
 def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
+    if step < simulation.steps:
+        raise RecordingError(f'{run.reader.path}: holds what came at step {step}, before the '
+                             f'state that it begins at, of step {simulation.steps}')
     try:
-        while (left := step - simulation.steps) > 0:
-            simulation.advance(min(left, _BATCH))
+        simulation.advance(max(0, step - simulation.steps))
     except StepFailure as failure:
         raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
                              ) from failure
@@ -195,8 +203,8 @@ def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Comm
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
-    """Return how many samples agree, and the first difference after them."""
-    count = 0
+    """Return how many samples agree, one of each stamp, and the first difference after them."""
+    count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
     for stamp, values in _simulated(run, simulation):
         own = _values(simulation)
@@ -209,7 +217,8 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
                 name = kind if kind in ('H', 'work') else (
                     f'{kind} of {(names if kind == "q" else momenta)[i]}')
                 return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
-        count += 1
+        # A duplicate counts once.
+        count, newest = count + (stamp != newest), stamp
     return count, None
 
 
@@ -228,7 +237,7 @@ def _margin(run: RecordedRun) -> Margin:
     except ValueError:
         # A constraint does not let the state be moved; a growth is then not known.
         shaken = _simulation(run)
-    change = _SHAKE * max(np.abs(own.q).max(), np.abs(own.p).max())
+    change = _SHAKE * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
     growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
     for stamp, values in _simulated(run, own, shaken):
@@ -253,6 +262,11 @@ def _margin(run: RecordedRun) -> Margin:
             if difference and difference * worst.explained >= worst.difference * explained:
                 worst = found
     return worst
+
+
+def _size(simulation: Simulation) -> float:
+    """Return the largest coordinate or momentum, 1 where all are zero."""
+    return max(_largest(simulation.q), _largest(simulation.p)) or 1.0
 
 
 def _largest(values: np.ndarray) -> float:

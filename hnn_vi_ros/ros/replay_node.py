@@ -10,7 +10,7 @@ import sys
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
@@ -25,12 +25,12 @@ from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
 from hnn_vi_ros.ros.replay_parameters import PARAMETERS, ReplaySettings
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy
@@ -38,7 +38,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_srvs.srv import SetBool, Trigger
 
 
-class ReplayNode(Node):
+class ReplayNode(RobustNode):
     """
     Publish a bag.
 
@@ -127,7 +127,7 @@ class ReplayNode(Node):
         known = sorted({channel.topic for channel in self._reader.channels.values()})
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
-                                 f'{", ".join(known) or "none"}')
+                                 f'{listed(known) or "none"}')
         left_out = {CLOCK_TOPIC[0]} if settings.publish_clock else set()
         if not wanted:
             left_out |= self._heard()
@@ -250,7 +250,7 @@ def main(argv: list[str]) -> int:
         # Imported here: who only plays does not wait for the compiler.
         from hnn_vi_ros.ros.replay_check import check_replay
         verdict = check_replay(options.bag, options.trust_code)
-        print(verdict.text, flush=True)
+        print(printable(verdict.text), flush=True)
         return 0 if verdict.good else 1
     init_ros(argv)
     received = note_signals()

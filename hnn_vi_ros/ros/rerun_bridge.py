@@ -23,6 +23,7 @@ from hnn_vi_ros.ros.messages import TICK_TOPICS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from hnn_vi_ros.ros.topics import EVENTS_QOS, LATCHED
 from hnn_vi_ros.scene.described_scene import described_scene
@@ -30,7 +31,6 @@ from hnn_vi_ros.viewer.rerun_stream import Target
 import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
@@ -49,7 +49,7 @@ _KINDS = {name.rpartition('/')[2]: kind
           for name, kind in (*TICK_TOPICS[1:], ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
 
 
-class RerunBridge(Node):
+class RerunBridge(RobustNode):
     """
     Show the topics of a simulator.
 

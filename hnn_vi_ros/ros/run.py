@@ -34,6 +34,7 @@ from hnn_vi_ros.run.status_line import StatusLine
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation.stepping import RescuePending
 from rclpy.node import Node
 
 
@@ -72,13 +73,14 @@ class Run:
             self._members, topics.open_spread(), simulation.hamiltonian,
             prepared.scene.uncertainty.limit, self._record_beside)
         self._twin = None if prepared.twin is None else TwinTopic(
-            prepared.twin, topics.open_errors(), lambda: topics.ignored[OBSERVATIONS.topic],
+            prepared.twin, topics.open_errors(), lambda: (
+                topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp, self._record_beside)
         companions = [one for one in (self._members, self._twin) if one is not None]
         self.simulation = Accompanied(simulation, companions) if companions else simulation
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
-        self._batch, self._last_step = 1, math.inf
+        self._batch, self._last_step, self._waits = 1, math.inf, False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor)
         self._diagnostics = DiagnosticsPublisher(node, topics.diagnostics, self._scene.name)
@@ -172,21 +174,28 @@ class Run:
         """Return whether the next step is the first after a sample."""
         return self.simulation.steps % self.sampler.every == 0
 
-    def step(self, most: float = math.inf) -> int:
+    def step(self, most: float = math.inf) -> int | None:
         """
         Take a batch of steps, at most to the next sample, which is handed out then.
 
         Returns
         -------
-        int
+        int or None
             How many; 0 if a step failed. That ends the process, unless messages of others may
-            have brought it about: these must not end a node.
+            have brought it about: these must not end a node. None where a step fails and what
+            takes it otherwise is still being compiled: it is tried again by the next call.
 
         """
         simulation, every = self.simulation, self.sampler.every
         n = int(min(self._batch, every - simulation.steps % every, most))
         try:
-            seconds = self._monitor.advance(n)
+            taken, seconds = self._monitor.advance(n, LONGEST_CALL)
+        except RescuePending:
+            if not self._waits:
+                self._waits = True
+                self.tell(f'waits at t = {self.sampler.time:.9g} s: a step fails, and what takes '
+                          'such steps is being compiled, once', 'WARN')
+            return None
         except StoppedByEvent as stop:
             self._events.hand_out(self.sampler, self.recording)
             self._stop(0, f'stopped by the event {stop.event.when}')
@@ -196,10 +205,12 @@ class Run:
                 failure.dated(self.sampler.time), simulation.steps, self._stamp)
             where = f'at the last good state, t = {self.sampler.time:.9g} s'
             if self._moved_by_others:
-                self.tell(f'stands still {where}; reset it', 'ERROR')
+                why = self._twin.unstable if self._twin is not None else ''
+                self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
             else:
                 self._stop(1, f'stopped {where}')
             return 0
+        self._waits = False
         self._events.hand_out(self.sampler, self.recording)
         if n == self._batch:
             self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
@@ -207,7 +218,7 @@ class Run:
             self._hand_out()
             if simulation.steps >= self._last_step:
                 self._stop(0, self.sampler.end)
-        return n
+        return taken
 
     def _hand_out(self) -> None:
         """Publish, record and show a sample; the log gets the very bytes that are published."""

@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+import gc
 import os
 import signal
 import sys
@@ -11,6 +12,7 @@ import time
 
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
+from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Answer, Control
 from hnn_vi_ros.ros.executing import take_once
@@ -20,13 +22,14 @@ from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
 from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
-from hnn_vi_ros.ros.preparation import OPENING, prepare, Prepared
+from hnn_vi_ros.ros.preparation import compile_rest, OPENING, prepare, Prepared
 from hnn_vi_ros.ros.rclpy_internals import RCLError
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
 from hnn_vi_ros.ros.state_topic import StateTopic
 from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
+from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State, Transition
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -120,7 +123,17 @@ class SimulatorNode(ManagedNode):
         # Those that were changed meanwhile count as well.
         self._declared.run = self
         self.apply(self.settings)
+        if not self._prepared.simulation.rescue_ready:
+            self.executor.create_task(self._compile_rest, self._prepared.simulation)
         return SUCCESS
+
+    async def _compile_rest(self, simulation: Simulation) -> None:
+        """Compile beside the run what it may need later."""
+        logger = self.get_logger()
+        with announced(lambda line: logger.info(f'{line}, beside the run')):
+            await self.in_thread(lambda: compile_rest(simulation))
+        # What compiling has left stays; as in Control.
+        gc.freeze()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Go on, or begin."""

@@ -10,7 +10,7 @@ import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.standard_streams import ENDING, spare_output
-from hnn_vi_ros.ros.rclpy_internals import UnknownROSArgsError
+from hnn_vi_ros.ros.rclpy_internals import log_plainly, UnknownROSArgsError
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logger_level
@@ -51,6 +51,7 @@ def init_ros(argv: Sequence[str]) -> None:
 
     """
     spare_output()
+    log_plainly()
     with plain_ros_errors('ROS'):
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
 

@@ -47,6 +47,9 @@ class StateTopic:
     def _take(self, message: JointState) -> None:
         run = self._run
         try:
+            if not run.simulation.rescue_ready:
+                raise ValueError('what turns velocities into momenta is still being compiled: '
+                                 'send it again in some seconds')
             q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
             run.simulation.check_state(q, p)
             run.set_start(q, p)

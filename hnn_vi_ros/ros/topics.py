@@ -89,8 +89,9 @@ class Topics:
     def __init__(self, node: Node, accuracy: bool, clock: bool = False):
         self._node, self._opened = node, []
         self._heard: dict[str, Topic] = {}
-        # Messages that could not be used, by topic.
+        # Messages that could not be used, and why the last one could not, by topic.
         self.ignored: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
         self._tick_topics = (*TICK_TOPICS, ACCURACY_TOPIC) if accuracy else TICK_TOPICS
         self._publishers = [self._publisher(*topic, TICKS) for topic in self._tick_topics]
         self.diagnostics = self._publisher(*DIAGNOSTICS_TOPIC, _ALARMS)
@@ -198,9 +199,10 @@ class Topics:
             except (ValueError, RuntimeError) as problem:
                 # RuntimeError: the bytes are no message of this type.
                 self.ignored[topic] += 1
+                reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
                 self._node.get_logger().error(
-                    f'{topic}: message ignored: {" ".join(str(problem).split())[:LONGEST_REASON]} '
-                    f'({self.ignored[topic]} so far)', throttle_duration_sec=1.0)
+                    f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)',
+                    throttle_duration_sec=1.0)
 
         subscription = create_subscription(
             self._node, message_type, topic, on_message, qos, raw=True)

@@ -37,7 +37,7 @@ class TwinTopic:
     publisher : Publisher
         Of the topic.
     ignored : callable
-        Returns how many observations could not be used.
+        Returns how many observations could not be used, and why the last one could not.
     stamp : callable
         Returns that of the state [ns].
     record : callable
@@ -45,7 +45,7 @@ class TwinTopic:
 
     """
 
-    def __init__(self, twin: Twin, publisher: Publisher, ignored: Callable[[], int],
+    def __init__(self, twin: Twin, publisher: Publisher, ignored: Callable[[], tuple[int, str]],
                  stamp: Callable[[], int], record: Callable[[Topic, bytes], None]):
         self._twin, self._publisher, self._ignored = twin, publisher, ignored
         self._stamp, self._record = stamp, record
@@ -78,10 +78,15 @@ class TwinTopic:
         self._publisher.publish(payload)
         self._record(self._topic, payload)
 
+    @property
+    def unstable(self) -> str:
+        """See Twin."""
+        return self._twin.unstable
+
     def status(self) -> Status:
         """Return how well the machine is followed."""
         twin, report = self._twin, self._twin.newest
-        ignored = self._ignored()
+        ignored, why = self._ignored()
         level, message = OK, 'no observation yet'
         if report is not None:
             median = twin.valid_prediction_time
@@ -98,4 +103,4 @@ class TwinTopic:
             'valid_prediction_time [s]': twin.valid_prediction_time}
         return Status('twin', level, message, {
             **figures, 'predictions [1]': len(twin.times), 'failed predictions [1]': twin.failed,
-            'ignored observations [1]': ignored})
+            'ignored observations [1]': ignored, 'last ignored': why})

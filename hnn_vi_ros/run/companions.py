@@ -3,6 +3,7 @@
 """Simulations that go along with another one, under the same commands."""
 
 from collections.abc import Sequence
+import math
 from typing import Any, Protocol
 
 from hnn_vi_ros.effects.commands import Command
@@ -45,11 +46,12 @@ class Accompanied:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._simulation, name)
 
-    def advance(self, n: int) -> None:
-        """Take n steps, or raise as Simulation does."""
-        self._simulation.advance(n)
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """Take n steps, or fewer, and return how many, or raise; see Simulation."""
+        taken = self._simulation.advance(n, until)
         for companion in self._companions:
-            companion.advance(n)
+            companion.advance(taken)
+        return taken
 
     def set_command(self, command: Command) -> None:
         """Set a command, or raise ValueError and leave all as it was; see Simulation."""

@@ -3,10 +3,9 @@
 """Compile what scenes run, on all cores, so that their first start finds it on disk."""
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import active_children, get_context
 import time
 from typing import Any
 import warnings
@@ -14,7 +13,7 @@ import warnings
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.run.deaf_children import deaf_children
+from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
 from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
@@ -59,19 +58,11 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
         As they are done.
 
     """
-    with ProcessPoolExecutor(min(usable_processors(), _MOST, len(names)),
-                             get_context('spawn')) as pool:
+    with deaf_workers(min(usable_processors(), _MOST, len(names))) as pool:
         with deaf_children():
             futures = [pool.submit(_compile, name) for name in names]
-        try:
-            for future in as_completed(futures):
-                yield future.result()
-        except BaseException:
-            # What is being compiled takes a minute, and nobody waits for it any more.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in active_children():
-                process.terminate()
-            raise
+        for future in as_completed(futures):
+            yield future.result()
 
 
 def _compile(name: str) -> CompiledScene:
@@ -87,6 +78,7 @@ def _compile(name: str) -> CompiledScene:
                 simulation.compile(whole=True)
             # And what other effects will share, by address.
             simulation.compile(whole=False)
+            simulation.compile_rescue()
             for effect in _around(scene):
                 with suppress(HnnViRosError):
                     simulate(scene, 0.0, effects=[effect])

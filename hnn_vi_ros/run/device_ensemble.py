@@ -3,7 +3,6 @@
 """Many trajectories of a scene on a device, with what the guards say of their steps."""
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
 from hnn_vi_ros.errors import StepFailure
@@ -11,7 +10,7 @@ from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
-from hnn_vi_ros.processors import usable_processors
+from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import torch
@@ -61,8 +60,8 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
             q[first:first + size], p[first:first + size], samples))
             for first in blocks[worker::workers]]
 
-    with _one_thread_each(device), ThreadPoolExecutor(workers) as pool:
-        found = sorted((part for parts in pool.map(work, range(workers)) for part in parts),
+    with _one_thread_each(device):
+        found = sorted((part for parts in in_threads(work, workers) for part in parts),
                        key=lambda part: part[0])
     failures: dict[int, StepFailure] = {}
     for first, part in found:

@@ -14,7 +14,7 @@ def differentiable_tableau(hamiltonian: Hamiltonian, integrator: Integrator) -> 
     """Return the tableau of a method, or raise UnsupportedSystem."""
     tableau = integrator.partitioned
     if tableau is None:
-        able = methods_that(lambda method: method.partitioned is not None)
+        able = methods_that(lambda method: method.partitioned is not None, hamiltonian)
         raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; methods '
                                 f'that are: {able}')
     if not hamiltonian.canonical:

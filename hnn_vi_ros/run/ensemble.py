@@ -3,7 +3,6 @@
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,9 @@ from hnn_vi_ros.guards.watch import (
     energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
-from hnn_vi_ros.processors import usable_processors
+from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
+from hnn_vi_ros.run.resolving_step import name_step
 from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -75,7 +75,9 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     Warns
     -----
     AlarmWarning
-        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it.
+        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it. Of
+        a run that is under-resolved the warning names a step size that resolves it, where one is
+        found in some tenths of a second.
 
     Raises
     ------
@@ -90,10 +92,16 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     check_seconds('duration', duration)
     check_count('every', every)
     scene = changed_scene(scene, step_size, integrator, initial_state, effects)
-    recorded = record_one(watched(build(scene), scene), duration, int(every), times, commands)
-    trajectory = replace(recorded, scene=scene)
-    tell(list(trajectory.alarms), scene.known_step_size)
-    return trajectory
+    simulation = watched(build(scene), scene)
+    recorded = record_one(simulation, duration, int(every), times, commands)
+
+    def repeat(h: float) -> tuple[Alarm, ...]:
+        # At whole steps alone, where that is as good: states between them take time.
+        return record_one(build(scene.with_overrides(h)), float(recorded.t[-1]),
+                          int(every) if times is None else 1).alarms
+
+    tell(name_step(recorded.alarms, simulation, repeat), scene.known_step_size)
+    return replace(recorded, scene=scene)
 
 
 def changed_scene(scene: Scene | str | Path, step_size: float | None = None,
@@ -309,11 +317,9 @@ def _compiled(start: Callable[[slice], Simulation], q0: np.ndarray, p0: np.ndarr
     workers = min(threads, -(-len(q0) // size))
     q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
     q_all[0], p_all[0] = q0, p0
-    with ThreadPoolExecutor(workers) as pool:
-        # Taken from the iterator, so that a failure of one worker is raised here.
-        list(pool.map(lambda worker: _fill(
-            start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all,
-            alarms), range(workers)))
+    in_threads(lambda worker: _fill(
+        start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all, alarms),
+        workers)
     return q_all, p_all
 
 

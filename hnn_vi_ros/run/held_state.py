@@ -3,15 +3,17 @@
 """All that the next steps of a simulation depend on, as a file that a bag keeps."""
 
 from collections.abc import Mapping
+from io import BytesIO
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.limits import safetensors_header
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import safetensors
 import safetensors.numpy
 
-# In bags that were begun in the middle of a run: with (q, p) alone, what a solver remembers, the
-# random numbers drawn and a command that is held would be lost.
+# In bags that do not begin at the initial state of their scene: with (q, p) alone, what a solver
+# remembers, the random numbers drawn and a command that is held would be lost.
 STATE_FILE = 'state.safetensors'
 
 # Bags of before kept all arrays of one general workspace; what outlives a step stood in some of
@@ -29,7 +31,7 @@ def state_file(simulation: Simulation) -> bytes:
     return safetensors.numpy.save(simulation.snapshot())
 
 
-def restore_state(simulation: Simulation, data: bytes, where: str, shift: float = 0.0) -> None:
+def restore_state(simulation: Simulation, data: bytes, where: str, shift: float = -0.0) -> None:
     """
     Let a simulation go on from a state, bit by bit as the one that it was taken of.
 
@@ -42,7 +44,7 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
     where : str
         What holds it, for errors.
     shift : float
-        Added to each coordinate and momentum.
+        Added to each coordinate and momentum; -0.0 changes none, 0.0 the sign of -0.0.
 
     Raises
     ------
@@ -52,6 +54,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
     """
     own = simulation.snapshot()
     try:
+        # What claims a million arrays has none of them made.
+        safetensors_header(BytesIO(data))
         found = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged') from problem

@@ -53,9 +53,14 @@ class Members:
             # What is to be said of the scene is said of the mean.
             warnings.simplefilter('ignore')
             self._simulations = [build(own) for own in member_scenes(scene, self.count)]
-            self._simulations[0].compile()  # of all: they have one type
+            # Of all: they have one type.
+            self._simulations[0].compile()
+            self._simulations[0].compile_rescue()
             self._mean = None if measured_momenta(scene.create_hamiltonian()) else \
                 build(scene).hamiltonian
+        if self._mean is not None:
+            self._mean.compile()
+            self._simulations[0].hamiltonian.compile()
         self._failed: set[int] = set()
 
     def advance(self, n: int) -> None:

@@ -64,14 +64,22 @@ class Monitor:
         self._simulation, self._warn = simulation, warn
         self._warned, self._due = False, 0.0
 
-    def advance(self, n: int) -> float:
-        """Take n steps of the simulation, with its errors; return the wall time it took [s]."""
+    def advance(self, n: int, most: float = math.inf) -> tuple[int, float]:
+        """
+        Take n steps of the simulation, with its errors, or fewer where they take longer [s].
+
+        Returns
+        -------
+        tuple of (int, float)
+            How many were taken, and the wall time that this took [s].
+
+        """
         simulation = self._simulation
         gradients, begin = simulation.gradients, time.perf_counter()
-        simulation.advance(n)
+        taken = simulation.advance(n, begin + most)
         seconds = time.perf_counter() - begin
-        self.timing.add_batch(n, seconds, simulation.gradients - gradients)
-        return seconds
+        self.timing.add_batch(taken, seconds, simulation.gradients - gradients)
+        return taken, seconds
 
     def watch(self, sample: Sample) -> list[Alarm]:
         """Let the guards look at the next sample, the initial one first; return alarms."""

@@ -7,6 +7,7 @@ import sys
 import time
 from typing import Protocol
 
+from hnn_vi_ros.files.standard_streams import rewrite_line
 from hnn_vi_ros.simulation.sample import Sample
 
 
@@ -54,8 +55,7 @@ class StatusLine:
                 f'energy error {sample.energy_error:+.2e}   {pace:.2f} x real time'
                 + (f'   {overruns} overruns' if overruns else ''))
         if self._terminal:
-            sys.stdout.write(f'\r\x1b[K{text}')
-            sys.stdout.flush()
+            rewrite_line(sys.stdout, text)
             self._shown = True
         else:
             self._logger.info(text)

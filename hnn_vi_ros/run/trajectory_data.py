@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.scene import Scene
@@ -79,7 +80,7 @@ class TrajectoryData:
         wanted = [names] if isinstance(names, str) else list(names)
         for name in wanted:
             if name not in known:
-                raise ValueError(f'no coordinate {name!r}; valid: {", ".join(known)}')
+                raise ValueError(f'no coordinate {name!r}; valid: {listed(known)}')
         kept = [known.index(name) for name in wanted]
         # Columns of q and of p that belong to each coordinate.
         q, p = (np.repeat(np.arange(len(known)), [

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.effects.commands import Command, Observation
-from hnn_vi_ros.effects.observations import select
+from hnn_vi_ros.effects.observations import largest_gain, select
 from hnn_vi_ros.errors import ModelError, StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.phase_space import columns
@@ -86,12 +86,19 @@ class Twin:
     failed : int
         Predictions that could not begin or go on.
 
+    Raises
+    ------
+    SceneError
+        Its gain is too large for the step at the initial state.
+
     """
 
     def __init__(self, scene: Scene, simulation: Simulation):
-        (observer,) = (choice for choice in scene.effects if choice.kind == 'observer')
+        ((place, observer),) = ((i, choice) for i, choice in enumerate(scene.effects)
+                                if choice.kind == 'observer')
         self.names, self._deviations = list(observer.coordinates), observer.deviations
-        self._timeout = observer.timeout
+        self._timeout, self._velocity_limit = observer.timeout, observer.velocity_limit
+        self._gain, self._damping = observer.gain, observer.damping
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
@@ -100,11 +107,17 @@ class Twin:
             # What is to be said of the scene is said of the simulation.
             warnings.simplefilter('ignore')
             self._predictions = [Prediction(build(alone)) for _ in range(observer.predictions)]
-            self._predictions[0].simulation.compile()
+            first = self._predictions[0].simulation
+        first.compile()
+        first.compile_rescue()
+        first.hamiltonian.compile()
         self._every = _LONGEST / observer.predictions
         self.newest: Report | None = None
         self.failed = 0
         self._simulation = simulation
+        with scene.placed('effects', place):
+            if problem := self.unstable:
+                raise ValueError(f'{problem}; lower it, or step_size')
         self._forget()
 
     def _forget(self) -> None:
@@ -143,6 +156,22 @@ class Twin:
             return
         for prediction in self._active():
             prediction.simulation.set_command(command)
+
+    @property
+    def unstable(self) -> str:
+        """Return that the gain is too large for the state of the simulation; nothing if not."""
+        own, h = self._simulation, self._simulation.step_size
+        zero, units = np.zeros(own.q.size), np.eye(own.q.size)[self._places]
+        inverse = np.array([own.hamiltonian.hessian_vector(own.q, own.p, zero, unit)[1]
+                            for unit in units])[:, self._places]
+        if not (self._gain and np.isfinite(inverse).all()):
+            return ''
+        # Of the lightest motion of what is observed.
+        lightest = float(np.linalg.eigvalsh(0.5 * (inverse + inverse.T))[-1])
+        most = largest_gain(1.0 / lightest, self._damping, h) if lightest > 0.0 else np.inf
+        return '' if self._gain <= most else (
+            f'gain = {self._gain:g} is not stable at step_size = {h:g} s: at most {most:.3g} is '
+            'for the masses here')
 
     @property
     def times(self) -> list[float]:
@@ -213,7 +242,10 @@ class Twin:
         self._before = now, position
         if before is None or not 0.0 < now - before[0] <= self._timeout:
             return velocity
-        return np.where(np.isnan(velocity), (position - before[1]) / (now - before[0]), velocity)
+        between = (position - before[1]) / (now - before[0])
+        # Of two observations at almost one time, noise.
+        between[np.abs(between) > self._velocity_limit] = np.nan
+        return np.where(np.isnan(velocity), between, velocity)
 
     def _at(self, simulation: Simulation, delay: float) -> np.ndarray:
         """Return the observed coordinates of a simulation at a time near now."""

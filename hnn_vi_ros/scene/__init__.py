@@ -13,7 +13,7 @@ from typing import Any, Literal
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import (
-    CalibrationError, did_you_mean, ModelError, SceneError, UnsupportedSystem)
+    CalibrationError, did_you_mean, listed, ModelError, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
@@ -266,15 +266,12 @@ class Scene(StrictModel):
             if len(values) != len(own):
                 raise SceneError(
                     f'{self.place("initial_state", key)}: {len(values)} values, expected '
-                    f'{len(own)}, one for each coordinate: {", ".join(own)}')
-        if self.events and len(names) != len(momenta):
-            raise SceneError(f'{self.place("events")}: no states inside of a step of rotations '
-                             'are known, at which an event could come; leave events out')
+                    f'{len(own)}, one for each coordinate: {listed(own)}')
         if self.mechanism and (self.mechanism in TURNING) != (len(names) != len(momenta)):
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws '
                 f'{"a body that turns" if self.mechanism in TURNING else "scalar coordinates"}, '
-                f'but H has {", ".join(c.name for c in coordinates)}; leave it out or take '
+                f'but H has {listed(c.name for c in coordinates)}; leave it out or take '
                 'another')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]

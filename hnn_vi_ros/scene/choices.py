@@ -122,7 +122,9 @@ def _schema(kind: str, cls: type) -> type[BaseModel]:
             # A key that is a word of Python, as from, goes by from_ there.
             fields[parameter.name.removesuffix('_')] = (parameter.annotation, Field(
                 default, description=texts.get(parameter.name)))
-    return create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)
+    made = create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)
+    # Where pickle looks for a class, by its module and its name.
+    return globals().setdefault(made.__name__, made)
 
 
 def summary(cls: type) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import operator
 from typing import Any
 
-from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.errors import did_you_mean, listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 import numpy as np
@@ -68,7 +68,7 @@ class Condition:
         if unknown:
             raise ValueError(f'{self.text!r}: no quantity {unknown[0]!r}'
                              f'{did_you_mean(unknown[0], valid)}; valid: '
-                             f'{", ".join(valid[:12])}{", ..." * (len(valid) > 12)}')
+                             f'{listed(valid)}')
 
     def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """

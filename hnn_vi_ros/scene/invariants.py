@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 from typing import Annotated
 
-from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.errors import listed, SceneError
 from hnn_vi_ros.files.named_code import NAMES_CODE
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -101,5 +101,5 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
             found[choice.name] = known[choice.name]
         else:
             raise SceneError(f'{where}: no invariant {choice.name!r} of this system is known; '
-                             f'known: {", ".join(known) or "none"}; or give a function')
+                             f'known: {listed(known) or "none"}; or give a function')
     return found

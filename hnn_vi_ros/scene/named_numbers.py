@@ -5,6 +5,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.scene import Scene
 
 _KEYS = ('hamiltonian', 'effects')
@@ -59,7 +60,7 @@ def check_names(scene: Scene, names: Iterable[str]) -> None:
     for name in names:
         if name not in known:
             raise ValueError(f'{scene.name} has no number {name!r}; it has: '
-                             f'{", ".join(known) or "none"}')
+                             f'{listed(known) or "none"}')
 
 
 def _numbers(name: str, value: Any) -> Iterator[tuple[str, float]]:

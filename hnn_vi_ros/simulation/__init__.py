@@ -2,33 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene compiled into one kernel that advances the state by whole steps."""
 
-from collections.abc import Sequence
-from operator import itemgetter
-import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import math
 from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.commands import Command, NUMBERS
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import (
-    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS)
-from hnn_vi_ros.integrators.workspaces import arrays_of, forget
-from hnn_vi_ros.simulation.assembly import Loop
+from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, REASONS
 from hnn_vi_ros.simulation.dense_step import DenseStep
-from hnn_vi_ros.simulation.loops import advance
-from hnn_vi_ros.simulation.rescue import Rescue
+from hnn_vi_ros.simulation.stepping import Stepping
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Relative to a state: solutions that are further apart are not the same one, to round-off.
-_SAME, _FIRST = 1e-8, itemgetter(0)
 
-
-class Simulation:
+class Simulation(Stepping):
     """
     A Hamiltonian, an integrator and a state that advances by whole steps.
 
@@ -95,19 +88,17 @@ class Simulation:
                  on_failure: str = 'substep'):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
-        self._system = system = System(hamiltonian, effects, integrator)
+        system = System(hamiltonian, effects, integrator)
+        super().__init__(system, float(step_size), on_failure)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
         self.command_names, self.command_size = self.motors.names, self.motors.size
-        self.usual_gradients, self.step_size = system.integrator.usual_gradients, float(step_size)
-        self._kernel, self._rescue = self._system.kernel, Rescue(self._system, on_failure)
+        self.usual_gradients = system.integrator.usual_gradients
         if not self._kernel.compiled:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
                 'from plain Python or autograd in every step, which is slower', stacklevel=2)
-        # By the method that is active: what may never be needed is not compiled before it is.
-        self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
         self.restart(q, p)
 
     def __reduce__(self) -> NoReturn:
@@ -120,21 +111,16 @@ class Simulation:
         """Begin anew at a step, or raise as the constructor; commands of a snapshot are held."""
         q, p = self._system.check_state(q, p)
         self._system.effect_state.reset(stream, step * self.step_size, held)
-        self.steps, self.gradients, self.residual = step, 0, 0.0
-        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
-        n = q.size // self.hamiltonian.dimension * self._kernel.dimension
-        self._z, self._z1 = Point.empty(n), Point.empty(n)
-        self._active, self._memories = 0, self._rescue.memories(n)
+        self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
         self._shape, self._momenta = q.shape, p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
         self.q[:], self.p[:] = q, p
-        # Not the point's own: what a step finds there must not depend on when it was looked at.
-        self._dH_dq, self._dH_dp = np.empty((2, n))
         self.dH_dq = self._state(self._dH_dq)
         self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
         self._evaluate_gradient()
         if not is_finite(self._z):
-            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0)
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
+                              'start elsewhere: H has no finite gradient there')
         self._update_gradient()
         self._energy0 = self.energy
 
@@ -154,20 +140,11 @@ class Simulation:
         view = array.reshape(*before, *self._shape[:-1], self._kernel.dimension)
         return view[..., :self.hamiltonian.dimension]
 
-    def _evaluate_gradient(self) -> None:
-        self._kernel.gradient(
-            self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
-
     def set_command(self, command: Command, limited: bool = True) -> None:
         """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
         self.motors.command(command, self.q.reshape(-1, self.hamiltonian.dimension)[0], limited)
         self._evaluate_gradient()
         self._update_gradient()
-
-    @property
-    def time(self) -> float:
-        """Return the simulated time since the initial state [s]."""
-        return self.steps * self.step_size
 
     @property
     def connected(self) -> bool:
@@ -215,33 +192,6 @@ class Simulation:
         """Return the energy that the integrator nearly conserves [J], None if none is known."""
         return self.energies[1]
 
-    def compile(self, whole: bool | None = None) -> float:  # noqa: A003
-        """
-        Compile the kernel now, not in the first step; return the wall time it took [s].
-
-        Parameters
-        ----------
-        whole : bool, optional
-            Compile effects and method into one loop, which takes longer, and which later
-            simulations of them find: their steps are the same, and take less time. False for a
-            loop that calls them by address, as they are otherwise; see assembly.
-
-        """
-        start = time.perf_counter()
-        if whole is not None:
-            self._loops[self._active] = Loop(
-                advance, self._kernel, self._rescue.methods[self._active], whole=whole)
-        self.record(0, 0)
-        return time.perf_counter() - start
-
-    def _arrays(self) -> dict[str, np.ndarray]:
-        """Return, by name, all arrays that the next steps depend on."""
-        groups: dict[str, Any] = {'point': self._z, 'live': self._system.effect_state} | {
-            f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
-            for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
-        return {name: array for place, group in groups.items()
-                for name, array in arrays_of(place, group)}
-
     def snapshot(self) -> dict[str, np.ndarray]:
         """Return copies of all that the next steps depend on; see ``restore``."""
         # 'way' and 'live': as the files of bags recorded so far have them.
@@ -282,41 +232,104 @@ class Simulation:
             A step did not converge or is not finite.
 
         """
-        h, now = self.step_size, self.snapshot()
-        counts = (self.gradients, self.rescued, self.several_solutions, self.residual,
-                  self.costliest)
         # Steps of another length are no guide to the start of this one's equations.
-        self.restore({name: np.zeros_like(value) if name.endswith('.count') else value
-                      for name, value in snapshot.items()})
-        self.step_size = step_size
-        try:
+        with self._elsewhere({name: np.zeros_like(value) if name.endswith('.count') else value
+                              for name, value in snapshot.items()}):
+            self.step_size = step_size
             self.advance(steps)
             return self.q.copy(), self.p.copy()
+
+    def clock_trial(self, snapshot: dict[str, np.ndarray], elapsed: float
+                    ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time after a snapshot [s], of a method whose steps are its own.
+
+        Those are of the same length as in a whole step of the clock, whatever the time.
+        """
+        with self._elsewhere(snapshot) as own:
+            own.own_step[0], self.step_size = self.step_size, elapsed
+            self.advance(1)
+            return self.q.copy(), self.p.copy()
+
+    def own_states(self, snapshot: dict[str, np.ndarray]
+                   ) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """
+        Return the states in which a method's own steps end within a step of the clock.
+
+        Parameters
+        ----------
+        snapshot : dict
+            Of this simulation, at the start of the step.
+
+        Returns
+        -------
+        list of (float, np.ndarray, np.ndarray)
+            Time after the snapshot [s], q and p of shape (d,).
+
+        """
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
+        h, elapsed = self.step_size, 0.0
+        with self._elsewhere(snapshot) as own:
+            ahead, n = own.kept, self._z.q.size
+            own.own_step[0] = h
+            while True:
+                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
+                end = elapsed + lead
+                if end >= h:
+                    return found
+                if end > 0.0:
+                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
+                # The shortest step of the clock for which one of the method's own is taken.
+                self.step_size = math.nextafter(lead, math.inf)
+                self.advance(1)
+                elapsed += self.step_size
+
+    @contextmanager
+    def _elsewhere(self, snapshot: dict[str, np.ndarray]) -> Iterator[Any]:
+        """Go to a snapshot, and back at the end; lend the workspace of steps that are its own."""
+        h, now, begin = self.step_size, self.snapshot(), int(snapshot['steps'])
+        costs = self._costs()
+        own = next((workspace for workspace in self._memories[int(snapshot['way'])]
+                    if hasattr(workspace, 'own_step')), None)
+        self.restore(snapshot)
+        try:
+            yield own
+        except StepFailure as failure:
+            failure.h = h
+            raise failure.dated(begin * h) from None
         finally:
+            if own is not None:
+                own.own_step[0] = 0.0
             self.step_size = h
             self.restore(now)
-            (self.gradients, self.rescued, self.several_solutions, self.residual,
-             self.costliest) = counts
+            vars(self).update(costs)
 
-    def _update_gradient(self) -> None:
-        """Make the public gradient that of the state."""
-        if self._rescue.methods[self._active].keeps_gradient:
-            self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
-        else:
-            self._kernel.gradient(
-                self._kernel.parameters, self._z.q, self._z.p, self._dH_dq, self._dH_dp)
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """
+        Take n steps, or raise StepFailure; see ``record``.
 
-    def advance(self, n: int) -> None:
-        """Take n steps, or raise StepFailure; see ``record``."""
-        self.record(1, n)
+        Parameters
+        ----------
+        n : int
+            How many.
+        until : float, optional
+            What ``time.perf_counter`` returns when it is time to take no more [s].
+
+        Returns
+        -------
+        int
+            How many were taken: at least one of them.
+
+        """
+        before, (q, p) = self.steps, np.empty((2, 1, self._z.q.size))
+        self._take(n, q, p, until)
+        return self.steps - before
 
     def dense_step(self) -> DenseStep:
         """Take one step, and return it with the states inside of it, or raise StepFailure."""
-        if self.hamiltonian.rotations:
-            raise UnsupportedSystem('no states inside of a step of rotations are known: leave '
-                                    'events out, and ask for times that are whole steps')
         return DenseStep(self, self._system.integrator is self.integrator
-                         and self._kernel.channels == 0, lambda: self._system.cuts)
+                         and self._kernel.channels == 0 and not self.hamiltonian.rotations,
+                         lambda: self._system.cuts)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -334,67 +347,6 @@ class Simulation:
 
         """
         q_out, p_out = np.empty((2, samples, self._z.q.size))
-        done, changed, failure = 0, -1, None
-        while failure is None:
-            outcome, done, residual, spent = self._run(done, every, q_out, p_out)
-            if outcome == BEYOND and (self._active == 0 or done > changed):
-                self._change_method()
-                changed = done
-                continue
-            if outcome == OK:
-                break
-            failure = self._take_failed_step(outcome, residual, spent)
-            if failure is None:
-                done += 1
-                if done % every == 0:
-                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
-        self._update_gradient()
-        if failure is not None:
-            raise failure
+        self._take(every, q_out, p_out)
         return (np.ascontiguousarray(self._state(q_out)),
                 np.ascontiguousarray(self._state(p_out)[..., :self._momenta]))
-
-    def _run(self, done: int, every: int, q_out: np.ndarray, p_out: np.ndarray
-             ) -> tuple[int, int, float, int]:
-        """Run the loop; return outcome, steps done, residual and gradients of the last step."""
-        if self._active not in self._loops:
-            self._loops[self._active] = Loop(
-                advance, self._kernel, self._rescue.methods[self._active])
-        outcome, now, gradients, self.residual, spent, most, costliest = self._loops[self._active](
-            self.step_size, done, every, self._z, self._z1, self._memories[self._active],
-            q_out, p_out)
-        self.costliest = max(self.costliest, (most, self.steps + costliest + 1 - done), key=_FIRST)
-        self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
-        self.rescued += (now - done) * (self._active != 0)
-        return outcome, now, self.residual, spent
-
-    def _change_method(self) -> None:
-        """Go on by the other method, from a state like an initial one."""
-        self._active = 1 - self._active
-        forget(self._memories[self._active])
-        self._evaluate_gradient()
-        self.gradients += 1
-
-    def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
-        """Take one step by a fallback; return what came of the first one if none will do."""
-        z, z1 = self._z, self._z1
-        doubtful = np.append(z1.q, z1.p)
-        taken = self._rescue.take_step(
-            self._active, self.step_size, z, z1, self._memories[self._active])
-        if outcome == IN_DOUBT:
-            outcome = taken.outcome
-            self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
-                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
-        self.gradients += taken.gradients
-        self.rescued += taken.rescued or (taken.ok and self._active != 0)
-        self.residual = self.residual if np.isnan(taken.residual) else taken.residual
-        spent += taken.gradients
-        if not taken.ok:
-            reason = self._system.reason(
-                taken.outcome if taken.outcome == NO_SOLUTION else outcome)
-            if taken.given_up:
-                reason += f', given up after {taken.given_up} gradients in sub-steps'
-            return StepFailure(reason, self.time, self.step_size, residual, spent)
-        self.steps += 1
-        self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
-        return None

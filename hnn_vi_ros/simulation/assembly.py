@@ -25,7 +25,6 @@ from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.compilation import (
     compiled, compiled_loop, compiled_options, entry_point, is_compiled)
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-import numpy as np
 
 
 class Loop:
@@ -66,25 +65,28 @@ class Loop:
             provide_for(kernel, method.step, self._options)
 
     def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
-                 memory: tuple[Any, ...], *arrays: np.ndarray) -> Any:
+                 memory: tuple[Any, ...], *others: Any) -> Any:
         """Run it; the arguments are those of the loop, without step, kernel and options."""
         if self._entry is None:
-            self._entry = self._compiled(h, first, second, z, z1, memory, *arrays)
+            self.compile(h, first, second, z, z1, memory, *others)
+        assert self._entry is not None
         if memory is not self._memory:
             self._memory, self._passed = memory, self._taken(memory)
         return self._entry(self._step, self._kernel, h, self._options, first, second, z, z1,
-                           self._passed, *arrays)
+                           self._passed, *others)
 
-    def _compiled(self, h: float, first: int, second: int, z: Point, z1: Point,
-                  memory: tuple[Any, ...], *arrays: np.ndarray) -> Callable[..., Any]:
-        """Return what runs the loop with such arguments; the way is chosen here."""
+    def compile(self, h: float, first: int, second: int, z: Point, z1: Point,  # noqa: A003
+                memory: tuple[Any, ...], *others: Any) -> None:
+        """Compile it for such arguments, or find it on disk; the way is chosen here."""
+        if self._entry is not None:
+            return
         kernel, method, name = self._kernel, self._method, self._method.kernel_name
         if not (kernel.compiled and method.compiled):
-            self.whole = True
-            return self.function
+            self.whole, self._entry = True, self.function
+            return
         step, options = compiled(method.step, name), compiled_options(self._options)
         loop = compiled_loop(self.function, kernel, name, (step, options), method.own)
-        arguments = (step, kernel, h, options, first, second, z, z1, memory, *arrays)
+        arguments = (step, kernel, h, options, first, second, z, z1, memory, *others)
         if not isinstance(method, Wrapped):
             self.whole = True
         elif self.whole is None:
@@ -94,9 +96,9 @@ class Loop:
             step = compiled(outermost, name)
             loop = compiled_loop(self.function, kernel, name, (step, options), method.layer_own)
             arguments = (step, kernel, h, options, first, second, z, z1, self._taken(memory),
-                         *arrays)
+                         *others)
         self.function, self._step, self._options = loop, step, options
-        return entry_point(loop, *arguments)
+        self._entry = entry_point(loop, *arguments)
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces of the method as the loop takes them; of the same arrays."""

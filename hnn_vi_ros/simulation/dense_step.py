@@ -4,11 +4,13 @@
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
-from hnn_vi_ros.integrators.dense_output import collocation_output, DenseOutput, hermite_output
+from hnn_vi_ros.integrators.dense_output import (
+    collocation_output, DenseOutput, hermite_output, WHOLE)
 from hnn_vi_ros.integrators.gauss import Gauss
+from hnn_vi_ros.phase_space import coordinate_rates, momentum_rates
 import numpy as np
 
 if TYPE_CHECKING:
@@ -16,9 +18,20 @@ if TYPE_CHECKING:
 
 # From this many stages on the collocation polynomial is no worse than quintic Hermite's.
 _STAGES = 5
+# Where in a part of a step its polynomial is looked at, in shares of it.
+_PLACES = np.linspace(0.0, 1.0, 9)
 # Of a step, and roundings of a count of steps: what is nearer to a step's end is at its end, as
 # 0.3 / 0.1 is.
 _SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
+
+
+class _Look(NamedTuple):
+    """A state and the gradient of H there, each of shape (d,) or (m, d)."""
+
+    q: np.ndarray
+    p: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
 
 
 class DenseStep:
@@ -26,19 +39,22 @@ class DenseStep:
     One step of a simulation, which it takes, and the states inside of it.
 
     Two continuous extensions of the step are at hand. ``polynomial`` costs next to nothing:
-    cubic Hermite for methods of order up to 3 and wherever forces or effects act, quintic Hermite
-    for the others, and the collocation polynomial for Gauss methods of 5 stages and more (with
-    fewer its order, s, is below 5). Its ends are those of the step. ``state`` is as accurate as
-    the method: by the polynomial where that is of the method's order and nothing else acts on the
-    state, else by a step of the method from the same start, of a share of h, with all effects and
-    the same random numbers; so rods keep their lengths and walls are met.
+    cubic Hermite for methods of order up to 3, for rotations and wherever forces or effects act,
+    quintic Hermite for the others, and the collocation polynomial for Gauss methods of 5 stages
+    and more (with fewer its order, s, is below 5). Its ends are those of the step; of a step of
+    the clock that ``time_transformed`` fills with steps of its own it is one polynomial for each
+    of these. ``state`` is as accurate as the method: by the polynomial where that is of the
+    method's order and nothing else acts on the state, else by a step of the method from the same
+    start, of a share of h, with all effects and the same random numbers; so rods keep their
+    lengths, quaternions their norms, and walls are met. Where steps are a method's own, they are
+    the same ones, up to another time of the clock.
 
     Parameters
     ----------
     simulation : Simulation
         Which takes the step.
     plain : bool
-        Whether its steps are those of the method and of H alone.
+        Whether its steps are those of the method and of H alone, in scalar coordinates.
     cuts : callable
         Returns how often steps have been cut so far, as they are at walls.
 
@@ -57,9 +73,9 @@ class DenseStep:
     def __init__(self, simulation: 'Simulation', plain: bool, cuts: Callable[[], int]):
         self._simulation, self._plain, self.step = simulation, plain, simulation.steps
         rescued, uncut = simulation.rescued, cuts()
-        self._before, self._start = simulation.snapshot(), _end(simulation)
+        self._before, self._start = simulation.snapshot(), _look(simulation)
         simulation.advance(1)
-        self._end, self._slopes, self._smooth = _end(simulation), None, cuts() == uncut
+        self._end, self._slopes, self._smooth = _look(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
@@ -72,21 +88,55 @@ class DenseStep:
         self._simulation.restore(self._before)
 
     @cached_property
+    def _knots(self) -> tuple[np.ndarray, list[_Look]]:
+        """Return the shares of the step at which its parts begin and end, and the states there."""
+        if self._takes_state:
+            return WHOLE, [self._start, self._end]
+        simulation, found = self._simulation, {0.0: self._start}
+        for time, q, p in simulation.own_states(self._before):
+            # Those at the clock stand at the ends.
+            if (share := time / simulation.step_size) < 1.0:
+                found[share] = _Look(q, p, *simulation.hamiltonian.gradient(q, p))
+        return np.array([*found, 1.0]), [*found.values(), self._end]
+
+    @property
+    def _takes_state(self) -> bool:
+        """Return whether the step goes on from the state at its start."""
+        return self._simulation.integrator.requirements.from_state
+
+    @property
+    def places(self) -> np.ndarray:
+        """Return shares of the step, shape (k,), between which the path bends little."""
+        ends, _ = self._knots
+        if ends is WHOLE:
+            return _PLACES
+        inside = ends[:-1, None] + np.diff(ends)[:, None] * _PLACES[:-1]
+        return np.append(inside.ravel(), 1.0)
+
+    @cached_property
     def polynomial(self) -> DenseOutput:
         """Return the polynomial through the step, of q and p of shape (d,) or (m d,)."""
-        h, (z0, v0), (z1, v1) = self._simulation.step_size, self._start, self._end
+        h, (ends, looks) = self._simulation.step_size, self._knots
+        z, v = (np.array(rows) for rows in zip(*map(self._line, looks), strict=True))
         if self._slopes is not None:
-            return collocation_output(h, z0, self._slopes)
-        if self._simulation.integrator.order <= 3 or not self._plain:
-            return hermite_output(h, z0, v0, z1, v1)
-        return hermite_output(h, z0, v0, z1, v1, self._bend(z0, v0), self._bend(z1, v1))
+            return collocation_output(h, z[0], self._slopes)
+        bends = None
+        if self._simulation.integrator.order > 3 and self._plain:
+            bends = np.array([self._bend(*line) for line in zip(z, v, strict=True)])
+        return hermite_output(h, self._start.q.size, z, v, bends, ends)
+
+    def _line(self, look: _Look) -> tuple[np.ndarray, np.ndarray]:
+        """Return (q, p) and (q', p') of a state, each of shape (n,)."""
+        turning, (q, p, dH_dq, dH_dp) = self._simulation.hamiltonian.rotations, look
+        return (np.concatenate([q.ravel(), p.ravel()]),
+                np.concatenate([coordinate_rates(turning, q, dH_dp).ravel(),
+                                momentum_rates(turning, q, p, dH_dq, dH_dp).ravel()]))
 
     def _bend(self, z: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return (q'', p'') = J H''(z) z'."""
         hamiltonian = self._simulation.hamiltonian
-        parts = [part.reshape(-1, hamiltonian.dimension)
-                 for pair in (z, v) for part in np.split(pair, 2)]
-        product_q, product_p = hamiltonian.hessian_vector(*parts)
+        (q, p), (v_q, v_p) = (pair.reshape(2, -1, hamiltonian.dimension) for pair in (z, v))
+        product_q, product_p = hamiltonian.hessian_vector(q, p, v_q, v_p)
         return np.concatenate([product_p.ravel(), -product_q.ravel()])
 
     def state(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
@@ -104,15 +154,17 @@ class DenseStep:
             A step of this length did not converge.
 
         """
-        for share, (z, _) in ((0.0, self._start), (1.0, self._end)):
+        for share, look in ((0.0, self._start), (1.0, self._end)):
             if theta == share:
-                return self._halves(z)
-        method = self._simulation.integrator
-        if not method.requirements.from_state or (
-                self._plain and self.polynomial.order >= method.order):
-            return self._halves(np.concatenate(self.polynomial(theta)))
+                return look.q.copy(), look.p.copy()
         simulation = self._simulation
-        return simulation.trial(self._before, theta * simulation.step_size)
+        time = theta * simulation.step_size
+        if not self._takes_state:
+            return simulation.clock_trial(self._before, time)
+        if self._plain and self.polynomial.order >= simulation.integrator.order:
+            q, p = self.polynomial(theta)
+            return q.reshape(simulation.q.shape), p.reshape(simulation.p.shape)
+        return simulation.trial(self._before, time)
 
     def outline(self, theta: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -144,16 +196,11 @@ class DenseStep:
         q, p = zip(*(self.state(float(one)) for one in np.asarray(theta)), strict=True)
         return np.array(q), np.array(p)
 
-    def _halves(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return copies of q and p out of (q, p), in the simulation's shape."""
-        q, p = z.copy().reshape(2, *self._simulation.q.shape)
-        return q, p
 
-
-def _end(simulation: 'Simulation') -> tuple[np.ndarray, np.ndarray]:
-    """Return (q, p) and (q', p'), each of shape (2 n,)."""
-    return (np.concatenate([simulation.q.ravel(), simulation.p.ravel()]),
-            np.concatenate([simulation.dH_dp.ravel(), -simulation.dH_dq.ravel()]))
+def _look(simulation: 'Simulation') -> _Look:
+    """Return copies of where a simulation stands."""
+    return _Look(simulation.q.copy(), simulation.p.copy(), simulation.dH_dq.copy(),
+                 simulation.dH_dp.copy())
 
 
 def whole_steps(time: float, step_size: float) -> tuple[int, float]:
@@ -208,7 +255,7 @@ def record_at(simulation: 'Simulation', times: Sequence[float],
         A step did not converge or is not finite.
 
     """
-    q, p = np.empty((2, len(times), *simulation.q.shape))
+    q, p = (np.empty((len(times), *part.shape)) for part in (simulation.q, simulation.p))
     dense = None
     for k, time in enumerate(times):
         step, share = whole_steps(time, simulation.step_size)

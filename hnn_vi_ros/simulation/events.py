@@ -5,6 +5,8 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+import math
+import time
 from typing import Any, Literal
 
 from hnn_vi_ros.errors import StoppedByEvent
@@ -15,8 +17,6 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import DenseStep
 import numpy as np
 
-# Where in a step the polynomial is looked at, in shares of it.
-_PLACES = np.linspace(0.0, 1.0, 9)
 _EPS = float(np.finfo(np.float64).eps)
 # Trials within which a minimum is found, and the share of a step to which it is.
 _TRIALS, _NARROW = 40, 1e-9
@@ -52,8 +52,9 @@ class WatchedSimulation:
     A simulation whose steps are searched for events.
 
     Each step is looked at through its polynomial at nine places (through the path itself in
-    steps that meet a wall), for changes of sign and for extrema that come close to zero; what is
-    found there is found again, to round-off, on states that are as accurate as the method (see
+    steps that meet a wall; at nine places of each step of its own that a method takes within one
+    of the clock), for changes of sign and for extrema that come close to zero; what is found
+    there is found again, to round-off, on states that are as accurate as the method (see
     DenseStep). So an event that comes and goes within a step is found as well, as long as the
     polynomial shows it. The steps are those of the simulation, bit by bit; an event at the
     initial state is none.
@@ -89,9 +90,13 @@ class WatchedSimulation:
         self._simulation.restart(*arguments, **more)
         self.events.clear()
 
-    def advance(self, n: int) -> None:
-        """Take n steps; see ``record``."""
-        self.record(1, n)
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """Take n steps, or fewer, and return how many; see Simulation, and ``record``."""
+        for taken in range(1, n + 1):
+            self.dense_step()
+            if time.perf_counter() >= until:
+                return taken
+        return n
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -105,7 +110,8 @@ class WatchedSimulation:
             A step did not converge or is not finite.
 
         """
-        q, p = np.empty((2, samples, self._simulation.q.size))
+        q, p = (np.empty((samples, part.size))
+                for part in (self._simulation.q, self._simulation.p))
         for sample in range(samples):
             for _ in range(every):
                 try:
@@ -118,19 +124,19 @@ class WatchedSimulation:
     def dense_step(self) -> DenseStep:
         """Take one step, or raise as ``record``; return it with the states inside of it."""
         dense = self._simulation.dense_step()
-        q, p = dense.outline(_PLACES)
+        places = dense.places
+        q, p = dense.outline(places)
         # The ends are known, and what is known of them decides.
         (q[0], p[0]), (q[-1], p[-1]) = dense.state(0.0), dense.state(1.0)
         found = sorted(((theta, rises, function) for function in self._functions
-                        for theta, rises in self._find(dense, function, q, p)),
+                        for theta, rises in self._find(dense, function, places, q, p)),
                        key=lambda one: one[0])
         for theta, rises, function in found:
             event = self._event(dense, theta, rises, function)
             self.events.append(event)
             if event.stops:
                 dense.undo()
-                none = np.empty((0, event.q.size))
-                raise StoppedByEvent(event, none, none.copy(), dense.state)
+                raise StoppedByEvent(event, q[:0], p[:0], dense.state)
         return dense
 
     def _event(self, dense: DenseStep, theta: float, rises: bool, function: EventFunction
@@ -142,8 +148,8 @@ class WatchedSimulation:
                      steps * self._simulation.step_size, q, p,
                      float(self._simulation.hamiltonian.energy(q, p)))
 
-    def _find(self, dense: DenseStep, function: EventFunction, q: np.ndarray, p: np.ndarray
-              ) -> Iterator[tuple[float, bool]]:
+    def _find(self, dense: DenseStep, function: EventFunction, places: np.ndarray,
+              q: np.ndarray, p: np.ndarray) -> Iterator[tuple[float, bool]]:
         """Yield the share of the step and whether the value rises, for each event of a kind."""
         hamiltonian, condition = self._simulation.hamiltonian, function.condition
 
@@ -158,7 +164,7 @@ class WatchedSimulation:
         size = np.abs(values)
         if size.min() > values.max() - values.min():
             return
-        for start, end in _brackets(values, seen, value):
+        for start, end in _brackets(places, values, seen, value):
             rises = end[1] > 0.0 or start[1] < 0.0
             if function.direction != ('down' if rises else 'up'):
                 theta = _root(value, start, end)
@@ -192,10 +198,10 @@ def watched(simulation: Simulation, scene: Scene) -> 'Simulation | WatchedSimula
 Place = tuple[float, float]
 
 
-def _brackets(values: np.ndarray, seen: Callable, value: Callable[[float], float]
-              ) -> Iterator[tuple[Place, Place]]:
+def _brackets(at: np.ndarray, values: np.ndarray, seen: Callable,
+              value: Callable[[float], float]) -> Iterator[tuple[Place, Place]]:
     """Yield pairs of places, each with its value, between which the value changes its sign."""
-    for thetas, part in _stretches(values, value):
+    for thetas, part in _stretches(at, values, value):
         if part[0] == 0.0:
             # The event was at the end of the step before, or is none at the initial state.
             part[0] = _after(part)
@@ -215,7 +221,7 @@ def _brackets(values: np.ndarray, seen: Callable, value: Callable[[float], float
                 yield start, end
 
 
-def _stretches(values: np.ndarray, value: Callable[[float], float]
+def _stretches(at: np.ndarray, values: np.ndarray, value: Callable[[float], float]
                ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     Yield the places, with their values, of each part of a step in which the value is a number.
@@ -225,11 +231,11 @@ def _stretches(values: np.ndarray, value: Callable[[float], float]
     finite = np.isfinite(values)
     ends = np.flatnonzero(np.diff(np.concatenate([[False], finite, [False]])))
     for first, behind in ends.reshape(-1, 2):
-        places = [(float(_PLACES[k]), float(values[k])) for k in range(first, behind)]
+        places = [(float(at[k]), float(values[k])) for k in range(first, behind)]
         if first > 0:
-            places.insert(0, _edge(value, places[0], float(_PLACES[first - 1])))
+            places.insert(0, _edge(value, places[0], float(at[first - 1])))
         if behind < len(values):
-            places.append(_edge(value, places[-1], float(_PLACES[behind])))
+            places.append(_edge(value, places[-1], float(at[behind])))
         thetas, part = np.transpose(places)
         yield thetas, part
 

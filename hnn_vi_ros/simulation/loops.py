@@ -13,13 +13,13 @@ import numpy as np
 
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,
-            z: Point, z1: Point, memory: tuple, q_out: np.ndarray,
-            p_out: np.ndarray) -> tuple[int, int, int, float, int, int, int]:
-    """Take the steps from the first on, and sample; stop before one that fails."""
+            z: Point, z1: Point, memory: tuple, q_out: np.ndarray, p_out: np.ndarray,
+            last: int) -> tuple[int, int, int, float, int, int, int]:
+    """Take the steps from the first to before the last, and sample; stop before one that fails."""
     kernel, options, z, z1, memory, q_out, p_out = bare(
         (kernel, options, z, z1, memory, q_out, p_out))
     gradients, residual, spent, most, costliest = 0, 0.0, 0, 0, first
-    for done in range(first, q_out.shape[0] * every):
+    for done in range(first, last):
         outcome, residual, spent = step(kernel, h, options, z, z1, memory)
         gradients += spent
         if outcome == OK and not is_finite(z1):
@@ -33,8 +33,7 @@ def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int
             sample = done // every
             copy_array(z.q, q_out[sample])
             copy_array(z.p, p_out[sample])
-    done = max(first, q_out.shape[0] * every)
-    return OK, done, gradients, residual, spent, most, costliest
+    return OK, max(first, last), gradients, residual, spent, most, costliest
 
 
 def take_substeps(substep: Callable, kernel: Kernel, h: float, options: tuple, parts: int,

@@ -137,6 +137,18 @@ class Rescue:
                 return solved._replace(gradients=solved.gradients + spent, given_up=most)
         return solved._replace(gradients=solved.gradients + spent)
 
+    def compile(self, h: float, n: int) -> None:  # noqa: A003
+        """Compile all that may take a step of n coordinates, or find it on disk; run nothing."""
+        z, z1, memories = Point.empty(n), Point.empty(n), self.memories(n)
+        for active, method in enumerate(self.methods):
+            for attempt in method.attempts(n)[1:]:
+                self._loop(advance, active, method, attempt).compile(
+                    h, 0, 1, z, z1, memories[active], *np.empty((2, 1, n)), 1)
+            for fallback, attempt in dict.fromkeys(
+                    (fallback, attempt) for fallback, attempt, _ in self._fallbacks(active, n)):
+                self._loop(take_substeps, active, fallback, attempt).compile(
+                    h, 1, 1, z, z1, self._memory(fallback, n))
+
     def _by_other_solvers(self, active: int, h: float, z: Point, z1: Point,
                           memory: tuple) -> 'Taken':
         """Take the step with the later attempts of the method itself."""
@@ -144,7 +156,7 @@ class Rescue:
         for attempt in method.attempts(z.q.size)[1:]:
             loop = self._loop(advance, active, method, attempt)
             outcome, _, gradients, residual, *_ = loop(
-                h, 0, 1, z, z1, memory, *np.empty((2, 1, z.q.size)))
+                h, 0, 1, z, z1, memory, *np.empty((2, 1, z.q.size)), 1)
             spent += gradients
             if outcome in (OK, NO_SOLUTION):
                 break

@@ -12,7 +12,7 @@ from hnn_vi_ros.effects.base import (
     Constraint, Effect, EffectError, EffectState, Force, Joined, Place, Together, Wrapping)
 from hnn_vi_ros.effects.kernels import add_forces
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
-from hnn_vi_ros.errors import StateError, UnsupportedSystem
+from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS, REDUNDANT
@@ -151,7 +151,7 @@ class System:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
         self._check_together()
-        self._check(integrator)
+        self._check(integrator, hamiltonian)
         self._parameters = [self._resolve(index, hamiltonian) for index in range(len(effects))]
         self.motors = Motors(list(zip(effects, self._parameters, strict=True)))
         joined = [(cast(Joined, effects[i]), self._parameters[i]) for i in self._in(Place.ENERGY)]
@@ -277,18 +277,16 @@ class System:
                         index, f'{_kind(effect)} does not combine with '
                                f'{_kind(self._effects[other])}, {reason}; leave one of them out')
 
-    def _check(self, integrator: Integrator) -> None:
+    def _check(self, integrator: Integrator, hamiltonian: Hamiltonian) -> None:
         for effect, label in zip(self._effects, self.labels, strict=True):
             if not effect.accepts(integrator):
-                able = methods_that(lambda method: (
-                    method.requirements.coordinates in ('canonical', 'any')
-                    and effect.accepts(method)))  # noqa: B023  called at once
+                able = methods_that(effect.accepts, hamiltonian)
                 raise UnsupportedSystem(f'{method_name(integrator)} cannot take the effect '
                                         f'{label}; methods that can: {able}')
 
     def _check_coordinates(self, hamiltonian: Hamiltonian, integrator: Integrator) -> None:
         check_method(integrator, hamiltonian)
-        names = ', '.join(coordinate.name for coordinate in hamiltonian.coordinates)
+        names = listed(coordinate.name for coordinate in hamiltonian.coordinates)
         for index, (effect, label) in enumerate(zip(self._effects, self.labels, strict=True)):
             if hamiltonian.rotations and not effect.turns:
                 able = ', '.join(kind for kind, other in EFFECTS.items() if other.turns)

@@ -3,12 +3,13 @@
 """Run the fourteen hard cases: each must stay stable, or say that it does not."""
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures import as_completed
 from itertools import groupby
 import sys
 import time
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
 from hnn_vi_ros.studies import arguments as command_lines
 from hnn_vi_ros.studies.hard_cases_checks import run_job
 from hnn_vi_ros.studies.hard_cases_plan import Job, load_plan, make_jobs
@@ -35,9 +36,8 @@ def main(argv: list[str]) -> int:
     try:
         run_jobs(jobs, folder, arguments.jobs)
     except KeyboardInterrupt:
-        print(f'\nInterrupted: {len(folder.rows)} rows are kept in {folder.path}; the same '
-              'command goes on from there.')
-        return 130
+        raise KeyboardInterrupt(f'stopped: {len(folder.rows)} rows are kept in {folder.path}; the '
+                                'same command goes on from there') from None
     found = {row.key: row for row in folder.rows}
     rows = [found[job.key] for job in jobs]
     if arguments.commit:
@@ -88,13 +88,11 @@ def _rows(jobs: Sequence[Job], processes: int) -> Iterator[CaseRow]:
     for _, group in groupby(jobs, key=lambda job: job.kernel):
         same = list(group)
         parts += [same[i:i + _TOGETHER] for i in range(0, len(same), _TOGETHER)]
-    with ProcessPoolExecutor(processes) as pool:
-        futures = [pool.submit(_run_some, part) for part in parts]
-        try:
-            for future in as_completed(futures):
-                yield from future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    with deaf_workers(processes) as pool:
+        with deaf_children():
+            futures = [pool.submit(_run_some, part) for part in parts]
+        for future in as_completed(futures):
+            yield from future.result()
 
 
 def _run_some(jobs: Sequence[Job]) -> list[CaseRow]:

@@ -20,7 +20,7 @@ from hnn_vi_ros.learning.identify_fit import fit
 from hnn_vi_ros.learning.identify_numbers import free_scene
 from hnn_vi_ros.learning.identify_statistics import estimates_of
 from hnn_vi_ros.learning.machine_training import split_motions
-from hnn_vi_ros.learning.motion_arrays import ArraysData
+from hnn_vi_ros.learning.motion_arrays import ArraysData, read_archive
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.scene import load_scene, Scene
@@ -153,8 +153,7 @@ def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Motion], list
 
 def _relative(file: Path, out: Path) -> Path:
     """Write runs whose angles are zero hanging down, each from the link before."""
-    with np.load(file, allow_pickle=False) as archive:
-        runs = {key: archive[key] for key in archive.files}
+    runs, _ = read_archive(file)
     # 1 kHz is far above what the arms can do: every tenth sample tells as much.
     np.savez(out, **{key: _steps(values[::_EVERY]) - np.pi * (key.endswith('/q') * (
         np.arange(values.shape[1]) == 0)) for key, values in runs.items() if values.ndim == 2})

@@ -20,6 +20,7 @@ from hnn_vi_ros.learning.evaluation import Predict, score, simulated, variance_o
 from hnn_vi_ros.learning.machine_config import load_machine, MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, fix_scale, learn
 from hnn_vi_ros.learning.machine_training import fit, scales_of, split_motions
+from hnn_vi_ros.learning.motion_arrays import read_archive
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.learning.plain_network import PlainNetwork, predicted_by
@@ -116,8 +117,7 @@ def dfki_errors(predict: Predict, test: Sequence[Motion], folder: Path) -> Measu
     config = load_machine(find_config('dfki_double_pendulum'))
     names = [coordinate.name for coordinate in config.coordinates]
     later = folder / 'dfki_double_pendulum' / 'later.npz'
-    with np.load(later, allow_pickle=False) as archive:
-        runs = sorted({key.partition('/')[0] for key in archive})
+    runs = sorted({key.partition('/')[0] for key in read_archive(later)[0]})
     for task in ('acrobot', 'pendubot'):
         # One task after the other: they were sampled at rates of their own.
         ours = ','.join(run for run in runs if run.startswith(task))
@@ -344,12 +344,11 @@ def _quick(config: MachineConfig) -> MachineConfig:
 
 def letters_by_name(file: Path, out: Path) -> Path:
     """Write the letters, which stand one after another, as runs that have their names."""
-    with np.load(file, allow_pickle=False) as archive:
-        ends = np.cumsum(archive['length'])
-        runs = {f'{label}/{key}': archive[key][end - length:end]
-                for label, length, end in zip(archive['label'], archive['length'], ends,
-                                              strict=True)
-                for key in ('t', 'q', 'dq_dt', 'ddq_dt2', 'tau')}
+    arrays, _ = read_archive(file)
+    ends = np.cumsum(arrays['length'])
+    runs = {f'{label}/{key}': arrays[key][end - length:end]
+            for label, length, end in zip(arrays['label'], arrays['length'], ends, strict=True)
+            for key in ('t', 'q', 'dq_dt', 'ddq_dt2', 'tau')}
     np.savez(out, **runs)
     return out
 

@@ -10,7 +10,7 @@ import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.errors import reduce_error, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.studies.references import INSTANTS, Reference, SAMPLES
@@ -93,6 +93,8 @@ class RunFailure(Exception):
     def __init__(self, reason: str, t: float, gradients: int):
         super().__init__(reason)
         self.reason, self.t, self.gradients = reason, t, gradients
+
+    __reduce__ = reduce_error
 
 
 class MethodRun(ABC):

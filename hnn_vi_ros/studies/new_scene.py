@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the first scene of a robot: its joints, their limits and friction, and where it rests."""
 
+from collections.abc import Iterable
 import json
 import math
 import os
@@ -37,10 +38,10 @@ hamiltonian:
 {joints}
 {locked}  gravity: [0.0, 0.0, -9.81]   # [m/s2], in the frame of the base
   # A URDF does not tell the motors: their inertia as the joints feel it, that is times the gear
-  # ratio squared [kg m2], [kg].
+  # ratio squared {rotor_units}.
   # rotor_inertia: {{{first}: 0.1}}
 effects:{effects}
-  # What a controller sends to ~/commands, one number for each of these joints [N m], [N]:
+  # What a controller sends to ~/commands, one number for each of these joints {force_units}:
   # - {{kind: external_force, coordinates: [{names}]}}
 integrator: {{kind: generalized_leapfrog}}
 step_size: {step_size}   # [s]
@@ -194,7 +195,7 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     if damping.any() or friction.any():
         effects.append('# f = -b v - F tanh(v / speed), with damping b and friction F of the URDF')
         effects.append(f'- {{kind: joint_friction, from: urdf, speed: {_round(speed, up=True):g}}}'
-                       '   # [rad/s], [m/s]')
+                       f'   # {_units(f"{joint.units.q}/s" for joint in joints)}')
     if any(joint.bounds[0] is not None for joint in joints):
         effects.append('# Rigid stops; restitution: 0.5 lets joints bounce off them.')
         effects.append('- {kind: joint_limits, from: urdf}')
@@ -203,7 +204,9 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     return _TEXT.format(
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
         description=_quoted(f'{Path(file).stem} at rest, from its URDF'), first=names[0],
-        names=', '.join(names), locked=_locked(locked),
+        names=', '.join(names), locked=_locked(tree.robot, locked),
+        rotor_units=_units(joint.units.rotor for joint in joints),
+        force_units=', '.join(f'[{joint.units.force}]' for joint in joints),
         joints='\n'.join(f'    - {name:{wide}}   # {_told(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
@@ -212,21 +215,28 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         p_units=', '.join(f'[{coordinate.p_unit}]' for coordinate in tree.coordinates))
 
 
-def _locked(locked: dict[str, float]) -> str:
+def _locked(robot: Robot, locked: dict[str, float]) -> str:
     if not locked:
         return ''
-    lines = ''.join(f'    {_quoted(name)}: {value}\n' for name, value in locked.items())
-    return ('  # Held there [rad], [m]: they follow others, have no room, or are too many.\n'
+    units = {joint.name: joint.units.q for link in robot.links.values() for joint in link.joints}
+    lines = ''.join(f'    {_quoted(name)}: {value}   # [{units[name]}]\n'
+                    for name, value in locked.items())
+    return ('  # Held there: they follow others, have no room, or are too many.\n'
             f'  locked:\n{lines}')
+
+
+def _units(units: Iterable[str]) -> str:
+    """Return units in brackets, each once."""
+    return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
 
 
 def _told(joint: Joint) -> str:
     """Return what a comment says of a joint."""
-    unit = 'm' if joint.kind == SLIDING else 'rad'
     low, high = joint.bounds
-    parts = [joint.kind if low is None else f'{joint.kind}, {low:g} to {high:g} {unit}']
+    parts = [joint.kind if low is None else f'{joint.kind}, {low:g} to {high:g} {joint.units.q}']
     if joint.damping or joint.friction:
-        parts.append(f'damping {joint.damping:g}, friction {joint.friction:g}')
+        parts.append(f'damping {joint.damping:g} {joint.units.damping}, '
+                     f'friction {joint.friction:g} {joint.units.force}')
     return ', '.join(parts)
 
 

@@ -22,6 +22,7 @@ from hnn_vi_ros.learning.identification_report import force_errors
 from hnn_vi_ros.learning.machine_config import MachineConfig
 from hnn_vi_ros.learning.machine_train import describe, learn
 from hnn_vi_ros.learning.machine_training import split_motions
+from hnn_vi_ros.learning.motion_arrays import read_archive
 from hnn_vi_ros.learning.motion_sources import read_motions
 from hnn_vi_ros.learning.motions import Motion
 from hnn_vi_ros.models.checkpoint import save_checkpoint
@@ -211,11 +212,11 @@ def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder
 
 def two_runs(file: Path, out: Path) -> Path:
     """Write one run as two, what is learned from and what is tested with, apart by a gap."""
-    with np.load(file, allow_pickle=False) as archive:
-        n = len(archive['t'])
-        first = int(_LEARNED * n)
-        runs = {f'{run}/{key}': archive[key][rows] for key in archive.files
-                for run, rows in (('train', slice(0, first)), ('test', slice(first + _GAP, n)))}
+    arrays, _ = read_archive(file)
+    n = len(arrays['t'])
+    first = int(_LEARNED * n)
+    runs = {f'{run}/{key}': values[rows] for key, values in arrays.items()
+            for run, rows in (('train', slice(0, first)), ('test', slice(first + _GAP, n)))}
     np.savez(out, **runs)
     return out
 

@@ -40,9 +40,9 @@ def main(argv: list[str]) -> int:
         for study in studies:
             measure(study)
     except KeyboardInterrupt:
-        print(f'\nInterrupted: {len(study.results.rows)} rows are kept in '
-              f'{study.results.folder}; the same command goes on from there.')
-        return 130
+        raise KeyboardInterrupt(
+            f'stopped: {len(study.results.rows)} rows are kept in {study.results.folder}; the '
+            'same command goes on from there') from None
     from hnn_vi_ros.studies.accuracy_page import write_page
     from hnn_vi_ros.studies.work_precision_report import write_report
     written = [path for study in studies for path in write_report(study.results, study.scene.name)]

@@ -3,15 +3,14 @@
 """Axes of a sweep: the values of its keys at any place of an axis, by the place alone."""
 
 from abc import ABC, abstractmethod
+from array import array
 from collections.abc import Callable, Sequence
-from hashlib import sha256
-from math import prod
-import os
+import math
 from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.regular_file import regular
+from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.definition import (
     AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,
@@ -88,7 +87,7 @@ class GridAxis(Axis):
     """See GridChoice; the last key is the fastest."""
 
     def __init__(self, axis: GridChoice):
-        self.keys, self.count, self._shape = axis.keys, prod(axis.counts), tuple(axis.counts)
+        self.keys, self.count, self._shape = axis.keys, math.prod(axis.counts), tuple(axis.counts)
         self._bounds = list(zip(axis.low, axis.high, strict=True))
 
     def values(self, places: np.ndarray) -> list[Column]:
@@ -174,33 +173,39 @@ class FileAxis(Axis):
 
     def __init__(self, axis: FileChoice, folder: Path, place: str):
         path = folder / axis.path
+        # As numbers, of eight bytes each.
+        numbers, self.keys, rows = array('d'), list[str](), 0
         try:
-            if os.path.getsize(path) > _LARGEST_FILE:
-                raise DataError(f'{place}: {path} is larger than {_LARGEST_FILE} bytes; cut it '
-                                'into several sweeps')
-            raw = regular(path).read_bytes()
-            text = raw.decode('utf-8')
-        except (OSError, UnicodeDecodeError) as problem:
-            raise DataError(f'{place}: {path}: {one_line(problem)}') from problem
-        head, *lines = text.splitlines() if text else ['']
-        self.keys = [name.strip() for name in head.split(',')]
-        rows = [line.split(',') for line in lines if line.strip()]
+            for line, text in text_lines(path, _LARGEST_FILE):
+                if not self.keys:
+                    self.keys = [name.strip() for name in text.split(',')]
+                elif text.strip():
+                    numbers.extend(self._row(f'{path}:{line}', text))
+                    rows += 1
+            self.digest = sha256_of(path, _LARGEST_FILE)
+        except OSError as problem:
+            raise DataError(f'{place}: {path}: {problem.strerror or problem}; give a table of '
+                            'numbers, or cut it into those of several sweeps') from problem
+        except ValueError as problem:
+            raise DataError(f'{place}: {path}:{problem}') from problem
+        except DataError as problem:
+            raise DataError(f'{place}: {problem}') from problem
         if not rows:
             raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
                             'of the scene, and each further one has a number for each')
-        for number, row in enumerate(rows, 2):
-            if len(row) != len(self.keys):
-                raise DataError(f'{place}: {path}: row {number} has {len(row)} values, expected '
-                                f'{len(self.keys)}')
-        try:
-            self._table = np.array(rows, dtype=np.float64)
-        except ValueError as problem:
-            raise DataError(f'{place}: {path}: {one_line(problem)}') from problem
-        bad = np.argwhere(~np.isfinite(self._table))
-        if bad.size:
-            raise DataError(f'{place}: {path}: row {bad[0, 0] + 2}, {self.keys[bad[0, 1]]}: '
-                            f'{self._table[tuple(bad[0])]} is not finite')
-        self.count, self.digest = len(rows), sha256(raw).hexdigest()
+        self._table, self.count = np.array(numbers).reshape(rows, -1), rows
+
+    def _row(self, place: str, line: str) -> list[float]:
+        words = line.split(',')
+        if len(words) != len(self.keys):
+            raise DataError(f'{place}: {len(words)} values, expected {len(self.keys)}')
+        row = []
+        for key, word in zip(self.keys, words, strict=True):
+            row.append(plain_number(word))
+            if not math.isfinite(row[-1]):
+                raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is no finite '
+                                'number')
+        return row
 
     def values(self, places: np.ndarray) -> list[Column]:
         """See Axis."""

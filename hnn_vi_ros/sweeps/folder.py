@@ -6,15 +6,36 @@ import json
 import os
 from pathlib import Path
 import socket
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.limits import parse_json, read_limited
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.sweeps.parquet import count_failures, is_shard
+from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 
 _RECORD = 'sweep.json'
 _LARGEST = 2**26
+
+
+class Survey(NamedTuple):
+    """
+    Shards of a sweep, each checked to its last bit.
+
+    Parameters
+    ----------
+    missing : list of int
+        Those to make: that are not there, or cannot be used.
+    damaged : list of str
+        Files that cannot be used, and why.
+    failures : int
+        Trajectories that failed, in the others.
+
+    """
+
+    missing: list[int]
+    damaged: list[str]
+    failures: int
 
 
 class SweepFolder:
@@ -43,17 +64,15 @@ class SweepFolder:
         """
         file = self.path / _RECORD
         try:
-            if file.stat().st_size > _LARGEST:
-                raise ValueError(f'larger than {_LARGEST} bytes')
-            found = json.loads(file.read_text(encoding='utf-8'))
+            found = parse_json(read_limited(file, _LARGEST))
             if not isinstance(found, dict) or not isinstance(found.get('scene'), dict):
                 raise ValueError('no record of a sweep')
             return found
         except (FileNotFoundError, NotADirectoryError):
             return None
-        except (OSError, ValueError, RecursionError) as problem:
-            raise RecordingError(f'{file}: {one_line(problem)}; give another --out, or remove it'
-                                 ) from problem
+        except (OSError, ValueError) as problem:
+            raise RecordingError(f'{file}: {one_line(problem)}; put it back as it was, or give '
+                                 'another --out') from problem
 
     def begin(self, plan: SweepPlan) -> None:
         """
@@ -92,10 +111,18 @@ class SweepFolder:
         """Return the file of a shard."""
         return self.path / f'part-{shard:06d}.parquet'
 
-    def missing(self, plan: SweepPlan, share: tuple[int, int]) -> list[int]:
-        """Return the shards that are still to be made, of every n-th from the i-th on."""
-        return [shard for shard in range(share[0], plan.shards, share[1])
-                if not is_shard(self.file(shard), plan.record['digest'], shard)]
+    def survey(self, plan: SweepPlan, share: tuple[int, int] = (0, 1)) -> Survey:
+        """Check every n-th shard, from the i-th on."""
+        missing, damaged, failures = [], [], 0
+        for shard in range(share[0], plan.shards, share[1]):
+            try:
+                failures += check_shard(self.file(shard), plan.record['digest'], shard)
+            except FileNotFoundError:
+                missing.append(shard)
+            except RecordingError as problem:
+                missing.append(shard)
+                damaged.append(str(problem))
+        return Survey(missing, damaged, failures)
 
     def put(self, shard: int, content: bytes) -> None:
         """
@@ -108,11 +135,6 @@ class SweepFolder:
 
         """
         self._place(self.file(shard).name, content)
-
-    def failures(self, plan: SweepPlan) -> int:
-        """Return how many trajectories have failed, in the shards that are there."""
-        return sum(count_failures(self.file(shard)) for shard in range(plan.shards)
-                   if self.file(shard).is_file())
 
     def _place(self, name: str, content: bytes) -> None:
         """Write a file under another name, and rename it once it is on the disk."""

@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.scene import Scene
 
 _STATE = 'initial_state'
@@ -46,9 +46,8 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
             raise DataError(f'{place}: {key!r}: {".".join(map(str, parts))} is a value, which '
                             'has no further keys')
         if part not in valid:
-            shown = ', '.join(valid[:20]) or 'none'
             raise DataError(f'{place}: {key!r}: unknown key {part!r}'
-                            f'{did_you_mean(part, valid)}; valid keys: {shown}')
+                            f'{did_you_mean(part, valid)}; valid keys: {listed(valid) or "none"}')
         if isinstance(value, list):
             parts.append(own.index(part) if part in own else int(part))
         else:

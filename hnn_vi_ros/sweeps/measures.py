@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError, listed
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
@@ -133,6 +133,6 @@ class Reducer:
             raise HnnViRosError(f'{self._name}: {type(problem).__name__}: {one_line(problem)}'
                                 ) from problem
         if more:
-            raise HnnViRosError(f'{self._name}: returned {", ".join(map(str, sorted(more)))} '
+            raise HnnViRosError(f'{self._name}: returned {listed(sorted(more))} '
                                 'beside its columns; name them in columns')
         return numbers

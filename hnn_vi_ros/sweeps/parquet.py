@@ -3,11 +3,16 @@
 """Shards as Parquet: the same bytes for the same trajectories."""
 
 from collections.abc import Callable, Iterable
+from hashlib import sha256
 from io import BytesIO
 import json
+import os
 from pathlib import Path
-from typing import Any
+import re
+from typing import Any, BinaryIO
 
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
@@ -15,11 +20,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
+# A shard is sealed: beside its number stands the SHA-256 of its file, in which these digits are
+# zeros. A checksum of pages would not cover the footer, which tells where columns are.
+_SEALED = re.compile(rb'(\d+) sha256:([0-9a-f]{64})')
+_OPEN = b'0' * 64
+# Of a footer: the scene and its files' digests are in it.
+_LARGEST_FOOTER = 2**26
+_BLOCK = 2**20
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
 
-def schema_of(plan: SweepPlan, shard: int) -> pa.Schema:
+def schema_of(plan: SweepPlan) -> pa.Schema:
     """Return the columns of a shard, with the scene and the versions as metadata."""
     sweep, record = plan.sweep, plan.record
     measured: list[str] = list(sweep.statistics)
@@ -40,7 +52,7 @@ def schema_of(plan: SweepPlan, shard: int) -> pa.Schema:
         pa.field('failure', pa.string()),
     ]
     return pa.schema(columns, {
-        _DIGEST: record['digest'], _SHARD: str(shard),
+        _DIGEST: record['digest'],
         b'hnn_vi_ros.sweep': as_json(record['sweep']),
         b'hnn_vi_ros.scene': as_json(record['scene']),
         b'hnn_vi_ros.models': as_json(record['models']),
@@ -73,12 +85,15 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
     for block in blocks:
         parts += block
         on_block(sum(len(part.indices) for part in block))
-    schema = schema_of(plan, shard)
+    schema = schema_of(plan)
     table = pa.table(_columns(parts, schema, plan.keys), schema=schema)
     stream = BytesIO()
     with pq.ParquetWriter(stream, schema, compression='zstd', version='2.6') as writer:
         writer.write_table(table, row_group_size=table.num_rows)
-    return stream.getvalue()
+        writer.add_key_value_metadata({_SHARD: b'%d sha256:%b' % (shard, _OPEN)})
+    content = stream.getvalue()
+    before, _, after = content.rpartition(_OPEN)
+    return before + sha256(content).hexdigest().encode() + after
 
 
 def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.Array]:
@@ -112,16 +127,69 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
     return columns
 
 
-def is_shard(path: Path, digest: str, shard: int) -> bool:
-    """Return whether a file is a shard of a sweep, whole."""
+def check_shard(path: Path, digest: str, shard: int) -> int:
+    """
+    Check that a file is a shard of a sweep, to its last bit; return how many trajectories failed.
+
+    One of a version that did not seal shards is decoded, which finds less.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    digest : str
+        Of the sweep.
+    shard : int
+        Which.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is none.
+    RecordingError
+        It is damaged, another shard, or that of another sweep; one line, without a remedy.
+
+    """
     try:
-        metadata = pq.read_metadata(path).metadata or {}
-    except (OSError, pa.ArrowInvalid):
-        return False
-    return metadata.get(_DIGEST) == digest.encode() and metadata.get(_SHARD) == b'%d' % shard
+        with path.open('rb') as stream:
+            sealed = _checked_seal(stream)
+            metadata = pq.read_metadata(stream).metadata or {}
+            if metadata.get(_DIGEST) != digest.encode():
+                raise RecordingError(f'{path}: is of another sweep')
+            number = metadata.get(_SHARD, b'').removesuffix(b' sha256:' + sealed)
+            if not number.isdigit():
+                raise ValueError('its seal is no seal')
+            if int(number) != shard:
+                raise RecordingError(f'{path}: is shard {int(number)} of this sweep')
+            failure = pq.read_table(stream, columns=['failure'] if sealed else None)['failure']
+    except FileNotFoundError:
+        raise
+    except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
+        raise RecordingError(f'{path}: is damaged ({one_line(problem)})') from problem
+    # One row each.
+    return len(failure) - int(failure.null_count)
 
 
-def count_failures(path: Path) -> int:
-    """Return how many trajectories of a shard failed: one row each."""
-    column = pq.read_table(path, columns=['failure'])['failure']
-    return len(column) - int(column.null_count)
+def _checked_seal(stream: BinaryIO) -> bytes:
+    """Return the digits of a seal, none if there is none; ValueError if it is not of the file."""
+    size = os.fstat(stream.fileno()).st_size
+    stream.seek(max(size - 8, 0))
+    end = stream.read()
+    begin = size - 8 - int.from_bytes(end[:4], 'little')
+    if end[4:] != b'PAR1' or not 0 <= size - begin <= _LARGEST_FOOTER or begin < 0:
+        raise ValueError('it does not end like a Parquet file')
+    stream.seek(begin)
+    footer = stream.read()
+    seal = _SEALED.search(footer, max(footer.rfind(_SHARD), 0))
+    stream.seek(0)
+    if seal is None:
+        return b''
+    found, left = sha256(), begin
+    while left and (block := stream.read(min(left, _BLOCK))):
+        found.update(block)
+        left -= len(block)
+    found.update(footer[:seal.start(2)] + _OPEN + footer[seal.end(2):])
+    stream.seek(0)
+    if found.hexdigest().encode() != seal[2]:
+        raise ValueError('its SHA-256 is not the one that it was written with')
+    return seal[2]

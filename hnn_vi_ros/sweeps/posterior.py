@@ -4,17 +4,17 @@
 
 from collections.abc import Mapping
 from hashlib import sha256
-import json
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import DataError, did_you_mean
+from hnn_vi_ros.errors import DataError, did_you_mean, listed
+from hnn_vi_ros.files.limits import parse_json, read_limited
 from hnn_vi_ros.files.regular_file import regular
 from hnn_vi_ros.files.yaml_text import one_line
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-_LARGEST_FILE = 2**26
+_LARGEST_FILE = 2**25
 # Relative to the standard deviations: how far from symmetric and how negative rounding may make
 # a covariance.
 _ROUNDING = 1e-8
@@ -45,12 +45,12 @@ class Posterior(NamedTuple):
 
 
 class _Parameter(BaseModel):
-    model_config = ConfigDict(extra='ignore', strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(extra='ignore', strict=True, allow_inf_nan=False)
     value: float
 
 
 class _Covariance(BaseModel):
-    model_config = ConfigDict(extra='forbid', allow_inf_nan=False)
+    model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False)
     names: list[str] = Field(min_length=1, max_length=1000)
     matrix: list[list[float]]
 
@@ -85,17 +85,15 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     """
     where = f'{place}: {path}'
     try:
-        raw = regular(path).read_bytes()
-        if len(raw) > _LARGEST_FILE:
-            raise DataError(f'{where} is larger than {_LARGEST_FILE} bytes; {_REMEDY}')
-        found = _File.model_validate(json.loads(raw))
+        raw = read_limited(path, _LARGEST_FILE)
+        found = _File.model_validate(parse_json(raw))
     except OSError as problem:
-        raise DataError(f'{where}: {one_line(problem)}') from problem
+        raise DataError(f'{where}: {problem.strerror or problem}; {_REMEDY}') from problem
     except ValidationError as problem:
         first = problem.errors()[0]
         key = '.'.join(map(str, first['loc']))
         raise DataError(f'{where}: {key}: {first["msg"]}; {_REMEDY}') from problem
-    except (ValueError, RecursionError) as problem:
+    except ValueError as problem:
         raise DataError(f'{where}: {one_line(problem)}; {_REMEDY}') from problem
     names, n = found.covariance.names, len(found.covariance.names)
     if any(len(row) != n for row in found.covariance.matrix) or len(
@@ -105,8 +103,9 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     wanted = {name: name for name in names} if keys is None else dict(keys)
     for name in wanted:
         if name not in names or name not in found.parameters:
-            raise DataError(f'{where}: no {name!r} among its parameters and its covariance'
-                            f'{did_you_mean(name, names)}; there are: {", ".join(names)}')
+            raise DataError(one_line(
+                f'{where}: no {name!r} among its parameters and its covariance'
+                f'{did_you_mean(name, names)}; there are: {listed(names)}'))
     chosen = [names.index(name) for name in wanted]
     covariance = np.array(found.covariance.matrix)[np.ix_(chosen, chosen)]
     return Posterior([*wanted.values()],

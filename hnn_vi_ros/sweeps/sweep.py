@@ -9,16 +9,18 @@ from pathlib import Path
 import sys
 import time
 from typing import Any
+import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.files.standard_streams import rewrite_line
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros
-from hnn_vi_ros.sweeps.folder import shards_of, SweepFolder
+from hnn_vi_ros.sweeps.folder import shards_of, Survey, SweepFolder
 from hnn_vi_ros.sweeps.lerobot import write_lerobot
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
@@ -57,13 +59,14 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     except (ValueError, TypeError) as problem:
         raise ParameterError(str(problem)) from problem
     except KeyboardInterrupt:
-        print(f'sweep: stopped; what is whole is in {out}: the same command goes on',
-              file=sys.stderr)
-        raise
+        raise KeyboardInterrupt(
+            f'stopped; what is whole is in {out}: the same command goes on') from None
     plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'),
                      options.device)
-    print(_summary(plan, SweepFolder(out), time.monotonic() - begin))
-    return 0
+    folder, share = SweepFolder(out), shards_of(options.shard)
+    found = folder.survey(plan, share)
+    print(_summary(plan, folder, share, found, time.monotonic() - begin))
+    return int(bool(found.missing))
 
 
 def _processes(device: str | None) -> int:
@@ -139,7 +142,13 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     plan = make_plan(definition, (folder.record() or {}).get('scene'), device)
     Runner(plan).check()
     folder.begin(plan)
-    shards = folder.missing(plan, share)
+    shards, damaged, _ = folder.survey(plan, share)
+    for text in damaged:
+        text += '; it is made again'
+        if progress:
+            print(f'sweep: {text}', file=sys.stderr)
+        else:
+            warnings.warn(text, stacklevel=2)
     line = _Progress(plan, shards, share) if progress else None
     job = ShardJob(definition if isinstance(definition, Mapping) else str(definition),
                    plan.record['scene'], plan.record['digest'], device)
@@ -160,12 +169,18 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     return folder.path
 
 
-def _summary(plan: SweepPlan, folder: SweepFolder, seconds: float) -> str:
-    there = plan.shards - len(folder.missing(plan, (0, 1)))
-    failed = folder.failures(plan)
-    return (f'{folder.path}: {there} of {plan.shards} shards of {plan.count} trajectories, '
-            + (f'{failed} failed (see the column failure)' if failed else 'none failed')
-            + f'; {seconds:.1f} s')
+def _summary(plan: SweepPlan, folder: SweepFolder, share: tuple[int, int], found: Survey,
+             seconds: float) -> str:
+    shards = len(range(share[0], plan.shards, share[1]))
+    whose = f'{plan.count} trajectories' if share[1] == 1 else '--shard {}/{}'.format(*share)
+    parts = [f'{shards - len(found.missing)} of {shards} shards of {whose}',
+             f'{found.failures} failed (see the column failure)' if found.failures
+             else 'none failed', *found.damaged]
+    if share[1] > 1:
+        # Those of others are theirs to check.
+        there = sum(folder.file(shard).is_file() for shard in range(plan.shards))
+        parts.append(f'{there} of all {plan.shards} are there')
+    return f'{folder.path}: {", ".join(parts)}; {seconds:.1f} s'
 
 
 class _Progress:
@@ -203,8 +218,10 @@ class _Progress:
         text = (f'{self._total - self._left + made} of {self._total} trajectories, '
                 f'{pace:.3g} a second, {(self._left - made) / pace:.0f} s left')
         self._shown = self._terminal
-        print(f'\r\x1b[K{text}' if self._terminal else text, end='' if self._terminal else '\n',
-              file=sys.stderr, flush=True)
+        if self._terminal:
+            rewrite_line(sys.stderr, text)
+        else:
+            print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Leave the line: what is printed next begins one of its own."""

@@ -4,19 +4,14 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
-from multiprocessing.synchronize import Event
-import os
 from pathlib import Path
-import signal
-from threading import Thread
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.run.deaf_children import deaf_children
+from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
@@ -89,9 +84,7 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
     """
     pending, losses = deque(shards), 0
     while pending:
-        stop = get_context('spawn').Event()
-        with ProcessPoolExecutor(min(processes, len(pending)), get_context('spawn'),
-                                 initializer=_begin, initargs=(stop,)) as pool:
+        with deaf_workers(min(processes, len(pending))) as pool:
             running: dict[Future[None], int] = {}
             try:
                 while pending or running:
@@ -112,37 +105,6 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
                         f'worker processes were killed {losses} times in a row, as for lack of '
                         'memory; take fewer --jobs, and give the same command again') from problem
                 pending.extendleft(sorted(running.values(), reverse=True))
-            except BaseException:
-                stop.set()
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
-
-
-_stop: Event | None = None
-
-
-def _begin(stop: Event) -> None:
-    """Prepare a worker: it ends on request, and with the process that began it."""
-    global _stop
-    _stop = stop
-    # That of the terminal reaches all its processes; the first one tells the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    assert parent is not None, 'it was spawned'
-
-    def end() -> None:
-        parent.join()
-        os._exit(1)
-    Thread(target=end, daemon=True).start()
-
-
-class _Stopped(Exception):
-    """The process that began a worker is about to end."""
-
-
-def _heed(count: int) -> None:
-    if _stop is not None and _stop.is_set():
-        raise _Stopped
 
 
 _ready: dict[str, tuple[SweepPlan, Runner]] = {}
@@ -152,4 +114,4 @@ def _make(job: ShardJob, path: Path, shard: int) -> None:
     if job.digest not in _ready:
         _ready[job.digest] = job.prepare()
     plan, runner = _ready[job.digest]
-    SweepFolder(path).put(shard, write_shard(plan, shard, runner.shard(shard), _heed))
+    SweepFolder(path).put(shard, write_shard(plan, shard, runner.shard(shard)))

@@ -55,13 +55,13 @@ class RobotPicture:
         recording.log(_ROOT, rr.Transform3D(
             translation=[0.0, 0.0, 0.0], parent_frame=f'tf#{_WORLD}',
             child_frame=tree.root_link().name), static=True)
+        own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
         # Its path, and which coordinate it is, or where it is held.
         self._joints = [
-            (joint, f'{_JOINTS}/{rr.escape_entity_path_part(joint.name)}',
-             list(coordinates).index(joint.name) if joint.name in coordinates else None,
-             robot.locked.get(joint.name, 0.0))
-            for joint in tree.joints() if joint.name in {*coordinates, *robot.locked}]
-        own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
+            (own[name], f'{_JOINTS}/{rr.escape_entity_path_part(name)}',
+             list(coordinates).index(name) if name in coordinates else None,
+             robot.locked.get(name, 0.0))
+            for name in {**dict.fromkeys(coordinates), **robot.locked} if name in own]
         self._moving = [own[name] for name in coordinates if name in own]
         self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
 
@@ -84,10 +84,12 @@ class RobotPicture:
         """
         for joint, path, column, held in self._joints:
             values = np.full(len(q), held) if column is None else q[:, column]
-            # Limits act where the scene says so: the picture shows what is simulated.
-            self._recording.send_columns(
-                path, times, joint.compute_transform_columns(values.tolist(), clamp=False),
-                strict=True)
+            # Not as the SDK moves it, whose axes are not brought to length one.
+            places, turns = _moved(joint, values)
+            self._recording.send_columns(path, times, rr.Transform3D.columns(
+                translation=places, quaternion=turns.as_quat(),
+                parent_frame=[joint.parent] * len(values),
+                child_frame=[joint.child] * len(values)), strict=True)
         if efforts is not None:
             for joint, effort in zip(self._moving, efforts.T, strict=True):
                 self._send_effort(times, joint, effort)
@@ -150,15 +152,19 @@ def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> n
         for joint in link.joints:
             value = (q[:, list(coordinates).index(joint.name)] if joint.name in coordinates
                      else np.full(len(q), robot.locked.get(joint.name, 0.0)))
-            origin = place + turn.apply(joint.origin)
-            frame = turn * Rotation.from_matrix(joint.rotation)
-            motion = value[:, None] * joint.axis
-            waiting.append((joint.child, origin + frame.apply(motion), frame)
-                           if joint.kind == SLIDING else
-                           (joint.child, origin, frame * Rotation.from_rotvec(motion)))
+            offset, own = _moved(joint, value)
+            waiting.append((joint.child, place + turn.apply(offset), turn * own))
     corners = np.array([np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))])
     margin = 0.05 * (np.ptp(corners, axis=0).max() or 1.0)
     return corners + margin * np.array([[-1.0], [1.0]])
+
+
+def _moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    """Return where the child of a joint is in the frame of its parent, at n values of it."""
+    motion, frame = values[:, None] * joint.axis, Rotation.from_matrix(joint.rotation)
+    if joint.kind == SLIDING:
+        return joint.origin + frame.apply(motion), Rotation.concatenate([frame] * len(values))
+    return np.tile(joint.origin, (len(values), 1)), frame * Rotation.from_rotvec(motion)
 
 
 def _reach_of(robot: Robot) -> float:

@@ -89,7 +89,7 @@ def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, 
     provide_for(kernel, method.step, method.options(0, kernel.dimension))
     arguments = (compiled(method.step, method.kernel_name), kernel, h,
                  compiled_options(method.options(0, kernel.dimension)), 0, steps, z, z1, memory,
-                 *np.empty((2, 1, n)))
+                 *np.empty((2, 1, n)), steps)
     loop = entry_point(compiled_loop(advance, kernel, method.kernel_name), *arguments)
     return lambda: loop(*arguments), z
 

@@ -96,7 +96,7 @@ def main(trajectories: int, shard_size: int = 8192, jobs: int = 2) -> None:
         folder, path = Path(name), Path(name) / 'sweep.yaml'
         write_definition(path, trajectories, shard_size)
         at_worker, at_driver = kill_on_the_way(path, folder / 'killed', jobs)
-        left = len(SweepFolder(folder / 'killed').missing(make_plan(path), (0, 1)))
+        left = len(SweepFolder(folder / 'killed').survey(make_plan(path)).missing)
         times = []
         for out in ('killed', 'whole'):
             begin = time.perf_counter()

@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.effects.observations import largest_gain
 from hnn_vi_ros.effects.observer import Observer
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -99,7 +100,9 @@ def test_joints_are_matched_by_name_in_any_order_beside_others():
     (seen(1.0, delay=-0.6), 'from the simulated time'),
     (seen(1.0, delay=1.7e9), 'from the simulated time'),
     (seen(1.0, delay=NAN), 'from the simulated time'),
-    (seen(1.0, delay=-0.2), 'it is late')])
+    (seen(1.0, delay=-0.2), 'it is late'),
+    (seen(1.0, 101.0), "'x' moves by 101 per second, by velocity_limit = 100; raise it"),
+    (seen(1e9), "'x' is 1e.09 beyond where the machine can be, by velocity_limit = 100")])
 def test_observation_that_cannot_be_used_is_refused_and_changes_nothing(observation, message):
     simulation, alone = observed(0.01, timeout=0.5), observed(0.01, timeout=0.5)
     for one in (simulation, alone):
@@ -128,3 +131,61 @@ def test_observer_takes_methods_of_order_2_at_most_and_stands_once():
         observed(0.01, method='gauss8')
     with pytest.raises(EffectError, match='takes one observer only'):
         observed(0.01, effects=(Observer(['x']),))
+
+
+def test_observation_ahead_of_time_holds_up_no_later_one():
+    simulation = observed(0.01, timeout=0.5)
+    simulation.set_command(seen(0.7, delay=0.45))
+    simulation.advance(1)
+    # As late as any that comes from another machine.
+    simulation.set_command(seen(0.6, delay=-0.002))
+    simulation.advance(1)
+    with pytest.raises(ValueError, match='it is late'):
+        simulation.set_command(seen(0.6, delay=-0.1))
+
+
+def test_machine_is_found_again_after_a_wrong_observation_that_looked_right():
+    simulation = observed(0.01, timeout=0.5, velocity_limit=20.0)
+    # At the start it may be as far away as it moves in the time-out: 10 m.
+    with pytest.raises(ValueError, match='0.1 beyond where the machine can be'):
+        simulation.set_command(seen(10.5))
+    simulation.set_command(seen(10.3))
+    refused = 0
+    for _ in range(100):
+        simulation.advance(1)
+        try:
+            simulation.set_command(seen(0.4, 0.0))
+        except ValueError:
+            refused += 1
+    # By V from where it seemed to be, 9.9 m: after 0.5 s.
+    assert refused <= 50
+    # Errors of the mode exp(-3 t) are left for another half of a second.
+    assert abs(simulation.q[0] - 0.4) < 0.3
+
+
+def test_simulation_is_set_to_what_is_observed_beyond_reach():
+    near, far = (observed(0.01, q=0.0, p=5.0, velocity_limit=3.0, timeout=2.0) for _ in range(2))
+    # Of 3 / 6 m, from which it moves away by 25 mm in the step.
+    near.set_command(seen(-0.45, 0.0))
+    far.set_command(seen(-0.501, 0.0))
+    for one in (near, far):
+        one.advance(1)
+    # Set at once, at rest; else pulled by k, and no closer than the decay of 0.01 s leads.
+    assert (far.q[0], far.p[0]) == (-0.501, 0.0)
+    assert near.q[0] > -0.45 * (1.0 - np.exp(-0.01 * DAMPING)) and near.p[0] > 4.0
+    # The work is that of the change: all of what was kinetic.
+    assert far.works['observer'] == pytest.approx(-5.0**2 / (2.0 * MASS))
+
+
+@pytest.mark.parametrize('damping', [0.0, 6.0, 300.0])
+def test_largest_gain_is_where_the_splitting_becomes_unstable(damping):
+    h, most = 0.01, largest_gain(MASS, damping, 0.01)
+    if damping == 0.0:
+        assert most == pytest.approx(4.0 * MASS / h**2)
+    for share, stable in ((0.999, True), (1.001, False)):
+        simulation = observed(h, q=0.4 + 1e-9, p=0.0, gain=share * most, damping=damping)
+        simulation.set_command(seen(0.4, 0.0))
+        # A thousandth beyond it an eigenvalue is below -1 by more than 2e-3, of which 5000 steps
+        # make 2e4; below it the ellipse of the motion is at most 1 / sqrt(0.001) as long as wide.
+        away = np.abs(simulation.record(5000, 1)[0] - 0.4).max()
+        assert away < 1e-7 if stable else away > 1e-5, (share, away)

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gymnasium environments: by gymnasium's checker, and bit by bit those of simulations."""
 
+from functools import partial
 import re
 import warnings
 
+from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402,I100
-from gymnasium.vector import AutoresetMode, SyncVectorEnv  # noqa: E402
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv  # noqa: E402
 from hnn_vi_ros.envs import SceneEnv, SceneVectorEnv  # noqa: E402
 
 FORCE = [{'kind': 'external_force', 'coordinates': ['angle']}]
@@ -112,6 +114,45 @@ def test_environments_are_reset_as_gymnasium_does(events, mode):
                              for envs in (ours, theirs))
             assert np.array_equal(first[0], second[0])
     assert (ends.sum(axis=1) > 0).all()
+
+
+def at_the_sun(rng):
+    return [1e-300, 0.0], [0.0, 0.0]
+
+
+@pytest.mark.parametrize('context', ['fork', 'spawn'])
+@pytest.mark.filterwarnings('ignore')
+def test_environments_of_other_processes_are_those_of_this_one(events, context):
+    """Of gymnasium's AsyncVectorEnv, from a scene that is handed over as it is."""
+    makers = [partial(SceneEnv, load_scene(events), reward, every=4, max_episode_steps=16,
+                      initial_state=somewhere)] * 2
+    theirs, ours = AsyncVectorEnv(makers, context=context), SyncVectorEnv(makers)
+    rng = np.random.default_rng(1)
+    try:
+        one, other = theirs.reset(seed=5), ours.reset(seed=5)
+        assert np.array_equal(one[0], other[0])
+        for _ in range(40):
+            actions = rng.uniform(-9.0, 3.0, (2, 1))
+            one, other = theirs.step(actions), ours.step(actions)
+            for mine, yours in zip(one[:4], other[:4], strict=True):
+                assert np.array_equal(mine, yours)
+            assert str(one[4]) == str(other[4])
+        with pytest.raises(ValueError, match='must be finite, and within the limits'):
+            theirs.step(np.full((2, 1), np.nan))
+    finally:
+        theirs.close(terminate=True)
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_failure_in_another_process_comes_here(tmp_path):
+    envs = AsyncVectorEnv([partial(
+        SceneEnv, 'kepler', reward, initial_state=at_the_sun,
+        effects=[{'kind': 'external_force', 'coordinates': ['x', 'y']}])], context='fork')
+    try:
+        with pytest.raises(StateError, match='step failed at'):
+            envs.reset(seed=1)
+    finally:
+        envs.close(terminate=True)
 
 
 def test_episode_ends_where_an_event_stops_the_run(events):

@@ -12,6 +12,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.learning.identify import _arrays
 from hnn_vi_ros.learning.measured_log import read_log
 from hnn_vi_ros.learning.motion_arrays import ArraysData, read_archive
+from hnn_vi_ros.learning.motion_logs import LogMotions
 from hnn_vi_ros.run.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sweeps.axes import FileAxis
@@ -29,7 +30,8 @@ def robot_of_a_scene(path: Path) -> None:
 
 
 READERS: dict[str, Callable[[Path], object]] = {
-    'urdf': read_urdf, 'robot of a scene': robot_of_a_scene, 'log': read_log,
+    'urdf': read_urdf, 'robot of a scene': robot_of_a_scene,
+    'log': lambda path: read_log(path, LogMotions(columns=['t', 'q'], time='t', q=['q'])),
     'scene': load_scene, 'yaml': lambda path: load_yaml(path, Scene, DataError),
     'arrays': read_archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
     'axis': lambda path: FileAxis(

@@ -2,17 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards say what is wrong, once, at the first sample that shows it, and cost next to nothing."""
 
-from dataclasses import replace
 import math
 
 from hnn_vi_ros.guards.barrier import BarrierGuard
 from hnn_vi_ros.guards.base import accounted_energy, Guard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
-from hnn_vi_ros.guards.scale import SampledScale
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest
@@ -73,40 +68,6 @@ def test_box_guard_looks_at_the_kinetic_momentum_in_a_magnetic_field():
 def test_accounted_energy_is_the_modified_one_less_the_work():
     assert accounted_energy(sample(energy=2.0, work=0.5)) == 1.5
     assert accounted_energy(sample(energy=2.0, modified_energy=3.0, work=0.5)) == 2.5
-
-
-def test_resolution_guard_names_a_step_that_resolves_the_motion():
-    """At the step that it names, Kepler's e = 0.9 raises no alarm; at five times it, it does."""
-    q, p = np.array([1.9, 0.0]), np.array([0.0, 0.22941573387056177])
-    hamiltonian = HAMILTONIANS['kepler']()
-
-    def watch(h: float) -> list:
-        guard = ResolutionGuard(0.05, SampledScale(hamiltonian), h, order=1, modified=True)
-        z, found = np.concatenate([q, p]), []
-        for step in range(round(7.0 / h)):
-            dH_dq, dH_dp = hamiltonian.gradient(z[:2], z[2:])
-            energy = float(hamiltonian.energy(z[:2], z[2:]))
-            modified = INTEGRATORS['variational_euler'].modified_energy(
-                hamiltonian, h, z[:2], z[2:], energy, dH_dq, dH_dp)
-            alarm = guard.update(replace(
-                sample(step, z[:2].copy(), z[2:].copy(), energy, float(modified)),
-                dH_dq=dH_dq, dH_dp=dH_dp))
-            found += [] if alarm is None else [alarm]
-            z[:2] += h * dH_dp
-            z[2:] -= h * hamiltonian.gradient(z[:2], z[2:])[0]
-        return found
-
-    (alarm,) = watch(0.01)
-    assert alarm.kind == 'under-resolved' and alarm.step < 628
-    named = float(alarm.message.rpartition('<= ')[2].removesuffix(' s'))
-    # It is named at the first sample beyond the limit; the whole encounter asks for less.
-    assert named < 0.01
-    while watch(named):
-        (alarm,) = watch(named)
-        shorter = float(alarm.message.rpartition('<= ')[2].removesuffix(' s'))
-        assert shorter < named
-        named = shorter
-    assert named > 0.001
 
 
 def test_barrier_guard_speaks_when_the_band_reaches_the_gap():

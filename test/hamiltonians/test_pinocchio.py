@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 import numpy as np
 import pytest
-from urdf_robots import SHIPPED, TREE, TREE_ARGUMENTS
+from urdf_robots import SHIPPED, TREE, TREE_ARGUMENTS, with_quaternions
 
 pinocchio = pytest.importorskip('pinocchio', reason='pin is not installed; see `make test`')
 
@@ -48,11 +48,11 @@ class Peer:
         return values
 
 
-@pytest.fixture(params=[path.stem for path in SHIPPED] + ['rotors', 'tree'])
+@pytest.fixture(params=[path.stem for path in SHIPPED] + ['rotors', 'tree', 'quaternions'])
 def pair(request, tmp_path) -> tuple[RigidBodyTree, Peer]:
     file, arguments = tmp_path / 'tree.urdf', TREE_ARGUMENTS
-    if request.param == 'tree':
-        file.write_text(TREE)
+    if request.param in ('tree', 'quaternions'):
+        file.write_text(TREE if request.param == 'tree' else with_quaternions(TREE))
     else:
         file = next(path for path in SHIPPED if path.stem == request.param or (
             request.param == 'rotors' and path.stem == 'six_joint_arm'))

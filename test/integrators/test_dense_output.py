@@ -1,16 +1,19 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""States between steps against a fine reference, on the pendulum."""
+"""States between steps: a fine reference of the pendulum, and close encounters of comets."""
 
 from functools import cache
 
-from helpers import Uncompiled
+from helpers import EPS, kepler_orbit, Method, METHODS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.time_transformed import CONTROLS, TimeTransformed
 from hnn_vi_ros.run.ensemble import simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.dense_step import record_at
 import numpy as np
 import pytest
 
@@ -92,6 +95,49 @@ def test_states_between_steps_are_as_accurate_as_the_method(method):
         assert error < 2.0 * local + 1e-14
     assert np.array_equal(np.ravel(dense.state(1.0)), np.ravel([simulation.q, simulation.p]))
     assert np.ravel(dense.state(0.0)).tolist() == [1.5, 2.0]
+
+
+def orbit_errors(method: Integrator, e: float, h: float, start: float, times: np.ndarray
+                 ) -> np.ndarray:
+    """Return the errors of a Kepler orbit, in units of the state at its pericentre, (k,)."""
+    q0, p0 = kepler_orbit(np.array([start]), e)
+    simulation = Simulation(HAMILTONIANS['kepler'](1.0), method, h, q0[0], p0[0])
+    (q, p), (exact_q, exact_p) = record_at(simulation, times), kepler_orbit(start + times, e)
+    return np.maximum(np.abs(q - exact_q).max(axis=1) / (1.0 - e),
+                      np.abs(p - exact_p).max(axis=1) * np.sqrt(1.0 - e))
+
+
+@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('method', METHODS, ids=lambda method: method.name)
+def test_states_between_steps_of_an_encounter_are_as_accurate_as_those_at_their_ends(
+        method: Method, e: float):
+    """Kepler's equation around the pericentre, off the grid and on it."""
+    integrator = method.integrator
+    if method.name == 'discrete_euler_lagrange':
+        integrator = INTEGRATORS[method.name]('helpers:kepler_lagrangian', 2)
+    # The pericentre's angular velocity times h; where errors of high orders are above round-off.
+    n, h = 10, (0.05 if integrator.order <= 2 else 0.3) * (1.0 - e) ** 1.5
+    ends = h * np.arange(2 * n + 1)
+    inside = (ends[:-1, None] + h * THETAS).ravel()
+    times = np.sort(np.concatenate([ends, inside]))
+    errors = orbit_errors(integrator, e, h, -n * h, times)
+    on = np.isin(times, ends)
+    # Twice for the local error of a part of a step; the angle of the start is known to an ulp of
+    # the time, which near the pericentre is 1 / (1 - e) as large in the state.
+    assert errors[~on].max() < 2.0 * errors[on].max() + 16.0 * EPS / (1.0 - e)
+
+
+@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('control, base', [
+    (control, base) for control, bases in CONTROLS.items() for base in bases])
+def test_states_within_steps_of_the_clock_converge_with_the_order_of_the_base(control, base, e):
+    """A whole pericentre passage lies within a step of the clock."""
+    times = np.linspace(0.0, 4.0 * np.pi, 301)
+    # Half of the samples near the pericentres, at even steps of the eccentric anomaly.
+    times = np.sort(np.concatenate([times, times - e * np.sin(times - np.pi)]))
+    coarse, fine = (orbit_errors(TimeTransformed(base, control=control), e, h, -np.pi, times).max()
+                    for h in (0.375, 0.1875))
+    assert np.log2(coarse / fine) >= TimeTransformed(base, control=control).order - 0.35
 
 
 def test_looking_between_steps_changes_no_later_step():

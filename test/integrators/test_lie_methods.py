@@ -8,7 +8,7 @@ from typing import Any
 import warnings
 
 from helpers import exact, python_kernel, python_step, Uncompiled
-from hnn_vi_ros import simulate
+from hnn_vi_ros import load_scene, simulate, simulate_many
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -387,8 +387,80 @@ def test_scene_of_a_body_that_turns_is_simulated_and_refuses_what_it_cannot_take
             ({'integrator': 'rk4'}, r'rk4 adds to .* methods that can: lie_variational_euler, '),
             ({'effects': [{'kind': 'thermostat', 'temperature': 1.0, 'rate': 0.1}]},
              'thermostat acts on scalar .* leave it out; effects that can: gravity, spring, '),
-            ({'duration': 0.03}, 'inside of a step of rotations'),
             ({'initial_state': ([0.0, 0.0, 0.0, 1.0], [0.0] * 4)}, 'attitude_rx, attitude_ry'),
             ({'initial_state': ([0.0, 0.0, 0.0, 2.0], [0.0] * 3)}, 'unit quaternion')):
         with pytest.raises(HnnViRosError, match=expected):
             simulate('free_rigid_body', **{'duration': 0.2, **changes})
+
+
+# States between steps.
+
+def top_at(t: np.ndarray) -> np.ndarray:
+    """Return (q, p) of the top at rising times, shape (k, 7)."""
+    return solve_ivp(euler_poisson, (0.0, t[-1]), [*Q, *P], 'DOP853', t_eval=t, rtol=1e-13,
+                     atol=1e-13).y.T
+
+
+THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85, 1.0])
+
+
+@pytest.mark.parametrize('method', [
+    *(create() for name, create in INTEGRATORS.items() if name.startswith('lie_')),
+    Yoshida4('lie_leapfrog')], ids=lambda method: method.kernel_name)
+def test_states_between_steps_on_a_group_are_as_accurate_as_the_method(method: Integrator):
+    """No worse than twice the local error of a whole step, and no worse than the reference."""
+    h = 0.1
+    dense = simulation(method, h).dense_step()
+    states = [dense.state(theta) for theta in THETAS]
+    errors = np.abs(np.array([np.concatenate(state) for state in states])
+                    - top_at(h * THETAS)).max(axis=1)
+    assert (errors < 2.0 * errors[-1] + 1e-12).all()
+    assert [np.linalg.norm(q) for q, _ in states] == pytest.approx([1.0] * 6, abs=1e-15)
+
+
+def test_polynomial_through_a_step_on_a_group_is_of_order_3():
+    lengths = 0.1 * np.array([1.0, 0.7, 0.5])
+    errors = [np.abs(np.hstack(simulation(INTEGRATORS['lie_gauss8'](), h).dense_step()
+                               .polynomial(THETAS)) - top_at(h * THETAS)).max() for h in lengths]
+    # Cubic Hermite errs by h^4.
+    assert np.polyfit(np.log(lengths), np.log(errors), 1)[0] >= 4 - 0.35
+
+
+@pytest.mark.filterwarnings('ignore:the model was trained through')
+@pytest.mark.parametrize('name', ['heavy_top', 'quadrotor', 'turning_pendulum'])
+def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: str):
+    times, scene = [0.0, 0.0137, 0.05, 0.1, 0.3333, 0.4999], load_scene(name)
+    runs = [simulate(scene, 0.5, step_size=scene.known_step_size / parts, times=times)
+            for parts in (1, 2, 8)]
+    assert runs[0].t.tolist() == times
+    coarse, fine = (max(np.abs(run.q - runs[2].q).max(), np.abs(run.p - runs[2].p).max())
+                    for run in runs[:2])
+    # (1 - 1 / 64) / (1 / 4 - 1 / 64) = 4.2 times, within the 0.35 of the tests of order.
+    assert coarse / fine >= 4.2 / 2.0 ** 0.35
+    q0, p0 = np.tile(runs[0].q[0], (3, 1)), np.tile(runs[0].p[0], (3, 1))
+    many = simulate_many(scene, q0, p0, 0.4999, samples=3)
+    alone = simulate(scene, 0.4999, times=many.t)
+    # Of a block the equations are solved until all of it has converged.
+    assert np.abs(many.q[:, 1] - alone.q).max() < 1e-13
+
+
+def test_events_of_a_body_that_turns_are_found_and_end_its_run(tmp_path):
+    """Of equal moments of inertia: qz = sin(t / 2) and qw = cos(t / 2), at 1 rad/s."""
+    file = tmp_path / 'ball.yaml'
+    file.write_text("""\
+hamiltonian: {kind: free_rigid_body, inertia: [1.0, 1.0, 1.0]}
+integrator: {kind: lie_leapfrog, retraction: exponential}
+step_size: 0.3
+initial_state: {q: [0.0, 0.0, 0.0, 1.0], p: [0.0, 0.0, 1.0]}
+events:
+  - {when: attitude_qz = 0.5, direction: both, then: log}
+  - {when: attitude_qw * attitude_qz = 0.499, direction: both, then: log}
+  - {when: attitude_qz = -0.5, direction: down, then: stop}
+""")
+    run = simulate(file, 20.0)
+    # sin t = 0.998, at the top of which a step of 0.3 s is over it for 0.13 s.
+    top = np.arcsin(0.998)
+    assert [event.t for event in run.events] == pytest.approx(
+        [np.pi / 3.0, top, np.pi - top, 5.0 * np.pi / 3.0, 7.0 * np.pi / 3.0], abs=1e-12)
+    assert (run.t[-1], run.q[-1, 2]) == pytest.approx((7.0 * np.pi / 3.0, -0.5), abs=1e-12)
+    assert run.q.shape == (len(run.t), 4) and run.p.shape == (len(run.t), 3)

@@ -2,12 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """What methods declare that they need: refusals, and the lists of methods that can."""
 
+import re
+
 from helpers import Uncompiled
+from hnn_vi_ros.effects.base import Place, StepEffect
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.lockstep.steps import step_of
+from hnn_vi_ros.run.differentiable_methods import differentiable_tableau
+from hnn_vi_ros.simulation.system import System
 import pytest
 
 
@@ -44,6 +51,45 @@ def test_refusal_names_the_methods_that_refuse_nothing(system):
     for name, message in refused.items():
         assert message.startswith(f'{name} ')
         assert message.partition('; methods that can: ')[2].split(', ') == able
+
+
+class Precise(StepEffect):
+    """A step effect that only methods of high order take."""
+
+    turns = True
+    acts = Place.OUTSIDE
+
+    def accepts(self, integrator: Integrator) -> bool:
+        """Return whether it takes a method."""
+        return integrator.order > 2
+
+    def resolve(self, coordinates, state) -> tuple:
+        """Return no parameters."""
+        return ()
+
+    @staticmethod
+    def wrap(step, keeps_gradient):
+        """Return the step."""
+        return step
+
+
+@pytest.mark.parametrize('system', ['separable', 'not separable', 'turning'])
+def test_methods_that_a_refusal_names_take_the_system(system):
+    hamiltonian, turning = SYSTEMS[system], system == 'turning'
+    # A method that takes the system, of low order, without a tableau and without a device.
+    method = METHODS['lie_leapfrog' if turning else 'discrete_gradient']
+    on_device = ('variational_euler', 'generalized_leapfrog', 'implicit_midpoint', 'gauss')
+    for refuse, can in (
+            (lambda: System(hamiltonian, [Precise()], method),
+             lambda name: METHODS[name].order > 2),
+            (lambda: differentiable_tableau(hamiltonian, method),
+             lambda name: METHODS[name].partitioned is not None),
+            (lambda: step_of(method, hamiltonian), lambda name: name.startswith(on_device))):
+        with pytest.raises(UnsupportedSystem) as refused:
+            refuse()
+        named = re.split(r'methods that \w+: ', str(refused.value))[1].split(', ')
+        able = [name for name in METHODS if not refusal(name, hamiltonian) and can(name)]
+        assert named == (able or ['none for this H'])
 
 
 def test_composition_needs_what_its_base_needs():

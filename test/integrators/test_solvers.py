@@ -173,7 +173,7 @@ class Chain:
         size = 2 * self.n
         memory = (MidpointWork(History.empty(size), SolverWork.empty(size, largest_matrix=size),
                                *np.zeros((2, size))),)
-        outcome, done, *_ = self._loop(h, 0, steps, z, z1, memory, q, p)
+        outcome, done, *_ = self._loop(h, 0, steps, z, z1, memory, q, p, steps)
         assert (outcome, done) == (OK, steps)
         return np.concatenate([q[0], p[0]])
 

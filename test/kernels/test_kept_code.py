@@ -1,10 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled code on a full disk, and files of it that a power cut has damaged."""
+"""Compiled code on a full disk, and files of it that are damaged or in a wrong place."""
 
 import errno
 import os
 from pathlib import Path
+import pickle
 import warnings
 
 from hnn_vi_ros.kernels import linking
@@ -17,16 +18,20 @@ def double(x):
     return 2 * x
 
 
+def triple(x):
+    return 3 * x
+
+
+def refuse(*arguments):
+    raise PermissionError
+
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     """Keep compiled code in a folder of the test's, and forget what was warned of."""
     monkeypatch.setattr(numba.config, 'CACHE_DIR', str(tmp_path))
-    linking._warn_of_lost.cache_clear()
+    linking._warned.clear()
     return tmp_path
-
-
-def files(folder: Path, suffix: str) -> list[Path]:
-    return list(folder.rglob(f'*.{suffix}'))
 
 
 def test_code_runs_where_it_cannot_be_kept_and_that_is_told_once(folder, monkeypatch):
@@ -42,15 +47,85 @@ def test_code_runs_where_it_cannot_be_kept_and_that_is_told_once(folder, monkeyp
     assert 'NUMBA_CACHE_DIR' in message and '\n' not in message
 
 
-@pytest.mark.parametrize('suffix', ['nbi', 'nbc'])
-@pytest.mark.parametrize('rest', [0, 3, -1])
-def test_damaged_file_is_made_anew(suffix, rest, folder):
-    assert keep_loop(numba.njit(double))(3) == 6
-    found, = files(folder, suffix)
-    whole = found.read_bytes()
-    found.write_bytes(whole[:rest])
-    again = keep_loop(numba.njit(double))
-    assert again(3) == 6 and not again.stats.cache_hits
-    # It is whole: the next process finds it.
-    third = keep_loop(numba.njit(double))
-    assert third(3) == 6 and third.stats.cache_hits
+def code(function):
+    """Return a function compiled and kept under the name of the function, as a start has it."""
+    return keep_loop(numba.njit(function))
+
+
+def assert_made_anew(folder: Path, reason: str) -> None:
+    """Assert that a damaged cache is told of in a line, made anew, and then found."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        again = code(double)
+        assert (again(3), again(3.0)) == (6, 6.0)
+    message, = {str(warning.message) for warning in caught}
+    assert str(folder) in message and reason in message and '\n' not in message
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        third = code(double)
+        assert (third(3), third(3.0)) == (6, 6.0) and len(third.stats.cache_hits) == 2
+
+
+@pytest.fixture
+def kept(folder):
+    """Keep two functions, one of them for two types, and return the files of the first."""
+    first = code(double)
+    assert (first(3), first(3.0), code(triple)(3)) == (6, 6.0, 9)
+    return sorted(folder.rglob('*double*'))
+
+
+@pytest.mark.parametrize('which', range(3))
+@pytest.mark.parametrize('damage', [
+    lambda whole: b'', lambda whole: whole[:3], lambda whole: whole[:-1],
+    lambda whole: whole + b'x', lambda whole: b'x' * len(whole),
+    # A byte of the machine code, or of an address in it.
+    lambda whole: whole[:-500] + bytes([whole[-500] ^ 4]) + whole[-499:]],
+    ids=['empty', 'begin', 'end', 'longer', 'other', 'bit'])
+def test_damaged_file_is_told_of_and_made_anew(which, damage, kept, folder):
+    kept[which].write_bytes(damage(kept[which].read_bytes()))
+    assert_made_anew(folder, 'damaged')
+
+
+@pytest.mark.parametrize('source, target', [
+    ('*triple*.1.nbc', '*double*.1.nbc'), ('*double*.2.nbc', '*double*.1.nbc'),
+    ('*triple*.nbi', '*double*.nbi')], ids=['code', 'type', 'index'])
+def test_file_in_the_place_of_another_is_told_of_and_made_anew(source, target, kept, folder):
+    (found,), (place,) = folder.rglob(source), folder.rglob(target)
+    place.write_bytes(found.read_bytes())
+    assert_made_anew(folder, 'in the place of others')
+
+
+@pytest.mark.parametrize('which', range(3))
+def test_file_that_cannot_be_read_is_told_of(which, kept, folder):
+    # Permissions do not stop the root user, as tests may be run by.
+    kept[which].unlink()
+    kept[which].mkdir()
+    again = code(double)
+    with pytest.warns(UserWarning, match='cannot be used .*Is a directory'):
+        assert (again(3), again(3.0)) == (6, 6.0)
+
+
+@pytest.mark.parametrize('content', [
+    linking._MARK + b'0.1\n', pickle.dumps('0.1') + pickle.dumps(('stamp', {}))],
+    ids=['numba', 'no digest'])
+def test_code_of_another_version_is_made_anew_and_not_told_of(content, kept):
+    index = kept[-1]
+    assert index.suffix == '.nbi'
+    index.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        again = code(double)
+        assert again(3) == 6 and not again.stats.cache_hits
+
+
+def test_code_whose_types_are_gone_is_made_anew(kept, monkeypatch):
+    def gone(data):
+        raise AttributeError('no such type')
+    monkeypatch.setattr(linking.pickle, 'loads', gone)
+    assert code(double)(3) == 6
+
+
+def test_code_runs_where_no_folder_can_be_written(monkeypatch):
+    monkeypatch.setattr(numba.core.caching._CacheLocator, 'ensure_cache_path', refuse)
+    with pytest.warns(UserWarning, match='compiled code cannot be kept .*NUMBA_CACHE_DIR'):
+        assert code(double)(3) == 6

@@ -123,7 +123,7 @@ def run(loop: Callable) -> tuple[numba.core.event.RecordingListener, float, floa
     q, p = np.empty((2, 1, 1))
     with install_recorder('numba:compile') as recorder:
         outcome, done, *_ = loop(step, simulation._kernel, 0.1, options, 0, 5, simulation._z,
-                                 simulation._z1, simulation._memories[0], q, p)
+                                 simulation._z1, simulation._memories[0], q, p, 5)
     assert (outcome, done) == (0, 5)
     return recorder, float(q[0, 0]), float(p[0, 0])
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.bag_data import BagData, BLOCKS, read_bags
+from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -211,6 +212,31 @@ def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, 
     assert np.abs(data.dq_dt - dH_dp).max() < 1e-12
     assert np.abs(data.dp_dt + dH_dq).max() < 1e-12
     assert len(data.q) == 280
+
+
+FORCED = """\
+hamiltonian: {kind: pendulum}
+effects: [{kind: external_force, coordinates: [angle], timeout: 10.0}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0], p: [0.0]}
+"""
+
+
+@pytest.mark.parametrize('begin', [None, 0])
+def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_path, begin, caplog):
+    (tmp_path / 'scene.yaml').write_text(FORCED)
+    path = record_run(tmp_path / 'bag', load_scene(tmp_path / 'scene.yaml'), 200,
+                      commands={0: [[0.5]], 100: [[-0.5]]}, begin=begin)
+    data = read_bags([path], bag(joints=['angle'], commands='commands', stamps='log'))
+    # Of the rows that are left at each end as margins nothing is asked.
+    assert set(np.unique(data.commands)) == ({0.5, -0.5} if begin is None else {-0.5})
+    assert caplog.text.count('is left out') == (begin == 0)
+    motions, told = read_bag_motions([path], BagMotions(), ['angle'])
+    assert set(np.unique(np.concatenate([motion.tau for motion in motions]))) == (
+        {0.5, -0.5} if begin is None else {-0.5})
+    # Samples at steps 1 to 99.
+    assert ('an unknown force for 99 samples' in told) == (begin == 0)
 
 
 def assert_exact(data, scene, tolerance: float) -> None:

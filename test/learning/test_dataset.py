@@ -292,10 +292,12 @@ GOOD = [f'{t} {np.sin(t)} {np.cos(t)}' for t in T]
     ('2.5 nan 1.0', ['column 2 (x)', 'finite number', "'nan'"]),
     ('2.5 1.0 -inf', ['column 3 (v)', 'finite number']),
     ('2.5 one 1.0', ['column 2 (x)', "'one'"]),
+    ('2.5 1_5 1.0', ['column 2 (x)', "'1_5'"]),
     ('2.5 1.0', ['2 columns, expected 3: t, x, v']),
+    ('2.5 1.0 3.0' + ' 4' * 10**5, ['5 columns or more, expected 3: t, x, v']),
     ('2.5 1.0 1.0 1.0', ['4 columns, expected 3: t, x, v']),
     ('0.1 1.0 1.0', ['column t', 'must increase']),
-], ids=['nan', 'infinite', 'word', 'short', 'long', 'backward'])
+], ids=['nan', 'infinite', 'word', 'digits', 'short', 'endless', 'long', 'backward'])
 def test_unusable_row_gives_data_error_with_its_line(tmp_path, line, words):
     path = tmp_path / 'log.txt'
     path.write_text('\n'.join(['# head', *GOOD[:50], line, *GOOD[51:]]))

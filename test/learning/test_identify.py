@@ -9,6 +9,7 @@ import shutil
 
 import hnn_vi_ros
 from hnn_vi_ros.cli import _call
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.learning.identify import main
 from hnn_vi_ros.learning.identify_correlation import (
@@ -28,6 +29,7 @@ import pytest
 from scipy.linalg import null_space, toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2, multivariate_normal
+from urdf_robots import TREE
 
 NOISE = 0.01, 0.05
 
@@ -452,6 +454,50 @@ def log(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp('logs') / 'swing.npz'
     np.savez(path, t=motion.t, q=motion.q, v=motion.v)
     return path
+
+
+ROBOT = """\
+hamiltonian:
+  {kind: urdf, file: tree.urdf, locked: {follower: 0.03}, rotor_inertia: {rail: 1.5, hip: 0.2}}
+effects:
+- {kind: joint_friction, damping: {rail: 2.0, hip: 0.1}, friction: {rail: 1.0}}
+- {kind: joint_limits, lower: {rail: -1.0, hip: -2.0}}
+- {kind: servo, coordinates: [rail, hip], stiffness: [1.0, 2.0], damping: 1.0, position: [0, 1]}
+- {kind: periodic_drive, coordinate: hip, amplitude: 1.0, frequency: 1.0}
+- {kind: dry_friction, coordinate: finger, force: 1.0}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [0, 0, 0, 0.05, 0], p: [0, 0, 0, 0, 0]}
+"""
+
+
+@pytest.fixture
+def robot(tmp_path) -> Scene:
+    (tmp_path / 'tree.urdf').write_text(TREE)
+    (tmp_path / 'robot.yaml').write_text(ROBOT)
+    return load_scene(tmp_path / 'robot.yaml')
+
+
+def test_numbers_of_a_slide_have_the_units_of_lengths(robot, tmp_path):
+    units = {
+        'rail.damping': 'N s/m', 'rail.friction': 'N', 'trunk.ixx': 'kg m2',
+        'joint_friction.damping.rail': 'N s/m', 'joint_friction.damping.hip': 'N m s/rad',
+        'joint_friction.friction.rail': 'N', 'joint_friction.speed': 'rad/s or m/s',
+        'joint_limits.lower.rail': 'm', 'joint_limits.lower.hip': 'rad',
+        'servo.stiffness.0': 'N/m', 'servo.stiffness.1': 'N m/rad',
+        'servo.damping': 'N s/m or N m s/rad', 'servo.position.0': 'm', 'servo.position.1': 'rad',
+        'periodic_drive.amplitude': 'N m', 'dry_friction.force': 'N', 'locked.follower': 'm',
+        'rotor_inertia.rail': 'kg', 'rotor_inertia.hip': 'kg m2', DELAY: 's'}
+    free = free_scene(robot, [*units], {}, tmp_path, True)
+    assert {number.name: number.unit for number in free.numbers} == units
+
+
+def test_number_of_a_link_that_is_fixed_to_another_is_that_of_a_body(robot, tmp_path):
+    # That of the tool with the hand could still be one, were these below zero.
+    free = free_scene(robot, ['tool.mass', 'tool.ixx', 'tip.mass'], {}, tmp_path, True)
+    assert [number.low for number in free.numbers] == [0.0, 0.0, 0.0]
+    with pytest.raises(ModelError, match="link 'tool': .*triangle inequality"):
+        free.at([0.4, 9.0, 0.1])
 
 
 def test_command_writes_numbers_posterior_report_and_scene(log, tmp_path, capsys):

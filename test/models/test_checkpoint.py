@@ -177,7 +177,7 @@ def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
 @pytest.mark.timeout(20)
 def test_named_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / 'pipe.safetensors')
-    assert_refused(tmp_path / 'pipe.safetensors', 'not a regular file')
+    assert_refused(tmp_path / 'pipe.safetensors', 'is no regular file')
 
 
 class Malicious:

@@ -5,24 +5,25 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_sink import McapSink
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.ros.bag_output import BagOutput
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC, TICKS
-from hnn_vi_ros.run.held_state import STATE_FILE, state_file
+from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.run.serialization import serialize
+from hnn_vi_ros.run.sinks import Beginning
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 
 # Of samples that nobody may miss: a machine may stall for more than ten messages.
 QUEUE = QoSProfile(depth=10_000)
@@ -32,27 +33,30 @@ EPOCH = 1_700_000_000 * 10**9
 
 def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
                change: Callable[[Sample], Sample] = lambda sample: sample, close: bool = True,
-               commands: Mapping[int, Sequence[object]] | None = None, begin: int = 0,
+               commands: Mapping[int, Sequence[object]] | None = None, begin: int | None = None,
                state: bool = True, qos: QoSProfile = TICKS, limited: bool = True,
                refuse: bool = False, **described: object) -> Path:
     """
     Record a run; `change` returns what is recorded in place of a sample.
 
-    Of each step, `commands` are what is heard before it, numbers or messages; the bag may begin at
-    a later one. It is one of before ~/state without `state`. Replay offers its samples by `qos`.
-    Without `limited`, commands beyond limits act; with `refuse` those are recorded that do not.
+    Of each step, `commands` are what is heard before it, numbers or messages. The bag begins with
+    the run, or is asked for later: at the step `begin`, once what comes before that was heard. It
+    is one of before ~/state without `state`. Replay offers its samples by `qos`. Without
+    `limited`, commands beyond limits act; with `refuse` those are recorded that do not.
     """
     simulation = build(scene)
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)
     encoder = MessageEncoder(simulation.hamiltonian.coordinates)
-    report = dump_yaml(scene_report(scene, simulation) | described)
-    first, sink = simulation.steps, None
+    report = scene_report(scene, simulation) | described
+    topics = TICK_TOPICS if state else TICK_TOPICS[1:]
+    sink = BagOutput(
+        Settings(record=begin is None, record_path=str(bag), publish_rate=rate),
+        BagTopics([_topic(*topic, qos) for topic in topics], _topic(*SCENE_TOPIC, LATCHED)),
+        RunFiles())
+    recording, first = sink.open(Beginning(scene, simulation, report, sampler)), simulation.steps
     for step in range(first, first + ticks * sampler.every):
-        if step == first + begin:
-            sink = _open(bag, report, sampler, TICK_TOPICS if state else TICK_TOPICS[1:],
-                         state_file(simulation) if begin else None, qos)
         for heard in (commands or {}).get(step, ()):
             message = Float64MultiArray(data=heard) if isinstance(heard, list) else heard
             # Joint states are commands before they are observations.
@@ -62,23 +66,18 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
             except ValueError:
                 if not refuse:
                     raise
-            if sink is not None:
+            if recording:
                 sink.write_other(_topic(one.topic, one.message_type, qos), sampler.stamp,
                                  serialize(message))
+        if begin is not None and step == first + begin:
+            sink.start()
+            recording = True
         simulation.advance(1)
-        if simulation.steps % sampler.every == 0 and sink is not None:
+        if simulation.steps % sampler.every == 0 and recording:
             sample = change(sampler.sample())
-            sink.write(sample.stamp, encoder.encode(sample)[0 if state else 1:])
+            sink.write(sample, encoder.encode(sample)[0 if state else 1:])
     sink.close() if close else sink.flush()
     return bag
-
-
-def _open(bag: Path, report: str, sampler: Sampler, topics: Sequence[tuple[str, type]],
-          state: bytes | None, qos: QoSProfile) -> McapSink:
-    attachments = {'scene.yaml': report.encode()} | ({STATE_FILE: state} if state else {})
-    sink = McapSink(bag, [_topic(*topic, qos) for topic in topics], attachments)
-    sink.write_other(_topic(*SCENE_TOPIC, LATCHED), sampler.stamp, serialize(String(data=report)))
-    return sink
 
 
 def _topic(name: str, kind: type, qos: QoSProfile) -> Topic:

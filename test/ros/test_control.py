@@ -19,6 +19,9 @@ import pytest
 class Steps:
     """A run that takes steps in batches of three, and none beyond the hundredth."""
 
+    # Whether a step fails, and what takes it is still being compiled.
+    waits = False
+
     def __init__(self):
         self.simulation = SimpleNamespace(
             steps=0, time=0.0, q=np.array([1.0]), p=np.array([-0.5]),
@@ -42,7 +45,9 @@ class Steps:
     def tell(self, text: str, level: str) -> None:
         pass
 
-    def step(self, most: float = math.inf) -> int:
+    def step(self, most: float = math.inf) -> int | None:
+        if self.waits:
+            return None
         taken = int(min(3, most, 100 - self.simulation.steps))
         self._stand(self.simulation.steps + taken)
         return taken
@@ -182,3 +187,25 @@ def test_messages_of_a_sample_leave_before_the_figures_are_evaluated():
     order = [calls.index(name) for name in (
         '_monitor.add', '_topics.publish', 'recording.write', '_monitor.evaluate')]
     assert order == sorted(order)
+
+
+def test_request_for_steps_goes_on_after_a_step_that_waits(control):
+    control.run.waits = True
+    future = control.request_steps(5)
+    control.turn()
+    assert not future.done()
+    control.run.waits = False
+    while not future.done():
+        control.turn()
+    assert figures(future.result().message)['steps'] == 5
+
+
+def test_run_goes_on_after_a_step_that_waits(control):
+    control.set_paused(False)
+    control.run.pacer.due, control.run.pacer.paced = lambda: True, False
+    control.run.waits = True
+    control.turn()
+    assert control.running and control.run.simulation.steps == 0
+    control.run.waits = False
+    while control.run.simulation.steps == 0:
+        control.turn()

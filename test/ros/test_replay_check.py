@@ -2,21 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bag against its own run simulated again, and a run that goes on from a bag."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+import re
 import signal
 
+from bags.bag_mutations import records_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_records import MAGIC
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.kernels.identity import identity
 from hnn_vi_ros.ros import replay_check
 from hnn_vi_ros.ros.bridge_picture import BridgePicture
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay_check import check_replay
-from hnn_vi_ros.run.held_state import restore_state, state_file
+from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
+from mcap.opcode import Opcode
 from mcap.writer import Writer
 import numpy as np
 from peer import peer, SIMULATOR
@@ -68,12 +73,28 @@ def test_driven_run_agrees_bit_by_bit_by_the_commands_in_its_bag(tmp_path, drive
     assert verdict.good and '100 samples agree bit by bit' in verdict.text, verdict.text
 
 
-def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven):
-    # At step 60 the one of step 58 is held until step 78; solver and bath have a history.
-    for begin in (60, 62):
-        bag = record_run(tmp_path / f'bag{begin}', driven, 100, commands=COMMANDS, begin=begin)
-        verdict = check_replay(bag)
-        assert verdict.good and '85 samples agree bit by bit' in verdict.text, verdict.text
+def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):
+    verdict = check_replay(record_run(tmp_path / 'bag', driven, 0))
+    assert not verdict.good
+    assert verdict.text.endswith('bag_0.mcap: holds no samples to compare'), verdict.text
+
+
+@pytest.mark.parametrize('begin, samples', [(0, 100), (40, 90), (60, 85), (62, 85)])
+def test_bag_begun_while_a_command_is_held_agrees_bit_by_bit(tmp_path, driven, begin, samples):
+    # At step 60 the one of step 58 is held until step 78; solver and bath have a history. At
+    # steps 0 and 40 a command was heard before the bag was asked for, at 0 with no other history.
+    bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS, begin=begin)
+    verdict = check_replay(bag)
+    assert verdict.good and f'{samples} samples agree bit by bit' in verdict.text, verdict.text
+
+
+def test_negative_zero_of_an_initial_state_keeps_its_sign(tmp_path):
+    # p - h 0.0 keeps it.
+    scene = load_scene('exact_pendulum').changed(
+        {'initial_state': {'q': [0.0], 'p': [-0.0]}})
+    for begin in (None, 3):
+        verdict = check_replay(record_run(tmp_path / f'bag{begin}', scene, 5, begin=begin))
+        assert verdict.good, verdict.text
 
 
 def test_driven_run_whose_commands_are_gone_is_not_certified(tmp_path, driven):
@@ -232,7 +253,7 @@ def test_sample_that_is_no_number_is_not_explained_by_round_off(tmp_path, elsewh
     assert not verdict.good and 'is beyond' in verdict.text
 
 
-@pytest.mark.parametrize('begin', [0, 62])
+@pytest.mark.parametrize('begin', [None, 62])
 def test_bag_without_its_first_samples_is_not_certified(tmp_path, driven, begin):
     bag = record_run(tmp_path / 'bag', driven, 100, begin=begin)
     assert check_replay(bag).good
@@ -240,6 +261,32 @@ def test_bag_without_its_first_samples_is_not_certified(tmp_path, driven, begin)
     verdict = check_replay(
         rewritten(own, tmp_path / 'a.mcap', lambda message: message.time > 5 * 10**8))
     assert not verdict.good and 'samples are missing in 1 gaps' in verdict.text
+
+
+def test_samples_that_are_there_twice_are_named_and_not_confirmed(tmp_path):
+    reader = RecordedRun(record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 40)).reader
+    bag = rewritten(reader, tmp_path / 'a.mcap', times=lambda message: 1 + (
+        2 * 10**8 <= message.time < 3 * 10**8))
+    verdict = check_replay(bag)
+    assert not verdict.good
+    assert ' of 40 samples agree' in verdict.text
+    assert 'BUT 10 samples are duplicates, the first at t = 0.2 s' in verdict.text
+
+
+@pytest.mark.parametrize('keep', ['summary', 'metadata.yaml'])
+def test_last_chunk_that_is_cut_out_is_missed_by_what_counts_it(tmp_path, monkeypatch, keep):
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**13)
+    path = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100) / 'bag_0.mcap'
+    records = records_of(path.read_bytes())
+    last = max(i for i, record in enumerate(records) if record[0] == Opcode.CHUNK)
+    end = next(i for i in range(last, len(records)) if records[i][0] == Opcode.METADATA)
+    if keep == 'summary':
+        (tmp_path / 'bag' / 'metadata.yaml').unlink()
+    path.write_bytes(MAGIC + b''.join(records[:last] + records[end:] * (keep == 'summary')))
+    verdict = check_replay(tmp_path / 'bag')
+    assert not verdict.good
+    assert 'samples agree bit by bit' in verdict.text and f'{keep} ' in verdict.text
+    assert re.search(r'holds \d+ messages, and its .* counts? 501', verdict.text)
 
 
 @pytest.mark.parametrize('data', [b'', b'\0\1\0\0', b'\0\1\0\0\xff\xff\xff\x7fabc'])
@@ -255,14 +302,15 @@ def test_message_that_is_none_of_its_type_is_one_line(tmp_path, driven, topic, d
 
 
 def rewritten(reader: BagReader, path: Path, keep=lambda message: True, own: bool = True,
-              change=lambda message: message) -> Path:
+              change=lambda message: message, files: Mapping[str, bytes] | None = None,
+              times=lambda message: 1) -> Path:
     """Write the messages of a bag that are to be kept, with what the simulator keeps with them."""
     with path.open('wb') as stream:
         writer = Writer(stream)
         writer.start('ros2')
         attachments = [found for source in reader._sources for found in source.attachments()]
         for found in attachments if own else ():
-            writer.add_attachment(0, 0, found.name, '', found.data)
+            writer.add_attachment(0, 0, found.name, '', (files or {}).get(found.name, found.data))
         writer.add_metadata('hnn_vi_ros', reader.metadata('hnn_vi_ros'))
         channels = {}
         for number, channel in reader.channels.items():
@@ -270,7 +318,9 @@ def rewritten(reader: BagReader, path: Path, keep=lambda message: True, own: boo
             channels[number] = writer.register_channel(
                 channel.topic, 'cdr', writer.register_schema(schema.name, 'ros2msg', schema.data))
         for message in filter(keep, reader.messages()):
-            writer.add_message(channels[message.channel], message.time, change(message).data, 0)
+            for _ in range(times(message)):
+                writer.add_message(
+                    channels[message.channel], message.time, change(message).data, 0)
         writer.finish()
     return path
 
@@ -315,6 +365,33 @@ def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monk
     monkeypatch.setattr(BagReader, 'attachment', lambda self, name: b'publish_rate: 100.0')
     with pytest.raises(RecordingError, match='publish_rate is no rate'):
         run.spacing  # noqa: B018  refused when it is read
+
+
+@pytest.mark.parametrize('rate', [
+    '1.0e-300', '1.0e-12', '5.0e-324', '.inf', '.nan', '-1.0', 'often', '[]'])
+def test_rate_in_a_bag_that_is_none_is_one_line(tmp_path, monkeypatch, rate):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
+    attachment = BagReader.attachment
+    monkeypatch.setattr(BagReader, 'attachment', lambda self, name: (
+        f'publish_rate: {rate}'.encode() if name == 'parameters.yaml' else attachment(self, name)))
+    with pytest.raises(RecordingError, match='publish_rate is no rate') as caught:
+        check_replay(bag)
+    assert '\n' not in str(caught.value)
+
+
+def test_state_of_a_step_beyond_all_stamps_is_one_line(tmp_path):
+    scene = load_scene('exact_pendulum')
+    run = RecordedRun(record_run(tmp_path / 'bag', scene, 5, begin=3))
+    state = safetensors.numpy.load(run.held_state)
+    state['steps'] = np.array(2**62)
+    bag = rewritten(run.reader, tmp_path / 'a.mcap',
+                    files={STATE_FILE: safetensors.numpy.save(state)})
+    with pytest.raises(RecordingError, match='before the state that it begins at') as caught:
+        check_replay(bag)
+    assert '\n' not in str(caught.value)
+    nothing = rewritten(run.reader, tmp_path / 'b.mcap', lambda message: not message.time,
+                        files={STATE_FILE: safetensors.numpy.save(state)})
+    assert not check_replay(nothing).good
 
 
 @pytest.mark.parametrize('name', ['exact_double_pendulum', 'exact_damped_driven_pendulum'])

@@ -156,7 +156,7 @@ def test_bridge_shows_alarms_and_timing_of_a_running_simulator_and_the_alarms_of
     simulator = start(tmp_path, scene='kepler.yaml', duration=12, real_time_factor=3,
                       rerun_sink='none', record_path='bag', discovery_time=20)
     status, _, said = finish(simulator)
-    assert status == 0 and 'use step_size <=' in said
+    assert status == 0 and 'under-resolved; use a smaller step_size' in said
     live = tmp_path / 'live.rrd'
     # The bridge may still be compiling for the picture; what it has received it shows at the end.
     wait_until(live.exists, 120.0)

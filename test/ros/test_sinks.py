@@ -28,7 +28,8 @@ def sink_of(name: str, fails_at: str = '') -> Mock:
 
 
 def recording_of(*sinks: Mock) -> Recording:
-    recording = Recording(Mock(), SimpleNamespace(name='scene'), Mock(),
+    recording = Recording(Mock(), SimpleNamespace(name='scene'),
+                          Mock(**{'snapshot.return_value': {}}),
                           Settings(record=False, rerun_sink='none'), None, None, {}, None)
     recording._sinks = sinks
     recording.renew(None, {}, None)

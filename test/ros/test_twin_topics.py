@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a simulator tells of an ensemble and a machine, and makes of bad observations."""
 
+from collections.abc import Iterator
 from pathlib import Path
 import signal
 
@@ -97,6 +98,68 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
     verdict = check_replay(tmp_path / 'bag')
     assert verdict.good, verdict.text
     check_bag(tmp_path / 'bag')
+
+
+ARM = """\
+hamiltonian: {{kind: double_pendulum}}
+effects:
+- {{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20, velocity_limit: 20}}
+integrator: {{kind: implicit_midpoint}}
+step_size: 0.005
+initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
+"""
+
+
+def absurd(rng: np.random.Generator) -> Iterator[JointState]:
+    """Yield what no machine sends: far away, fast, of other joints, at other times."""
+    names = ('angle1', 'angle2')
+    for size in (1e9, -1e9, 1e300, 1e4, 30.0):
+        yield observation([size, size], names)
+        yield observation(rng.uniform(-abs(size), abs(size), 2).tolist(), names)
+        yield observation([0.3, -0.2], names, velocity=[size, -size])
+        yield observation([0.3, size], ('angle1', 'angle3'))
+        yield observation([0.3, -0.2], names, at=int(rng.integers(2**31)) * 10**9)
+        yield observation([0.3, -0.2], names, at=-10**9)
+
+
+def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path: Path):
+    (tmp_path / 'scene.yaml').write_text(ARM.format(gain=300.0))
+    process = start(tmp_path, scene='scene.yaml', record_path='bag', rerun_sink='none')
+    right, rng = observation([0.3, -0.2], ('angle1', 'angle2')), np.random.default_rng(2)
+    with peer() as other:
+        machine = other.node.create_publisher(
+            JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
+        told: list[DiagnosticArray] = []
+        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
+        other.spin_until(lambda: other.states and machine.get_subscription_count())
+        for _ in range(3):
+            for wrong in absurd(rng):
+                machine.publish(wrong)
+                other.spin(0.03)
+            count = len(other.states)
+
+            def is_back(count: int = count) -> bool:
+                machine.publish(right)
+                other.spin(0.02)
+                # As far off as gravity, of some 20 N m, takes a spring of 300 N m/rad.
+                return len(other.states) > count + 20 and np.abs(np.subtract(
+                    other.states[-1].position, right.position)).max() < 0.2
+            other.spin_until(is_back)
+        other.spin_until(lambda: any(
+            (value.key == 'last ignored' and 'velocity_limit = 20' in value.value)
+            or 'from the simulated time' in value.value
+            for message in told for status in message.status for value in status.values))
+        process.send_signal(signal.SIGINT)
+        status, _, error = finish(process)
+    assert status == 0 and 'stands still' not in error
+    verdict = check_replay(tmp_path / 'bag')
+    assert verdict.good, verdict.text
+
+
+def test_gain_that_is_not_stable_is_one_line(tmp_path: Path):
+    (tmp_path / 'scene.yaml').write_text(ARM.format(gain=1e9))
+    status, _, error = finish(start(tmp_path, scene='scene.yaml', record_path='bag'))
+    assert status == 1 and 'effects.0.gain: observer: gain = 1e+09 is not stable' in error
 
 
 def check_bag(bag: Path) -> None:

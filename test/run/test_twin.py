@@ -2,10 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A twin tells how well it follows a machine, here one that is simulated."""
 
+from collections.abc import Iterator
 from pathlib import Path
+import re
 
 from hnn_vi_ros import load_scene, Scene
 from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.run.companions import Accompanied
 from hnn_vi_ros.run.twin import Twin, VALID
 from hnn_vi_ros.simulation import Simulation
@@ -154,6 +157,56 @@ def test_observation_far_beyond_a_joint_is_refused_and_not_counted(tmp_path: Pat
             accompanied.set_command(Observation(
                 ('angle',), 0.0, np.array([position]), np.array([velocity])))
     assert twin.newest is None
+
+
+def absurd(size: float, names: tuple[str, ...]) -> Iterator[Observation]:
+    """Yield what no machine is observed at, in every way that messages allow."""
+    rng, still = np.random.default_rng(5), np.zeros(len(names))
+    for _ in range(40):
+        yield Observation(names, 0.0, np.full(len(names), size), still)
+        yield Observation(names, 0.0, rng.uniform(-size, size, len(names)), still)
+        yield Observation(names, rng.uniform(-0.5, 0.5), rng.uniform(-1.0, 1.0, len(names)),
+                          rng.uniform(-size, size, len(names)))
+        yield Observation(names[:1], 0.0, np.zeros(1), np.zeros(1))
+        yield Observation(names, rng.uniform(-size, size), still, still)
+
+
+@pytest.mark.parametrize('size', [30.0, 1e3, 1e6, 1e9, 1e300])
+@pytest.mark.parametrize('first', [False, True])
+def test_twin_goes_on_after_absurd_observations(size: float, first: bool):
+    pull = {'kind': 'observer', 'coordinates': ['angle1', 'angle2'], 'gain': 300.0,
+            'damping': 20.0, 'deviations': [0.5, 0.5]}
+    scene = load_scene('exact_double_pendulum').changed({'effects': [pull]})
+    simulation, machine = build(scene), build(scene.changed({'effects': []}))
+    twin, names = Twin(scene, simulation), tuple(pull['coordinates'])
+    accompanied, taken = Accompanied(simulation, [twin]), 0
+    phases = [absurd(size, names), None, absurd(size, names), None]
+    for phase in phases if first else phases[1:]:
+        for bad in phase or [None] * 200:
+            try:
+                accompanied.set_command(bad or Observation(
+                    names, 0.0, machine.q.copy(), machine.dH_dp.copy()))
+                taken += bad is None
+            except ValueError as problem:
+                assert '\n' not in str(problem)
+            for one in (accompanied, machine):
+                one.advance(2)
+    # Two seconds at rates of at least 8 / s, those of a mass of 2.1 kg m^2, leave exp(-16) of what
+    # a wrong one has done. Between two observations the machine is taken to go on as it was seen,
+    # for 10 ms, in which gravity changes that by some 20 / s^2.
+    assert np.abs(twin.newest.error).max() < 1e-2 and taken > 150 * (1 + first)
+
+
+def test_gain_that_no_step_takes_is_refused_by_its_name(tmp_path: Path):
+    # Of a mass of 1 kg m^2 4 / h^2 without damping.
+    for gain, damping in ((1.7e5, 0.0), (1e9, 1.0)):
+        scene = scene_of(tmp_path, gain=gain, damping=damping)
+        with pytest.raises(SceneError, match=re.escape(
+                f'effects.1.gain: observer: gain = {gain:g} is not stable at step_size = 0.005 s: '
+                'at most 1.6e+05 is for the masses here; lower it, or step_size')):
+            Twin(scene, build(scene))
+    scene = scene_of(tmp_path, gain=1.5e5)
+    assert not Twin(scene, build(scene)).unstable
 
 
 @pytest.mark.parametrize('restored', [False, True])

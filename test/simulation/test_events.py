@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of scenes: what their conditions may be, and that each is found, once and in time."""
 
-from helpers import Uncompiled
+from helpers import kepler_orbit, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.run.ensemble import simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.scene.conditions import Condition
@@ -280,3 +281,54 @@ def test_pole_of_a_condition_is_no_event():
     roots.advance(20)
     assert not poles.events
     assert [event.t for event in roots.events] == pytest.approx([np.pi / 3], abs=1e-5)
+
+
+# Steps of the clock that are filled with steps of the method's own.
+
+def encounters(method: TimeTransformed, e: float, h: float, **events: str) -> WatchedSimulation:
+    """Return three orbits from the apocentre of a comet, watched for events by direction."""
+    q0, p0 = (part[0] for part in kepler_orbit(np.array([-np.pi]), e))
+    simulation = WatchedSimulation(
+        Simulation(HAMILTONIANS['kepler'](1.0), method, h, q0, p0),
+        [EventFunction(Condition(when), direction) for direction, when in events.items()])
+    simulation.advance(round(6.0 * np.pi / h))
+    return simulation
+
+
+@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('base, control, h', [
+    ('gauss8', 'hamiltonian', 0.5), ('stormer_verlet', 'integrating', 0.1)])
+def test_each_pericentre_within_steps_of_the_clock_is_found_to_the_order(base, control, h, e):
+    method = TimeTransformed(base, control=control)
+    # The energy is -1/2 all the time.
+    runs = [encounters(method, e, step, up='x * p_x + y * p_y = 0', both='H = 0')
+            for step in (h, 0.5 * h)]
+    passages = np.pi * np.array([1.0, 3.0, 5.0])
+    coarse, fine = (np.abs([event.t for event in run.events] - passages).max() for run in runs)
+    assert np.log2(coarse / fine) >= method.order - 0.35
+
+
+def test_event_that_comes_and_goes_between_steps_of_the_clock_is_found_twice():
+    """A comet is nearer than 1.02 times its least distance for 2 % of a step."""
+    run = encounters(TimeTransformed('gauss8'), 0.99, 0.75, down='x ** 2 + y ** 2 = 0.0102 ** 2',
+                     up='x ** 2 + y ** 2 = 0.0102 ** 2')
+    assert [event.direction for event in run.events] == ['down', 'up'] * 3
+    # r = 1 - e cos E and t = E - e sin E; 1e-4 of a second is what the passages are late.
+    anomaly = np.arccos((1.0 - 0.0102) / 0.99)
+    half = anomaly - 0.99 * np.sin(anomaly)
+    assert np.diff([event.t for event in run.events])[::2] == pytest.approx(2.0 * half, rel=0.01)
+
+
+def test_looking_within_steps_of_the_clock_changes_no_later_step():
+    seen = encounters(TimeTransformed('gauss8'), 0.9, 0.75, both='x = 0')
+    plain = Simulation(seen.hamiltonian, TimeTransformed('gauss8'), 0.75,
+                       *(part[0] for part in kepler_orbit(np.array([-np.pi]), 0.9)))
+    plain.advance(seen.steps)
+    assert np.array_equal([seen.q, seen.p], [plain.q, plain.p])
+    assert (seen.gradients, seen.time) == (plain.gradients, plain.time)
+
+
+def test_run_of_a_comet_that_ends_between_steps_has_its_energy():
+    run = simulate('kepler_close', 3.15, every=40)
+    # gauss8 in steps of its own: 3e-10 of the energy at the clock.
+    assert run.energy[-1] == pytest.approx(run.energy[0], abs=1e-8)

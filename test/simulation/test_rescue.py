@@ -2,19 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that fail, or would grow: what each word of on_failure does about them."""
 
-from helpers import Uncompiled
+from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.rescue import RescueGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators import INTEGRATORS, step_size_control
 from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import assembly, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
+from hnn_vi_ros.simulation.stepping import RescuePending
 import numpy as np
 from plain_systems import Plain
 import pytest
@@ -276,3 +277,96 @@ def test_sub_steps_are_given_up_at_a_limit_that_the_failure_names():
     assert 2 * most < caught.value.evaluations < 2 * most + 100
     assert caught.value.evaluations == simulation.gradients
     assert 'use a smaller step_size or another integrator' in str(caught.value)
+
+
+@pytest.mark.parametrize('make', [
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](max_iterations=3),
+                       0.05, [0.0], [-3.0]),
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6],
+                       [0.0]),
+    lambda: bounce('implicit', 40.0)], ids=['chain of solvers', 'sub-steps', 'two methods'])
+def test_step_that_waits_for_its_rescue_leaves_no_trace(make):
+    whole, waiting = make(), make()
+    whole.advance(60)
+    waiting.rescue_ready = False
+    for _ in range(2):
+        with pytest.raises(RescuePending):
+            waiting.advance(60)
+    # All steps before it are taken, and nothing tells that it was tried.
+    before = make()
+    before.advance(waiting.steps)
+    assert waiting.steps < 60 and before.rescued == 0
+    assert (waiting.gradients, waiting.costliest) == (before.gradients, before.costliest)
+    now, expected = waiting.snapshot(), before.snapshot()
+    assert all(np.array_equal(now[name], expected[name]) for name in expected)
+    waiting.compile_rescue()
+    assert waiting.rescue_ready
+    waiting.advance(60 - waiting.steps)
+    end, expected = waiting.snapshot(), whole.snapshot()
+    assert all(np.array_equal(end[name], expected[name]) for name in expected)
+    assert (waiting.rescued, waiting.gradients) == (whole.rescued, whole.gradients)
+
+
+@pytest.mark.parametrize('make', [
+    lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6],
+                       [0.0]),
+    lambda: Simulation(
+        HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6], [0.0],
+        [EFFECTS['external_force'](['x']), EFFECTS['damping'](0.01)]),
+    lambda: bounce('implicit', 40.0)], ids=['plain', 'effects', 'two methods'])
+def test_step_that_fails_finds_all_that_takes_it_compiled(make, monkeypatch):
+    simulation = make()
+    simulation.compile()
+    simulation.compile_rescue()
+
+    def refuse(*arguments, **options):
+        raise AssertionError('compiled in a step')
+    monkeypatch.setattr(assembly, 'entry_point', refuse)
+    monkeypatch.setattr(assembly, 'provide_for', refuse)
+    simulation.advance(60)
+    assert simulation.rescued > 0
+
+
+# What a failure says.
+
+def beyond(system: str, method: str, h: float, q: list, p: list, *effects, **options
+           ) -> Simulation:
+    """Return a simulation whose steps fail, with nothing else to try."""
+    integrator = INTEGRATORS[method](**options)
+    return Simulation(Uncompiled(HAMILTONIANS[system]()), integrator, h, q, p, effects, 'stop')
+
+
+def plumb_line(h: float) -> Simulation:
+    """Return a rod that turns so fast that an explicit step leads beyond its length."""
+    rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
+    return Simulation(Uncompiled(HAMILTONIANS['free_particle'](names=['x', 'z'])),
+                      INTEGRATORS['stormer_verlet'](), h, [1.0, 0.0], [0.0, -3.0], [rod], 'stop')
+
+
+@pytest.mark.filterwarnings('ignore:Uncompiled is not', 'ignore::RuntimeWarning')
+@pytest.mark.parametrize('make, reason, advice', [
+    (lambda: beyond('tao', 'variational_euler', 0.05, [1.0], [-1.0], solver='fixed_point',
+                    max_iterations=3), 'no convergence', 'use a smaller step_size or another'),
+    (lambda: beyond('tao', 'variational_euler', 3.0, [2.0], [2.0]), 'has no solution here',
+     'use a smaller step_size or another'),
+    (lambda: beyond('kepler', 'stormer_verlet', 1e200, [1.0, 0.0], [0.0, 1.0]), 'not finite',
+     'use a smaller step_size or another'),
+    (lambda: beyond('kepler', 'stormer_verlet', 0.1, [0.0, 0.0], [0.0, 1.0]), 'not finite',
+     'start elsewhere: H has no finite gradient there'),
+    (lambda: plumb_line(1.0), 'no impulses hold the constraints', 'use a smaller step_size or'),
+    (lambda: beyond('kepler', 'time_transformed', 0.5, [0.01, 0.0], [0.0, 14.0],
+                    base='stormer_verlet', control='integrating', force=1e-3, exponent=2.0),
+     'steps of its own', 'start elsewhere, or .* larger force'),
+    (lambda: beyond('heavy_top', 'lie_leapfrog', 1.0, [0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 60.0]),
+     'would turn by nearly pi', 'use a smaller step_size or another')])
+def test_failure_gives_a_residual_only_of_an_equation_that_was_not_solved(
+        make, reason, advice, monkeypatch):
+    """And advice that can help: of what no shorter step cures it speaks of none."""
+    monkeypatch.setattr(step_size_control, '_MOST_STEPS', 100)
+    with pytest.raises(StepFailure, match=f'{reason}.*; {advice}') as failed:
+        make().advance(20)
+    message, residual = str(failed.value), failed.value.relative_residual
+    assert ('relative residual' in message) == (reason == 'no convergence')
+    # As solvers accept it, of so few unknowns.
+    assert np.isnan(residual) or residual > 8 * EPS
+    assert ('smaller step_size' in message) == ('smaller step_size' in advice)

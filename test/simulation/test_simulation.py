@@ -189,15 +189,15 @@ def test_state_and_all_that_is_made_of_it_have_the_shape_of_the_initial_state(sh
 
 
 def test_step_failure_names_time_and_residual_and_keeps_the_last_good_state():
-    # h abs(H_qp) > 1 from the start: the fixed point does not contract.
-    simulation = tao(1.0, 2.0, 2.0, solver='fixed_point')
+    # h abs(H_qp) > 1 from the start: the fixed point does not contract, and is cut short.
+    simulation = tao(1.0, 2.0, 2.0, solver='fixed_point', max_iterations=3)
     with pytest.raises(StepFailure) as caught:
         simulation.advance(5)
     failure = caught.value
     assert simulation.steps == 0
     assert (simulation.q[0], simulation.p[0]) == (2.0, 2.0)
     assert (failure.t, failure.h) == (0.0, 1.0)
-    assert failure.reason in ('no convergence', 'not finite')
+    assert failure.reason == 'no convergence'
     assert failure.evaluations >= 1
     assert not failure.relative_residual < 1e-3
     assert f'relative residual {failure.relative_residual:.3g} after' in str(failure)

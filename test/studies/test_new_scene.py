@@ -49,7 +49,11 @@ def test_new_scene_names_joints_limits_and_what_is_held(tmp_path):
     (tmp_path / 'robot.urdf').write_text(TREE)
     scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
     text = (tmp_path / 'new.yaml').read_text()
-    assert '- rail     # prismatic, -0.5 to 0.5 m, damping 2.5, friction 0.5\n' in text
+    assert ('- rail     # prismatic, -0.5 to 0.5 m, damping 2.5 N s/m, friction 0.5 N\n'
+            '    - wrist    # revolute, -2 to 1.5 rad\n') in text
+    assert 'follower: 0.0   # [m]\n' in text and 'ratio squared [kg m2], [kg].\n' in text
+    assert 'each of these joints [N m], [N], [N m], [N], [N m]:\n' in text
+    assert 'speed: 0.01}   # [rad/s], [m/s]\n' in text
     assert scene.hamiltonian.file == 'robot.urdf'
     assert scene.hamiltonian.joints == ['hip', 'rail', 'wrist', 'finger', 'tail']
     assert scene.hamiltonian.locked == {'follower': 0.0}
@@ -71,6 +75,17 @@ def test_joints_that_cannot_move_or_are_too_many_are_held():
         'name="j2" type="continuous"', 'name="j2" type="revolute"').replace(
         '<parent link="l1"/>', '<parent link="l1"/><limit lower="0.5" upper="0.5"/>')
     assert held(parse_urdf(text.encode(), 'robot')) == {'j2': 0.5, 'j14': 0.0}
+
+
+def test_units_of_slides_are_those_of_lengths(tmp_path):
+    text = TREE.replace('type="revolute"', 'type="prismatic"').replace(
+        '"continuous">', '"prismatic">')
+    (tmp_path / 'robot.urdf').write_text(text)
+    write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+    text = (tmp_path / 'new.yaml').read_text()
+    assert 'rad' not in text and 'N m' not in text and 'kg m2' not in text
+    assert '# [m/s]\n' in text and 'squared [kg].' in text
+    assert 'joints [N], [N], [N], [N], [N]:' in text
 
 
 def test_new_scene_takes_the_place_of_no_file(tmp_path):

@@ -86,6 +86,9 @@ def test_sweep_over_some_numbers_by_their_keys(tmp_path):
     ({'covariance': {'names': NAMES[:2], 'matrix': [[1.0, 2.0], [2.0, 1.0]]}},
      'is not positive semidefinite'),
     ({'covariance': {'names': NAMES[:1], 'matrix': [[float('nan')]]}}, 'covariance.matrix'),
+    ({'parameters': {'hamiltonian.mass': {'value': True}}}, 'should be a valid number'),
+    ({'covariance': {'names': NAMES[:1], 'matrix': [['1e-4']]}}, 'should be a valid number'),
+    ({'covariance': {'names': ['\x1b[31m'], 'matrix': [[1e-4]]}}, r'there are: \?\[31m'),
     ({'parameters': {}}, "no 'hamiltonian.mass' among its parameters")])
 def test_file_that_cannot_be_used_is_one_line(tmp_path, changed, message):
     with pytest.raises(DataError, match=message) as problem:
@@ -99,6 +102,11 @@ def test_name_that_is_not_there_and_file_that_is_not_are_told(tmp_path):
                        {'hamiltonian.mas': 'hamiltonian.mass'})
     with pytest.raises(DataError, match='sweep: vary.0: .*none.json: .*No such file'):
         read_posterior(tmp_path / 'none.json', 'sweep: vary.0')
+    # Of which no more is read than shows that it is too large.
+    with (tmp_path / 'huge.json').open('wb') as stream:
+        stream.truncate(2**40)
+    with pytest.raises(DataError, match='huge.json: larger than 32 MiB'):
+        read_posterior(tmp_path / 'huge.json', 'sweep: vary.0')
     (tmp_path / 'bad.json').write_text('{')
     with pytest.raises(DataError, match='give what identify writes with --posterior'):
         read_posterior(tmp_path / 'bad.json', 'sweep: vary.0')

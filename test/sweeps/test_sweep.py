@@ -3,11 +3,13 @@
 """Sweeps: the same bytes however they are cut, stopped and gone on with; what columns hold."""
 
 from collections import Counter
+from contextlib import suppress
 import json
 import os
 from pathlib import Path
 import re
 import secrets
+import shutil
 import signal
 import subprocess
 import sys
@@ -385,6 +387,41 @@ def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
     assert len(contents(tmp_path / 'out')) == 6
 
 
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
+    # With several processes in C, where nothing else of Python runs.
+    hang = 'time.sleep(1e6)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
+    (tmp_path / 'hangs_in_sweeps.py').write_text(
+        'import ctypes, os, pathlib, time\n'
+        'def reduce(path):\n'
+        '    pathlib.Path(__file__).with_name(f"pid{os.getpid()}").touch()\n'
+        f'    {hang}\n')
+    (tmp_path / 'a.yaml').write_text(
+        'scene: exact_pendulum\nduration: 0.2\nshard_size: 32\n'
+        'vary: [{kind: grid, keys: [initial_state.q.0], low: [0], high: [1.5], counts: [64]}]\n'
+        'reduction: {function: "hangs_in_sweeps:reduce", columns: [mean]}\n')
+    code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
+    with subprocess.Popen(
+            [sys.executable, '-c', code, str(tmp_path / 'a.yaml'), '--out', str(tmp_path / 'out'),
+             '--jobs', str(jobs)], stderr=subprocess.PIPE, text=True,
+            start_new_session=True) as run:
+        try:
+            while len(workers := list(tmp_path.glob('pid*'))) < jobs:
+                assert run.poll() is None
+                time.sleep(0.02)
+            # As a terminal does: to all of its processes.
+            os.killpg(run.pid, signal.SIGINT)
+            # Without an end of its own it would last for as long as the reduction, which is ever.
+            _, error = run.communicate(timeout=60.0)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(run.pid, signal.SIGKILL)
+    assert run.returncode == 130 and 'Traceback' not in error
+    assert 'stopped; what is whole is in' in error
+    for worker in workers:
+        assert not Path('/proc', worker.name.removeprefix('pid'), 'exe').exists()
+
+
 @pytest.fixture
 def cluster(monkeypatch):
     """Return the address of a Ray cluster of two workers, begun as docs/scale.md says."""
@@ -480,5 +517,78 @@ def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
 def test_folder_counts_what_failed_and_what_is_missing(whole):
     plan = make_plan(LENGTHS)
     folder = SweepFolder(whole)
-    assert folder.missing(plan, (0, 1)) == [] and folder.failures(plan) == 0
-    assert SweepFolder(whole / 'none').missing(plan, (1, 2)) == [1, 3]
+    assert folder.survey(plan) == ([], [], 0)
+    assert SweepFolder(whole / 'none').survey(plan, (1, 2)).missing == [1, 3]
+
+
+def test_every_change_of_a_shard_is_found_by_name(whole, tmp_path):
+    plan, out = make_plan(LENGTHS), tmp_path / 'out'
+    shutil.copytree(whole, out)
+    folder, rng = SweepFolder(out), np.random.default_rng(3)
+    file, content = folder.file(1), folder.file(1).read_bytes()
+    # Those of the footer and of the seal, which no checksum of pages covers, as often as data.
+    places = [*rng.integers(len(content), size=300), *range(len(content) - 300, len(content))]
+    for place in places:
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(rng.integers(8))
+        file.write_bytes(damaged)
+        missing, told, _ = folder.survey(plan)
+        assert missing == [1] and len(told) == 1, place
+        assert told[0].startswith(f'{file}: ') and '\n' not in told[0]
+    for cut in (0, 4, 7, 8, 100, len(content) // 2, len(content) - 1):
+        file.write_bytes(content[:cut])
+        assert folder.survey(plan).missing == [1], cut
+    with pytest.warns(UserWarning, match='part-000001.parquet: is damaged .*; it is made again'):
+        sweep(LENGTHS, out)
+    assert contents(out) == contents(whole)
+
+
+def test_shards_that_were_swapped_or_are_of_another_sweep_are_found(whole, tmp_path, capsys):
+    (tmp_path / 'a.yaml').write_text(json.dumps(LENGTHS))
+    out, other = tmp_path / 'out', sweep(LENGTHS | {'seed': 7}, tmp_path / 'other')
+    shutil.copytree(whole, out)
+    for target, source in (('000000', whole / 'part-000002.parquet'),
+                           ('000002', whole / 'part-000000.parquet'),
+                           ('000003', other / 'part-000003.parquet')):
+        (out / f'part-{target}.parquet').write_bytes(source.read_bytes())
+    assert main([str(tmp_path / 'a.yaml'), '--out', str(out), '--jobs', '1']) == 0
+    told, lines = capsys.readouterr(), ['000000.parquet: is shard 2 of', '000002.parquet: is '
+                                        'shard 0 of', '000003.parquet: is of another sweep']
+    for line in lines:
+        assert f'part-{line}' in told.err
+    assert '4 of 4 shards of 210 trajectories, none failed' in told.out
+    assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
+        name: data for name, data in contents(whole).items() if name != 'sweep.json'}
+
+
+@pytest.mark.parametrize(('old', 'new', 'message'), [
+    ('"trajectories": 210', '"trajectories": 211', 'trajectories is 211 there, 210 here'),
+    ('"step_size": 0.01', '"step_size": 0.02', 'scene.step_size is 0.02 there'),
+    ('"digest": "', '"digest": "0', 'its digest is'),
+    ('{', '', 'sweep.json: .*; put it back as it was, or give another --out'),
+    ('"scene": {', '"scene": [{', 'put it back as it was')])
+def test_record_that_was_edited_is_told(whole, tmp_path, old, new, message):
+    shutil.copytree(whole, out := tmp_path / 'out')
+    text = (out / 'sweep.json').read_text()
+    assert old in text
+    (out / 'sweep.json').write_text(text.replace(old, new, 1))
+    before = contents(out)
+    with pytest.raises(RecordingError, match=message):
+        sweep(LENGTHS, out)
+    assert contents(out) == before
+    # As it was but for its layout.
+    (out / 'sweep.json').write_text(json.dumps(json.loads(text)))
+    sweep(LENGTHS, out)
+
+
+def test_shards_that_were_made_without_a_seal_are_taken(whole, tmp_path, monkeypatch):
+    plan, out = make_plan(LENGTHS), tmp_path / 'out'
+    shutil.copytree(whole, out)
+    folder = SweepFolder(out)
+    table = pq.read_table(folder.file(1))
+    pq.write_table(table.replace_schema_metadata(
+        table.schema.metadata | {b'hnn_vi_ros.shard': b'1'}), folder.file(1))
+    assert folder.survey(plan) == ([], [], 0)
+    content = folder.file(1).read_bytes()
+    folder.file(1).write_bytes(content[:200] + bytes(200) + content[400:])
+    assert folder.survey(plan).missing == [1]

@@ -74,9 +74,11 @@ def test_sweep_that_cannot_be_is_one_line(tmp_path, old, new, message):
 
 @pytest.mark.parametrize('text, message', [
     ('', 'no row of numbers'), ('hamiltonian.length\n', 'no row of numbers'),
-    ('hamiltonian.length\n1,2\n', 'row 2 has 2 values, expected 1'),
-    ('hamiltonian.length\n1\nnan\n', 'row 3, hamiltonian.length: nan is not finite'),
-    ('hamiltonian.length\nx\n', "could not convert string to float: 'x'"),
+    ('hamiltonian.length\n1,2\n', 'a.csv:2: 2 values, expected 1'),
+    ('hamiltonian.length\n1\nnan\n', "a.csv:3: hamiltonian.length: 'nan' is no finite number"),
+    ('hamiltonian.length\n1_5\n', "a.csv:2: hamiltonian.length: '1_5' is no finite number"),
+    ('hamiltonian.length\nx\n', "a.csv:2: hamiltonian.length: 'x' is no finite number"),
+    (f'hamiltonian.length\n1\n1{"," * 10**5}\n', 'a.csv:3: 100001 values, expected 1'),
     ('hamiltonian.width\n1\n', "unknown key 'width'"),
     # A number names no code.
     ('scene\n1\n', "unknown key 'scene'"), ('hamiltonian.kind\n1\n', 'hamiltonian')])

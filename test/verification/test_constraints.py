@@ -548,7 +548,7 @@ def test_constraint_that_becomes_redundant_is_named_in_the_step_where_it_does():
         HolonomicConstraint(form='python', factory='test_constraints:narrowing')],
         p=[-1.0, 0.0, 0.0])
     with pytest.raises(StepFailure, match='holonomic_constraint_1: it depends on the constraints '
-                                          'before it; leave it out'):
+                                          'before it.*; leave it out'):
         simulation.advance(100)
     # Where x^3 at the two ends of a step is lost beside 1: at x = 0.01, to half a step.
     assert simulation.q[0] == pytest.approx(0.01, abs=0.0051)

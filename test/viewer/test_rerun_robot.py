@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 from rerun_reader import read
-from urdf_robots import chain, ROOT, TREE, TREE_ARGUMENTS
+from scipy.spatial.transform import Rotation
+from urdf_robots import chain, ROOT, TREE, TREE_ARGUMENTS, with_quaternions
 
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
 
@@ -88,6 +89,38 @@ def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
     # It slides along -y, by 0.03 m.
     assert np.array(found['/joints/follower']['Transform3D:translation']).reshape(2, 3) == \
         pytest.approx(np.array([[0.0, -0.03, 0.0]] * 2), abs=1e-7)
+
+
+def test_joints_move_about_and_along_axes_of_any_length(tmp_path: Path):
+    text, q = TREE.replace('xyz="0 1 0"', 'xyz="0 5 0"'), np.array([[0.05] * 5, [2.0] * 5])
+    (tmp_path / 'tree.urdf').write_text(text)
+    found = record(tmp_path / 'tree.rrd', RigidBodyTree(
+        str(tmp_path / 'tree.urdf'), **TREE_ARGUMENTS), q)
+    # About (1, 2, -2) / 3; stored as float32.
+    frame = Rotation.from_euler('xyz', [0.3, 0.5, -0.7])
+    expected = frame * Rotation.from_rotvec(np.outer([0.05, 2.0], [1.0, 2.0, -2.0]) / 3.0)
+    turns = np.array(found['/joints/hip']['Transform3D:quaternion']).reshape(2, 4)
+    assert np.abs((turns * expected.as_quat()).sum(axis=1)) == pytest.approx(
+        np.ones(2), abs=1e-6)
+    places = np.array(found['/joints/finger']['Transform3D:translation']).reshape(2, 3)
+    assert places == pytest.approx(np.array([[0.0, 0.05, 0.0], [0.0, 2.0, 0.0]]), abs=1e-6)
+
+
+def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: Path):
+    capsule = ('<link name="base"><visual><geometry><capsule radius="0.1" length="0.5"/>'
+               '</geometry></visual></link>')
+    found = []
+    for name, text in (('old', TREE), ('new', with_quaternions(TREE).replace(
+            '<link name="base"/>', capsule))):
+        (tmp_path / f'{name}.urdf').write_text(text)
+        robot = RigidBodyTree(str(tmp_path / f'{name}.urdf'), **TREE_ARGUMENTS)
+        found.append(record(tmp_path / f'{name}.rrd', robot, np.full((2, 5), 0.05)))
+    for name in (*TREE_ARGUMENTS['joints'], 'follower'):
+        old, new = (np.array(one[f'/joints/{name}']['Transform3D:quaternion']).reshape(2, 4)
+                    for one in found)
+        # Quaternions of both signs are the same turn; they are stored as float32.
+        assert np.abs((old * new).sum(axis=1)) == pytest.approx(np.ones(2), abs=1e-6)
+    assert 'TextLog:text' not in found[1].get('/events', {})
 
 
 def test_robot_whose_file_is_gone_is_told_and_the_rest_is_shown(tmp_path: Path):

@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -11,6 +12,24 @@ import numpy as np
 # Joints with one coordinate, and those without.
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
+# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of the rules.
+_ROUNDING, _NOTHING = 1e-6, 1e-12
+
+
+class Units(NamedTuple):
+    """Units of a joint: of q and p, of its force, of its viscous friction, and of a rotor."""
+
+    q: str
+    p: str
+    force: str
+    damping: str
+    rotor: str
+
+    @classmethod
+    def of(cls, kind: str) -> 'Units':
+        """Return those of a kind of joint."""
+        return cls('m', 'kg m/s', 'N', 'N s/m', 'kg') if kind == SLIDING else \
+            cls('rad', 'kg m2/s', 'N m', 'N m s/rad', 'kg m2')
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +51,23 @@ class Inertial:
     mass: float
     centre: np.ndarray
     moments: np.ndarray
+
+    @property
+    def fault(self) -> str:
+        """Return why no body has this mass and these moments of inertia; empty if one has."""
+        low, middle, high = np.linalg.eigvalsh(self.moments)
+        room = _NOTHING + _ROUNDING * abs(high)
+        text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
+        if self.mass < 0.0:
+            return f'mass = {self.mass:g} kg must not be negative'
+        if low < -room:
+            return f'{text}: none may be negative; see ixx to izz'
+        if low + middle < high - room:
+            return (f'{text}: no body has one that is more than the two others together (triangle '
+                    'inequality); see ixx to izz, and their unit')
+        if self.mass == 0.0 and high > room:
+            return f'{text} without mass; give the mass, or leave inertial out'
+        return ''
 
 
 @dataclass(frozen=True)
@@ -100,6 +136,11 @@ class Joint:
     damping: float
     friction: float
     mimics: str | None
+
+    @property
+    def units(self) -> Units:
+        """Return its units."""
+        return Units.of(self.kind)
 
     @property
     def moves(self) -> bool:

@@ -5,17 +5,16 @@
 from collections.abc import Mapping, Sequence
 import math
 import re
+import warnings
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
-    Inertial, Joint, KINDS, RIGID, Robot, SLIDING)
+    Inertial, Joint, KINDS, Link, RIGID, Robot, SLIDING)
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies, compose, place, Work
 import numpy as np
 
 MOST_JOINTS = 12
 _NAME = re.compile(r'[^\W\d][\w.-]*\Z')
-# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of its rules.
-_ROUNDING, _NOTHING = 1e-6, 1e-12
 # Least eigenvalue of M, its diagonal scaled to one, that is no rounding.
 _SINGULAR = 1e-13
 # Configurations that have nothing to do with one another, at which M is looked at.
@@ -54,7 +53,7 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
 
     """
     if base not in robot.links:
-        raise ValueError(f'base = {base!r} is no link; links: {", ".join(robot.links)}')
+        raise ValueError(f'base = {base!r} is no link; links: {listed(robot.links)}')
     builder = _Builder(robot, locked, base)
     moving = {joint.name: joint for joint in builder.joints}
     order = list(moving) if joints is None else list(joints)
@@ -64,7 +63,7 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
         for joint in values:
             if joint not in valid:
                 raise ValueError(f'{name} names {joint!r}, which is no joint that moves; valid: '
-                                 f'{", ".join(valid) or "none"}')
+                                 f'{listed(valid) or "none"}')
     for joint, value in rotor_inertia.items():
         if not (math.isfinite(value) and value >= 0.0):
             raise ValueError(f'rotor_inertia of {joint} = {value} must be a number from 0')
@@ -98,18 +97,19 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
         if name not in moving:
             why = 'it is locked' if name in met else 'no such joint moves'
             raise ValueError(f'joints names {name!r}: {why}; moving joints: '
-                             f'{", ".join(moving) or "none"}')
+                             f'{listed(moving) or "none"}')
     if len(set(order)) < len(order):
-        raise ValueError(f'joints = {list(order)} must name each joint once')
-    left = [name for name in moving if name not in order]
+        raise ValueError(f'joints = [{listed(order)}] must name each joint once')
+    named = set(order)
+    left = [name for name in moving if name not in named]
     if left:
-        raise ValueError(f'joints leaves out {", ".join(left)}; name them too, or hold them where '
+        raise ValueError(f'joints leaves out {listed(left)}; name them too, or hold them where '
                          f'they are to be: locked: {{{left[0]}: 0.0}}')
     if not order:
         raise ValueError('joints has none that moves; take another base, or lock fewer')
     if len(order) > MOST_JOINTS:
         raise ValueError(f'joints: {len(order)} move, at most {MOST_JOINTS} can; lock some, or '
-                         f'take another base: {", ".join(order)}')
+                         f'take another base: {listed(order)}')
     for name in order:
         if not _NAME.match(name):
             raise ModelError(f'{moving[name].place}: the name of a coordinate must be a letter or '
@@ -134,40 +134,40 @@ def _check_mass(bodies: Bodies, joints: Sequence[Joint]) -> None:
             free = diagonal <= 0.0
     names = [joint.name for joint, one in zip(joints, free, strict=True) if one]
     first = next(joint for joint, one in zip(joints, free, strict=True) if one)
-    raise ModelError(f'{first.place}: {", ".join(names)} can move without moving any mass or '
+    raise ModelError(f'{first.place}: {listed(names)} can move without moving any mass or '
                      f'inertia; give <inertial> to link {first.child!r} or those behind it, lock '
                      'the joint, or give its rotor_inertia')
-
-
-def _check_inertial(inertial: Inertial, place: str) -> None:
-    """Raise unless some body has this mass and these moments of inertia."""
-    low, middle, high = np.linalg.eigvalsh(inertial.moments)
-    room = _NOTHING + _ROUNDING * abs(high)
-    text = f'principal moments of inertia {low:g}, {middle:g}, {high:g} kg m2'
-    if low < -room:
-        raise ModelError(f'{place}: {text}: none may be negative; see ixx to izz')
-    if low + middle < high - room:
-        raise ModelError(f'{place}: {text}: no body has one that is more than the two others '
-                         'together (triangle inequality); see ixx to izz, and their unit')
-    if inertial.mass == 0.0 and high > room:
-        raise ModelError(f'{place}: {text} without mass; give the mass, or leave inertial out')
 
 
 class _Body:
     """Links that are rigid together: a row of Bodies in the making."""
 
-    def __init__(self, parent: int, slides: bool, rotation: np.ndarray, origin: np.ndarray):
-        self.parent, self.slides = parent, slides
+    def __init__(self, parent: int, slides: bool, turns: bool, rotation: np.ndarray,
+                 origin: np.ndarray):
+        self.parent, self.slides, self.turns = parent, slides, turns
         self.rotation, self.origin = rotation, origin
         self.mass, self.first, self.second = 0.0, np.zeros(3), np.zeros((3, 3))
+        # Its links in its frame.
+        self._links: list[Inertial] = []
 
     def add(self, link: Inertial, rotation: np.ndarray, origin: np.ndarray) -> None:
         """Add a link whose frame stands there in the frame of the body."""
         centre = origin + rotation @ link.centre
+        self._links.append(Inertial(link.mass, centre, rotation @ link.moments @ rotation.T))
         self.mass += link.mass
         self.first += link.mass * centre
         self.second += rotation @ link.moments @ rotation.T + link.mass * (
             centre @ centre * np.eye(3) - np.outer(centre, centre))
+
+    @property
+    def fault(self) -> str:
+        """Return why no body moves as it does, whose moments matter if it turns; or nothing."""
+        centre = self.first / self.mass if self.mass > 0.0 else np.zeros(3)
+        moments = np.zeros((3, 3))
+        for link in self._links if self.turns else ():
+            arm = link.centre - centre
+            moments += link.moments + link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return Inertial(self.mass, centre, moments).fault
 
 
 class _Builder:
@@ -175,7 +175,9 @@ class _Builder:
 
     def __init__(self, robot: Robot, locked: Mapping[str, float], base: str):
         self._robot, self._locked = robot, locked
-        self._rows = [_Body(0, False, np.eye(3), np.zeros(3))]
+        self._rows = [_Body(0, False, False, np.eye(3), np.zeros(3))]
+        # Links that no body could be, with their rows and why.
+        self._odd: list[tuple[Link, int, str]] = []
         # Those that move, in the order of the bodies; and those that could.
         self.joints: list[Joint] = []
         self.met: dict[str, Joint] = {}
@@ -186,21 +188,38 @@ class _Builder:
         self._reach(base, 0, np.eye(3), np.zeros(3))
         while self._waiting:
             self._pass(*self._waiting.pop())
+        self._judge()
         if self._mimics:
-            text = ', '.join(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
-            held = ', '.join(f'{joint.name}: 0.0' for joint in self._mimics)
+            text = listed(f'{joint.name} (of {joint.mimics})' for joint in self._mimics)
+            held = listed(f'{joint.name}: 0.0' for joint in self._mimics)
             raise ModelError(f'{self._mimics[0].place}: joints that mimic others are not '
                              f'simulated: {text}; hold them where they are to be: '
                              f'locked: {{{held}}}')
 
     def _reach(self, name: str, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
         link = self._robot.links[name]
-        # What rests may weigh anything.
-        if link.inertial is not None and row > 0:
-            _check_inertial(link.inertial, link.place)
-            self._rows[row].add(link.inertial, rotation, origin)
+        if link.inertial is not None:
+            if fault := link.inertial.fault:
+                self._odd.append((link, row, fault))
+            # What rests may weigh anything.
+            if row > 0:
+                self._rows[row].add(link.inertial, rotation, origin)
         # The first one is passed next.
         self._waiting += [(joint, row, rotation, origin) for joint in reversed(link.joints)]
+
+    def _judge(self) -> None:
+        """Raise for a link that no body could be where that matters, and warn of all others."""
+        for link, row, fault in self._odd:
+            assert link.inertial is not None, 'only what is there can be odd'
+            if row > 0 and (link.inertial.mass < 0.0 or self._rows[row].fault):
+                raise ModelError(f'{link.place}: {fault}')
+        for link, row, fault in self._odd[:1]:
+            why = 'together with what it is fixed to it is possible'
+            if not self._rows[row].turns:
+                why = 'it does not turn' if row > 0 else 'it rests'
+            others = listed(other.name for other, *_ in self._odd[1:])
+            warnings.warn(f'{link.place}: {fault}; simulated as it is, since {why}'
+                          f'{"; likewise " * bool(others)}{others}', stacklevel=5)
 
     def _pass(self, joint: Joint, row: int, rotation: np.ndarray, origin: np.ndarray) -> None:
         origin = origin + rotation @ joint.origin
@@ -227,7 +246,9 @@ class _Builder:
         else:
             frame = frame_of(joint.axis)
             self.joints.append(joint)
-            self._rows.append(_Body(row, joint.kind == SLIDING, rotation @ frame, origin))
+            slides = joint.kind == SLIDING
+            turns = self._rows[row].turns or not slides
+            self._rows.append(_Body(row, slides, turns, rotation @ frame, origin))
             self._reach(joint.child, len(self._rows) - 1, frame.T, np.zeros(3))
 
     def bodies(self, places: Sequence[int], armature: Sequence[float], gravity: Sequence[float]

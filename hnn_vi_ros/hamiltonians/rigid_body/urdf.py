@@ -1,26 +1,57 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read a robot from a URDF: its links and joints; what it looks like is not read."""
+"""
+Read a robot from a URDF of version 1.0 to 1.2: its links and joints, and not how it looks.
+
+The format is that of urdfdom 6.0. What urdfdom leaves out of account with a warning, or reads as
+zero, such as a quaternion in a file of version 1.0, is refused: it would be another robot.
+"""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 import math
 from pathlib import Path
 import re
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Inertial, Joint, Limits, Link, RIGID, Robot
+from hnn_vi_ros.hamiltonians.rigid_body.robot import (
+    Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
 import numpy as np
 
 # Without a way back: the time that it takes is proportional to the length.
 _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
 _LONGEST_NAME = 200
+# Ten times those of the largest published humanoids.
+_MOST_LINKS = 2000
 # In SI units; larger ones, of which products overflow, are mistakes. Limits may be any number.
 _LARGEST = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+# The first has no quaternions; the last asks for both limits of a joint, or for none.
+_VERSIONS = ('1.0', '1.1', '1.2')
+# What has physical meaning: its attributes, and the elements in it. Others, such as <visual>,
+# <gazebo>, <transmission> and <drake:...>, are not looked at.
+_ATTRIBUTES: dict[str, tuple[str, ...]] = {
+    'robot': ('name', 'version'), 'link': ('name', 'type'), 'joint': ('name', 'type'),
+    'inertial': (), 'mass': ('value',), 'inertia': _MOMENTS,
+    'origin': ('xyz', 'rpy', 'quat_xyzw'), 'parent': ('link',), 'child': ('link',),
+    'axis': ('xyz',), 'dynamics': ('damping', 'friction'),
+    'limit': ('lower', 'upper', 'velocity', 'effort', 'acceleration', 'deceleration', 'jerk'),
+    'mimic': ('joint', 'multiplier', 'offset'), 'calibration': (
+        'rising', 'falling', 'reference_position'), 'safety_controller': (
+        'soft_lower_limit', 'soft_upper_limit', 'k_position', 'k_velocity')}
+_ELEMENTS: dict[str, tuple[str, ...]] = {
+    'robot': ('link', 'joint'), 'link': ('inertial',), 'inertial': ('origin', 'mass', 'inertia'),
+    'joint': ('origin', 'parent', 'child', 'axis', 'limit', 'dynamics', 'mimic', 'calibration',
+              'safety_controller')}
+# Attributes that published robots have beside these, for Gazebo, Bullet, Drake and drivers: none
+# of them is of the format.
+_FOREIGN: dict[str, tuple[str, ...]] = {
+    'link': ('concave',), 'joint': ('dont_collapse',), 'inertia': ('iyx', 'izx', 'izy'),
+    'axis': ('rpy',), 'limit': ('command_effort', 'current', 'gear_velocity', 'twist'),
+    'dynamics': ('D', 'K', 'mu_coulomb', 'mu_viscous', 'spring_reference', 'spring_stiffness')}
 
 
 def read_urdf(path: Path) -> Robot:
@@ -51,8 +82,16 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     if macro is not None:
         raise ModelError(f'{where}:{macro.line}: <{macro.tag}>: a xacro, which is no URDF yet; '
                          'make one of it: xacro FILE > robot.urdf')
-    joints = [_joint(element, where) for element in root.named('joint')]
-    links = root.named('link')
+    links, between = root.named('link'), root.named('joint')
+    if max(len(links), len(between)) > _MOST_LINKS:
+        raise ModelError(f'{where}: {len(links)} links and {len(between)} joints, at most '
+                         f'{_MOST_LINKS} of each are read; leave out what is not simulated')
+    version = root.attributes.get('version', _VERSIONS[0])
+    if version not in _VERSIONS:
+        raise ModelError(f'{where}:{root.line}: robot version={version[:40]!r} cannot be read; '
+                         f'valid: {", ".join(_VERSIONS)}')
+    _check_known(root, where, version)
+    joints = [_joint(element, where, version) for element in between]
     _check_names([_name(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
     carried: dict[str, list[Joint]] = {_name(element, where): [] for element in links}
@@ -61,7 +100,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     for joint in joints:
         for end in (joint.parent, joint.child):
             if end not in carried:
-                raise ModelError(f'{joint.place}: no link {end!r}; links: {_list(carried)}')
+                raise ModelError(f'{joint.place}: no link {end!r}; links: {listed(carried)}')
         carried[joint.parent].append(joint)
     first = _root(list(carried), joints, where)
     return Robot(root.attributes.get('name', ''), {
@@ -81,6 +120,29 @@ def _read(path: Path) -> bytes:
         raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
 
 
+def _check_known(element: Element, where: str, version: str, label: str = 'robot') -> None:
+    """Raise for attributes that are not known, and for elements that are misspelt or misplaced."""
+    tag, place = element.tag, f'{where}:{element.line}: {label}'
+    valid, inside = _ATTRIBUTES[tag], _ELEMENTS.get(tag, ())
+    for name in element.attributes:
+        # Those of namespaces are theirs.
+        if name not in (*valid, *_FOREIGN.get(tag, ()), 'xmlns') and ':' not in name:
+            raise ModelError(f'{place}: unknown attribute {name[:60]!r}'
+                             f'{did_you_mean(name, valid, 0.6)}; valid: {listed(valid) or "none"}')
+    if 'quat_xyzw' in element.attributes and version == '1.0':
+        raise ModelError(f'{place}: quat_xyzw is of version 1.1, and this file of 1.0, in which '
+                         'others do not read it; write <robot version="1.1">, or rpy in its place')
+    for child in element.children:
+        if child.tag in inside:
+            named = f'{child.tag} {child.attributes.get("name", "")!r}'
+            _check_known(child, where, version,
+                         named if tag == 'robot' else f'{label}: {child.tag}')
+        elif (hint := did_you_mean(child.tag.lower(), inside)) or (
+                child.tag in _ATTRIBUTES and (tag, child.tag) != ('link', 'origin')):
+            raise ModelError(f'{where}:{child.line}: {label}: <{child.tag[:60]}> means nothing '
+                             f'there{hint}; valid: {listed(inside) or "none"}')
+
+
 def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
     """Return the one link that no joint carries; all others hang on it."""
     carriers: dict[str, Joint] = {}
@@ -92,7 +154,7 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
         carriers[joint.child] = joint
     roots = [link for link in links if link not in carriers]
     if len(roots) > 1:
-        raise ModelError(f'{where}: several links hang on nothing: {_list(roots)}; join all but '
+        raise ModelError(f'{where}: several links hang on nothing: {listed(roots)}; join all but '
                          'one to others, by fixed joints for example')
     # Towards the base, each link once.
     known = set(roots)
@@ -101,15 +163,15 @@ def _root(links: Sequence[str], joints: Sequence[Joint], where: str) -> str:
         while link not in known:
             if link in path:
                 raise ModelError(f'{path[link].place}: joints in a circle: '
-                                 f'{_list(joint.name for joint in path.values())}; a tree has '
+                                 f'{listed(joint.name for joint in path.values())}; a tree has '
                                  'none: leave one of them out')
             path[link] = carriers[link]
             link = carriers[link].parent
-        known |= path.keys()
+        known.update(path)
     return roots[0]
 
 
-def _joint(element: Element, where: str) -> Joint:
+def _joint(element: Element, where: str, version: str) -> Joint:
     name, place = _name(element, where), _place(element, where)
     kind = element.attributes.get('type')
     if not kind:
@@ -118,13 +180,13 @@ def _joint(element: Element, where: str) -> Joint:
     limit, dynamics, mimic = (_only(element, tag, place) for tag in ('limit', 'dynamics', 'mimic'))
     damping, friction = (_number(dynamics, key, place, default=0.0)
                          for key in ('damping', 'friction'))
-    for key, value in (('damping', damping), ('friction', friction)):
-        if value < 0.0:
-            raise ModelError(f'{place}: {key} = {value:g} must not be negative')
+    _check_not_negative(place, {'damping': damping, 'friction': friction})
+    if mimic is not None and not mimic.attributes.get('joint'):
+        raise ModelError(f'{place}: mimic without joint; expected <mimic joint="..."/>')
     parent, child = (_end(element, end, place) for end in ('parent', 'child'))
     return Joint(name, kind, place, parent, child, origin, rotation, _axis(element, kind, place),
-                 _limits(limit, place), damping, friction,
-                 None if mimic is None else mimic.attributes.get('joint', ''))
+                 _limits(limit, place, version == '1.2' and kind in ('revolute', SLIDING)),
+                 damping, friction, None if mimic is None else mimic.attributes['joint'])
 
 
 def _end(element: Element, end: str, place: str) -> str:
@@ -135,25 +197,35 @@ def _end(element: Element, end: str, place: str) -> str:
 
 
 def _axis(element: Element, kind: str, place: str) -> np.ndarray:
-    axis = _vector(_only(element, 'axis', place), 'xyz', place, (1.0, 0.0, 0.0))
+    given, moves = _only(element, 'axis', place), kind in (*TURNING, SLIDING)
+    if moves and given is not None and 'xyz' not in given.attributes:
+        raise ModelError(f'{place}: axis without xyz; expected <axis xyz="0 0 1"/>, for example')
+    axis = _vector(given, 'xyz', place, (1.0, 0.0, 0.0))
     length = math.sqrt(axis @ axis)
-    if kind != RIGID and not length > 0.0:
+    if moves and not length > 0.0:
         raise ModelError(f'{place}: axis xyz = 0 0 0 has no direction; give one, such as 0 0 1')
     return axis / length if length > 0.0 else axis
 
 
-def _limits(element: Element | None, place: str) -> Limits:
-    lower, upper, velocity, effort = (
-        None if element is None or key not in element.attributes
-        else _number(element, key, place, largest=math.inf)
-        for key in ('lower', 'upper', 'velocity', 'effort'))
+def _limits(element: Element | None, place: str, both: bool) -> Limits:
+    """Return the limits of a joint; where asked for ``both``, it has a lower and an upper one."""
+    found = {key: None if element is None or key not in element.attributes
+             else _number(element, key, place, largest=math.inf) for key in _ATTRIBUTES['limit']}
+    lower, upper = found.pop('lower'), found.pop('upper')
+    if both and element is not None and (lower is None or upper is None):
+        raise ModelError(f'{place}: limit without {"lower" if lower is None else "upper"}; '
+                         'version 1.2 has both or no <limit>')
     if lower is not None and upper is not None and lower > upper:
         raise ModelError(f'{place}: limits {lower:g} to {upper:g} leave nothing between; exchange '
                          'lower and upper')
-    for key, value in (('velocity', velocity), ('effort', effort)):
+    _check_not_negative(place, {f'limit {key}': value for key, value in found.items()})
+    return Limits(lower, upper, found['velocity'], found['effort'])
+
+
+def _check_not_negative(place: str, values: Mapping[str, float | None]) -> None:
+    for key, value in values.items():
         if value is not None and value < 0.0:
-            raise ModelError(f'{place}: limit {key} = {value:g} must not be negative')
-    return Limits(lower, upper, velocity, effort)
+            raise ModelError(f'{place}: {key} = {value:g} must not be negative')
 
 
 def _inertial(link: Element, where: str) -> Inertial | None:
@@ -165,34 +237,51 @@ def _inertial(link: Element, where: str) -> Inertial | None:
     if masses is None or inertia is None:
         raise ModelError(f'{place}: inertial without {"mass" if masses is None else "inertia"}; '
                          'give both, or leave inertial out of a link that weighs nothing')
-    mass = _number(masses, 'value', place)
-    if mass < 0.0:
-        raise ModelError(f'{place}: mass = {mass:g} kg must not be negative')
     xx, xy, xz, yy, yz, zz = (_number(inertia, key, place) for key in _MOMENTS)
     moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     centre, rotation = _frame(element, place)
-    return Inertial(mass, centre, rotation @ moments @ rotation.T)
+    return Inertial(_number(masses, 'value', place), centre, rotation @ moments @ rotation.T)
 
 
 def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
     origin = _only(element, 'origin', place)
+    xyz = _vector(origin, 'xyz', place, (0.0, 0.0, 0.0))
+    if origin is not None and 'quat_xyzw' in origin.attributes:
+        return xyz, _turned(origin, place)
     (cr, cp, cy), (sr, sp, sy) = (
         f(_vector(origin, 'rpy', place, (0.0, 0.0, 0.0))) for f in (np.cos, np.sin))
     rotation = np.array([
         [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
         [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
         [-sp, cp * sr, cp * cr]])
-    return _vector(origin, 'xyz', place, (0.0, 0.0, 0.0)), rotation
+    return xyz, rotation
+
+
+def _turned(origin: Element, place: str) -> np.ndarray:
+    """Return the rotation by a quaternion, which need not be of length one, as in urdfdom."""
+    if 'rpy' in origin.attributes:
+        raise ModelError(f'{place}: origin has rpy and quat_xyzw; leave one of them out')
+    quaternion = _vector(origin, 'quat_xyzw', place, (0.0, 0.0, 0.0, 1.0))
+    size = np.abs(quaternion).max()
+    if not size > 0.0:
+        raise ModelError(f'{place}: origin quat_xyzw = 0 0 0 0 is no rotation; none is 0 0 0 1')
+    x, y, z, w = quaternion / size / np.linalg.norm(quaternion / size)
+    return np.array([
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)]])
 
 
 def _vector(element: Element | None, key: str, place: str, default: tuple[float, ...]
             ) -> np.ndarray:
     if element is None or key not in element.attributes:
         return np.array(default)
-    words = element.attributes[key].split()
-    if len(words) != 3:
-        raise ModelError(f'{place}: {element.tag} {key} has {len(words)} numbers, expected 3')
+    number = len(default)
+    words = element.attributes[key].split(maxsplit=number)
+    if len(words) != number:
+        count = f'more than {number}' if len(words) > number else len(words)
+        raise ModelError(f'{place}: {element.tag} {key} has {count} numbers, expected {number}')
     return np.array([_float(word, f'{element.tag} {key}', place) for word in words])
 
 
@@ -238,9 +327,3 @@ def _check_names(names: Sequence[str], tag: str, where: str) -> None:
 
 def _place(element: Element, where: str) -> str:
     return f'{where}:{element.line}: {element.tag} {element.attributes["name"]!r}'
-
-
-def _list(names: Iterator[str] | Sequence[str] | dict[str, list[Joint]]) -> str:
-    """Return names for an error; of many the first."""
-    every = list(names)
-    return ', '.join(every[:20]) + (', ...' if len(every) > 20 else '')

@@ -4,7 +4,6 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, TURNED
@@ -68,27 +67,18 @@ class LieStormerVerlet(Integrator):
     requirements = Requirements(symmetric=True, symplectic=True, separable=True,
                                 coordinates='group')
 
-    def check(self, hamiltonian: Hamiltonian) -> None:
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Refuse bodies whose frames are not principal axes; see Integrator."""
+        if problem := super().refusal(hamiltonian):
+            return problem
         start = 0
         for coordinate in hamiltonian.coordinates:
             width = {'scalar': 1, 'rotation': 3, 'pose': 6}[coordinate.kind]
             start += width
-            if width > 1:
-                self._check_axes(hamiltonian, coordinate.name, slice(start - 3, start))
-
-    @staticmethod
-    def _check_axes(hamiltonian: Hamiltonian, name: str, columns: slice) -> None:
-        kernel, d = hamiltonian.kernel, hamiltonian.dimension
-        q, size = np.zeros(d), d - len(kernel.rotations)
-        q[[at + 3 for at in kernel.rotations]] = 1.0
-        p = np.zeros((3, size))
-        p[:, columns] = np.eye(3)
-        inverse = hamiltonian.gradient(np.tile(q, (3, 1)), p)[1][:, columns]
-        if not (inverse == np.diag(np.diag(inverse))).all():
-            raise UnsupportedSystem(
-                f'lie_stormer_verlet needs bodies in frames of principal axes, which that of '
-                f'{name} is not; methods that can: lie_leapfrog, lie_gauss4 to lie_gauss16')
+            if width > 1 and not _has_principal_axes(hamiltonian, slice(start - 3, start)):
+                return ('needs bodies in frames of principal axes, which that of '
+                        f'{coordinate.name} is not')
+        return ''
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """Return no options: nothing is solved."""
@@ -128,6 +118,16 @@ class LieStormerVerlet(Integrator):
         kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
         _kick(kernel, 0.5 * h, z1.q, z1.dH_dq, z1, z1, work.forces)
         return OK, 0.0, 3
+
+
+def _has_principal_axes(hamiltonian: Hamiltonian, columns: slice) -> bool:
+    """Return whether angular momenta in some columns of p turn a body about its own axes."""
+    d, turning = hamiltonian.dimension, hamiltonian.rotations
+    q, p = np.zeros((3, d)), np.zeros((3, d - len(turning)))
+    q[:, [at + 3 for at in turning]] = 1.0
+    p[:, columns] = np.eye(3)
+    inverse = hamiltonian.gradient(q, p)[1][:, columns]
+    return bool((inverse == np.diag(np.diag(inverse))).all())
 
 
 @called

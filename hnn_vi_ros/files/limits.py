@@ -1,0 +1,234 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Read files, whoever wrote them, within limits that are checked before the work.
+
+What a file claims is compared with what it holds before memory is taken for it. YAML and XML have
+limits of their own, in ``yaml_text`` and ``xml_text``; bags in the room ``bags``.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import errno
+from hashlib import file_digest
+from io import BufferedReader, FileIO
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any, BinaryIO
+import zipfile
+import zlib
+
+from hnn_vi_ros.files.regular_file import regular
+import numpy as np
+from numpy.lib import format as npy
+
+# Characters of a line of text.
+LONGEST_LINE = 1 << 20
+# Values of JSON: a covariance of a thousand parameters has a million.
+MOST_VALUES = 1_200_000
+# Of safetensors [bytes]: the card of an ensemble of a thousand members takes 3 MiB.
+LONGEST_HEADER = 4 << 20
+# Of what an archive lists [bytes]: 80 thousand arrays.
+_LONGEST_DIRECTORY = 4 << 20
+# Of an array's dtype and shape, as numpy has it [bytes].
+_LONGEST_ARRAY_HEADER = 10_000
+# What zipfile and numpy raise of what is no archive of plain arrays.
+_NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, MemoryError, TypeError,
+               KeyError, zipfile.BadZipFile, zlib.error)
+
+
+@contextmanager
+def limited(path: Path, most: int) -> Iterator[BufferedReader]:
+    """
+    Open a regular file to read.
+
+    Raises
+    ------
+    OSError
+        It is none, cannot be read, or is larger than so many bytes.
+
+    """
+    with regular(path).open('rb') as stream:
+        if os.fstat(stream.fileno()).st_size > most:
+            raise OSError(errno.EFBIG, f'larger than {_size(most)}')
+        yield stream
+
+
+def read_limited(path: Path, most: int) -> bytes:
+    """Return what a regular file holds; see ``limited``."""
+    with limited(path, most) as stream:
+        # Files of the kernel are larger than their size tells.
+        content = stream.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f'larger than {_size(most)}')
+    return content
+
+
+def _size(count: int) -> str:
+    return f'{count >> 30} GiB' if count >= 1 << 30 else f'{count >> 20} MiB'
+
+
+def sha256_of(path: Path, most: int) -> str:
+    """Return the SHA-256 of a regular file; see ``limited``."""
+    with limited(path, most) as stream:
+        return file_digest(stream, 'sha256').hexdigest()
+
+
+def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
+    """
+    Yield the lines of a text file, without their breaks, each with its number from 1 on.
+
+    Raises
+    ------
+    OSError
+        See ``limited``.
+    ValueError
+        A line is too long, or not UTF-8; begins with its number.
+
+    """
+    number = 0
+    with limited(path, most), path.open(encoding='utf-8-sig') as stream:
+        while True:
+            number += 1
+            try:
+                line = stream.readline(LONGEST_LINE + 1)
+            except UnicodeDecodeError as problem:
+                # It is decoded ahead of the lines.
+                raise ValueError(f'{number}: not a text file in UTF-8, here or behind: '
+                                 f'{problem.reason}') from problem
+            if not line:
+                return
+            line = line.rstrip('\n')
+            if len(line) > LONGEST_LINE:
+                raise ValueError(f'{number}: longer than {LONGEST_LINE} characters')
+            yield number, line
+
+
+def plain_number(text: str) -> float:
+    """Return a number that is written in decimals; NaN for all else, such as 1_5 for 15."""
+    try:
+        return math.nan if '_' in text else float(text)
+    except ValueError:
+        return math.nan
+
+
+def parse_json(text: bytes) -> Any:
+    """
+    Return what JSON holds.
+
+    Raises
+    ------
+    ValueError
+        It is none, has too many values, is nested too deep, or not UTF-8; one line.
+
+    """
+    # Not one of them is read before: each of an empty list or key takes a hundred bytes.
+    if sum(map(text.count, (b',', b'[', b'{'))) > MOST_VALUES:
+        raise ValueError(f'more than {MOST_VALUES} values')
+    try:
+        return json.loads(text)
+    except RecursionError as problem:
+        raise ValueError('nested too deep') from problem
+
+
+def safetensors_header(stream: BinaryIO) -> bytes:
+    """
+    Return the header of safetensors, which is JSON.
+
+    Raises
+    ------
+    ValueError
+        It is cut off, or too long.
+
+    """
+    size = int.from_bytes(stream.read(8), 'little')
+    if size > LONGEST_HEADER:
+        raise ValueError(f'a header of more than {_size(LONGEST_HEADER)}')
+    header = stream.read(size)
+    if len(header) < max(size, 1):
+        raise ValueError('it ends in its header')
+    return header
+
+
+def array_names(path: Path, most: int) -> list[str]:
+    """Return the keys of an .npz file; see ``unpack_arrays``."""
+    with _archive(path, most) as archive:
+        return [member.filename.removesuffix('.npy') for member in archive.infolist()]
+
+
+def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
+    """
+    Return the arrays of an .npz file by their keys; nothing in it is unpickled.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most : int
+        How large it may be, and what it unpacks to [bytes].
+
+    Raises
+    ------
+    OSError
+        See ``limited``; or it unpacks to more.
+    ValueError
+        It is no archive of plain arrays, is damaged, or an array is not of the size that it
+        claims; one line.
+
+    """
+    with _archive(path, most) as archive:
+        members = archive.infolist()
+        if sum(member.file_size for member in members) > most:
+            raise OSError(errno.EFBIG, f'unpacks to more than {_size(most)}')
+        return {member.filename.removesuffix('.npy'): _array(archive, member)
+                for member in members}
+
+
+class _Bounded(BufferedReader):
+    """A file of which no more is read at a time than a directory of an archive may have."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        if size is not None and size > _LONGEST_DIRECTORY:
+            raise zipfile.BadZipFile('its directory is too long')
+        return super().read(size)
+
+
+@contextmanager
+def _archive(path: Path, most: int) -> Iterator[zipfile.ZipFile]:
+    with limited(path, most), _Bounded(FileIO(path)) as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                yield archive
+        except _NOT_ARRAYS as problem:
+            # Not numpy's own words, which advise to unpickle what anybody may have written.
+            raise ValueError(str(problem) if isinstance(problem, _Claim) else
+                             'not an .npz file of plain arrays') from problem
+
+
+class _Claim(ValueError):
+    """An array is not of the size that it claims."""
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    # Others unpack all that a part of them holds at once.
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise zipfile.BadZipFile('packed in a way that numpy does not use')
+    with archive.open(member) as content:
+        version = npy.read_magic(content)
+        size = int.from_bytes(content.read(2 if version == (1, 0) else 4), 'little')
+        if size > _LONGEST_ARRAY_HEADER:
+            raise ValueError('too long a header')
+        content.seek(npy.MAGIC_LEN)
+        shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0)
+                           else npy.read_array_header_2_0)(content)
+        if dtype.hasobject:
+            raise ValueError('an array of objects')
+        if math.prod(shape) * dtype.itemsize != member.file_size - content.tell() or (
+                min(shape, default=0) < 0):
+            raise _Claim(f'{member.filename.removesuffix(".npy")} claims {shape} numbers of '
+                         f'{dtype.itemsize} bytes, and has {member.file_size - content.tell()} '
+                         'bytes')
+        content.seek(0)
+        return npy.read_array(content, allow_pickle=False)

@@ -1,0 +1,298 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of others that claim, or unpack to, more than memory holds: one line, before the work."""
+
+from collections import Counter
+from collections.abc import Callable
+import json
+from pathlib import Path
+import re
+import struct
+import subprocess
+import sys
+from typing import Any
+import zipfile
+
+from hnn_vi_ros.files.limits import (
+    array_names, LONGEST_LINE, MOST_VALUES, parse_json, text_lines, unpack_arrays)
+import numpy as np
+import pytest
+
+# What a refused file may take besides what is there before [MiB].
+MOST = 200
+# Of a process that calls a reader: what it says, and by how much its memory grew [MiB].
+CHILD = """\
+import sys
+from pathlib import Path
+from hnn_vi_ros.errors import HnnViRosError
+{prepare}
+def peak():
+    text = Path('/proc/self/status').read_text()
+    return int(text.partition('VmHWM:')[2].split()[0]) / 1024
+path = Path(sys.argv[1])
+Path('/proc/self/clear_refs').write_text('5')
+before = peak()
+try:
+    {call}
+    print('read')
+except HnnViRosError as problem:
+    print(problem)
+print(peak() - before, file=sys.stderr)
+"""
+LOG = """\
+from hnn_vi_ros.learning.measured_log import MeasuredData, read_measured_log
+data = MeasuredData(kind='measured', columns=['t', 'q', 'p', 'v', 'f'], time='t', q=['q'],
+                    p=['p'], dq_dt=['v'], dp_dt=['f'])
+"""
+MOTIONS = """\
+from hnn_vi_ros.learning.motion_logs import LogMotions, read_log_motions
+data = LogMotions(columns=['t', 'q'], time='t', q=['q'])
+"""
+AXIS = """\
+from hnn_vi_ros.sweeps.axes import FileAxis
+from hnn_vi_ros.sweeps.definition import FileChoice
+"""
+STATE = """\
+from hnn_vi_ros.run.held_state import restore_state
+from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.build import build
+simulation = build(load_scene('exact_pendulum'))
+"""
+READERS = {
+    'arrays': ('from hnn_vi_ros.learning.motion_arrays import read_archive', 'read_archive(path)'),
+    'log': (LOG, 'read_measured_log(path, data)'),
+    'motions': (MOTIONS, 'read_log_motions(path, data)'),
+    'axis': (AXIS, "FileAxis(FileChoice(kind='file', path=path.name), path.parent, 'axis')"),
+    'posterior': ('from hnn_vi_ros.sweeps.posterior import read_posterior',
+                  "read_posterior(path, 'posterior')"),
+    'record': ('from hnn_vi_ros.sweeps.folder import SweepFolder',
+               'SweepFolder(path.parent).record()'),
+    'model': ('from hnn_vi_ros.models.checkpoint import load_checkpoint', 'load_checkpoint(path)'),
+    'state': (STATE, "restore_state(simulation, path.read_bytes()[:2**26], 'bag')"),
+    'family': ('from hnn_vi_ros.learning.machine_train import own_family', 'own_family(path)'),
+    'scene': ('from hnn_vi_ros.scene import load_scene', 'load_scene(path)'),
+    'network': ('from hnn_vi_ros.learning.state_dict import read_networks',
+                'read_networks(path)'),
+}
+
+
+def header(shape: str, kind: str = '<f8') -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b'\x93NUMPY\x01\x00' + struct.pack('<H', len(text)) + text
+
+
+def archive(path: Path, *members: tuple[str, bytes], how: int = zipfile.ZIP_DEFLATED) -> None:
+    with zipfile.ZipFile(path, 'w', how, compresslevel=1) as made:
+        for name, content in members:
+            made.writestr(name, content)
+
+
+def bomb(path: Path) -> None:
+    with zipfile.ZipFile(path, 'w', zipfile.ZIP_DEFLATED, compresslevel=1) as made, made.open(
+            'q.npy', 'w', force_zip64=True) as member:
+        member.write(header('(150994944,)'))
+        for _ in range(36):
+            member.write(bytes(1 << 25))
+
+
+def long_header(path: Path) -> None:
+    archive(path, ('q.npy', b'\x93NUMPY\x02\x00' + struct.pack('<I', 1 << 28) + bytes(1 << 28)))
+
+
+def unpacks_at_once(path: Path) -> None:
+    archive(path, ('q.npy', header('(30000000,)') + bytes(240_000_000)), how=zipfile.ZIP_BZIP2)
+    # It claims to hold no more than 8 bytes.
+    raw = bytearray(path.read_bytes())
+    for signature, offset in ((b'PK\x03\x04', 22), (b'PK\x01\x02', 24)):
+        at = raw.find(signature)
+        raw[at + offset:at + offset + 4] = struct.pack('<I', len(header('(1,)')) + 8)
+    path.write_bytes(raw)
+
+
+def many_members(path: Path) -> None:
+    with zipfile.ZipFile(path, 'w') as made:
+        for k in range(60_000):
+            made.writestr(f'{k:0100d}.npy', b'')
+
+
+def sparse(size: int) -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        with path.open('wb') as stream:
+            stream.truncate(size)
+    return write
+
+
+def text(begin: str, part: str, size: int, end: str = '') -> Callable[[Path], None]:
+    def write(path: Path) -> None:
+        with path.open('w') as stream:
+            stream.write(begin)
+            for _ in range(size >> 20):
+                stream.write(part * ((1 << 20) // len(part)))
+            stream.write(end)
+    return write
+
+
+def tensors(size: int, names: int = 0, shape: str = '[1]', data: int = 8
+            ) -> Callable[[Path], None]:
+    """Return what writes a safetensors file: empty tensors, or one, and data behind them."""
+    def write(path: Path) -> None:
+        content = ','.join(f'"{k}":{{"dtype":"F64","shape":[0],"data_offsets":[0,0]}}'
+                           for k in range(names)) or (
+            f'"a":{{"dtype":"F64","shape":{shape},"data_offsets":[0,{data}]}}')
+        raw = f'{{{content}}}'.encode()
+        with path.open('wb') as stream:
+            stream.write(struct.pack('<Q', len(raw)) + raw)
+            stream.truncate(stream.tell() + size)
+    return write
+
+
+def foreign_pickle(path: Path) -> None:
+    """Write what torch.save writes of a dict whose value takes 3 GB where it is unpickled."""
+    torch = pytest.importorskip('torch', reason='torch is not installed')
+
+    class Large:
+
+        def __reduce__(self) -> tuple[Any, ...]:
+            return bytearray, (3 * 10**9,)
+    torch.save({'linear1.weight': torch.zeros(2, 2), 'x': Large()}, path)
+
+
+ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
+    'claims 10^13 numbers': ('arrays', 'a.npz', lambda path: archive(path, (
+        'q.npy', header('(10000000000000,)') + bytes(8))), r'q claims \(10000000000000,\)'),
+    'claims a negative number': ('arrays', 'a.npz', lambda path: archive(path, (
+        'q.npy', header('(-8, -1)') + bytes(8))), 'q claims'),
+    'unpacks to 1.1 GiB': ('arrays', 'a.npz', bomb, 'unpacks to more than 1 GiB; give'),
+    'unpacks in one block': ('arrays', 'a.npz', unpacks_at_once, 'not an .npz file of plain'),
+    'a header of 256 MB': ('arrays', 'a.npz', long_header, 'not an .npz file of plain arrays'),
+    'a directory of 9 MB': ('arrays', 'a.npz', many_members, 'not an .npz file of plain arrays'),
+    'a file of 5 GB': ('arrays', 'a.npz', sparse(5 * 10**9), 'larger than 1 GiB'),
+    'a file of zeros': ('arrays', 'a.npz', sparse(10**9), 'not an .npz file of plain arrays'),
+    'a log of 5 GB': ('log', 'a.txt', sparse(5 * 10**9), 'larger than 256 MiB'),
+    'a line of 250 MB': ('log', 'a.txt', text('', '1.5 ', 250 << 20), 'a.txt:1: longer than'),
+    'zeros for a log': ('motions', 'a.txt', sparse(250 << 20), 'a.txt:1: longer than'),
+    'motions whose last row is short': (
+        'motions', 'a.txt', text('t q\n', '#' * 1023 + '\n', 100 << 20, '1.0\n'),
+        r'a.txt:\d+: 1 columns, expected 2'),
+    'a table in one line': ('axis', 'a.csv', text('step_size\n', '1,', 250 << 20),
+                            'a.csv:2: longer than'),
+    'a table of 5 GB': ('axis', 'a.csv', sparse(5 * 10**9), 'larger than 256 MiB'),
+    'a table whose last row is no number': (
+        'axis', 'a.csv', text('a,' * 50 + 'b\n', f'{"1.2345678901234," * 50}2\n', 60 << 20, 'x\n'),
+        r'a.csv:\d+: 1 values, expected 51'),
+    'empty lists': ('posterior', 'a.json', text('[', '[],', 60 << 20, '[]]'), 'a.json: '),
+    'empty objects in a record': ('record', 'sweep.json', text('[', '{},', 60 << 20, '{}]'),
+                                  'sweep.json: '),
+    'lists in lists': ('posterior', 'a.json', text('', '[', 1 << 20), 'a.json: '),
+    'a number of 10 MB': ('posterior', 'a.json', text('[', '1', 10 << 20, ']'), 'a.json: '),
+    'a posterior of 5 GB': ('posterior', 'a.json', sparse(5 * 10**9), 'larger than 32 MiB'),
+    'a header of a million tensors': ('model', 'a.safetensors', tensors(0, 10**6),
+                                      'not a safetensors file'),
+    'a model of others of 250 MB': (
+        'model', 'a.safetensors', tensors(250 << 20, shape=f'[{250 << 17}]', data=250 << 20),
+        'has no model_card'),
+    'zeros for a model': ('model', 'a.safetensors', sparse(250 << 20), 'not a safetensors file'),
+    'a tensor of 10^13 numbers': (
+        'model', 'a.safetensors', tensors(8, shape='[10000000000000]', data=8 * 10**13),
+        'has no model_card|not a safetensors file'),
+    'a state of a million arrays': ('state', 'a.bin', tensors(0, 10**6),
+                                    'state.safetensors is damaged'),
+    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), '^read$'),
+    'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1048576 bytes'),
+    'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of tensors'),
+}
+
+
+@pytest.mark.parametrize('attack', ATTACKS)
+def test_file_is_refused_in_one_line_before_memory_is_taken(attack, tmp_path):
+    reader, name, write, message = ATTACKS[attack]
+    write(tmp_path / name)
+    prepare, call = READERS[reader]
+    found = subprocess.run(
+        [sys.executable, '-c', CHILD.format(prepare=prepare, call=call), str(tmp_path / name)],
+        capture_output=True, text=True, check=False, timeout=300.0)
+    (tmp_path / name).unlink()
+    assert 'Traceback' not in found.stderr, found.stderr[-2000:]
+    (line,) = found.stdout.splitlines()
+    assert re.search(message, line), line
+    grown = float(found.stderr.split()[-1])
+    assert grown < MOST, f'{grown:.0f} MiB'
+
+
+@pytest.mark.parametrize('save', [np.savez, np.savez_compressed])
+def test_arrays_are_those_that_numpy_reads(save, tmp_path):
+    rng = np.random.default_rng(1)
+    arrays = {'t': rng.random(100), 'run/q': rng.random((7, 3)), 'one': np.array(3.0),
+              'none': np.empty((0, 4)), 'turned': np.asfortranarray(rng.random((5, 6))),
+              'whole': np.arange(9, dtype=np.int32)[::2], 'label': np.array(['a', 'bc'])}
+    save(tmp_path / 'a.npz', **arrays)
+    found = unpack_arrays(tmp_path / 'a.npz', 1 << 20)
+    with np.load(tmp_path / 'a.npz') as expected:
+        assert [*found] == expected.files == array_names(tmp_path / 'a.npz', 1 << 20)
+        for name in found:
+            assert found[name].dtype == expected[name].dtype
+            assert found[name].shape == expected[name].shape
+            assert np.array_equal(found[name], expected[name])
+    with pytest.raises(OSError, match='larger than 0 MiB'):
+        unpack_arrays(tmp_path / 'a.npz', 100)
+
+
+def test_damaged_archives_are_refused_without_another_error(tmp_path):
+    path, rng = tmp_path / 'a.npz', np.random.default_rng(4)
+    outcomes: Counter[str] = Counter()
+    for save in (np.savez, np.savez_compressed):
+        save(path, t=np.arange(20.0), q=rng.random((20, 2)), o=np.array(['x']))
+        content = path.read_bytes()
+        for k in range(600):
+            raw = bytearray(content)
+            if k % 3 == 0:
+                raw = raw[:rng.integers(len(raw))]
+            for place in rng.integers(max(len(raw), 1), size=1 + k % 5):
+                raw[place:place + 1] = bytes([rng.integers(256)])
+            path.write_bytes(raw)
+            try:
+                unpack_arrays(path, 1 << 20)
+                outcomes['read'] += 1
+            except (ValueError, OSError) as problem:
+                assert '\n' not in str(problem) and 'pickle' not in str(problem)
+                outcomes['refused'] += 1
+    # Names and times of members are in no checksum.
+    assert outcomes['refused'] > 600 and outcomes.total() == 1200
+
+
+def test_archive_of_objects_is_not_unpickled(tmp_path):
+    np.savez(tmp_path / 'a.npz', q=np.array([{}, 1], dtype=object))
+    with pytest.raises(ValueError, match='^not an .npz file of plain arrays$'):
+        unpack_arrays(tmp_path / 'a.npz', 1 << 20)
+
+
+def test_lines_are_numbered_without_their_breaks(tmp_path):
+    path = tmp_path / 'a.txt'
+    path.write_bytes('\ufeffa é\r\n\n b\rc'.encode())
+    assert list(text_lines(path, 100)) == [(1, 'a é'), (2, ''), (3, ' b'), (4, 'c')]
+    path.write_text('x' * LONGEST_LINE + '\nlast')
+    assert [number for number, _ in text_lines(path, 1 << 21)] == [1, 2]
+    for content, message in (
+            (b'a\n' + b'x' * (LONGEST_LINE + 1), '^2: longer than 1048576'),
+            (b'a\nb\xff\n', ': not a text file in UTF-8, here or behind: invalid start')):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            list(text_lines(path, 1 << 21))
+
+
+@pytest.mark.parametrize(('text_of_json', 'message'), [
+    (b'[' * 100_000, 'nested too deep'), (b'[' + b'1,' * MOST_VALUES + b'1]', 'more than'),
+    (b'{"a": ' + b'9' * 5000 + b'}', 'digits'), (b'', 'Expecting value'),
+    (b'\xff', "can't decode")])
+def test_json_that_is_none_is_one_line(text_of_json, message):
+    with pytest.raises(ValueError, match=message) as problem:
+        parse_json(text_of_json)
+    assert '\n' not in str(problem.value)
+
+
+def test_json_of_the_largest_covariance_is_read():
+    n = 1000
+    found = parse_json(json.dumps({
+        'parameters': {str(k): {'value': 1.0} for k in range(n)},
+        'covariance': {'names': [*map(str, range(n))], 'matrix': [[0.5] * n] * n}}).encode())
+    assert np.array(found['covariance']['matrix']).shape == (n, n)

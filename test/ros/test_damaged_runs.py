@@ -1,0 +1,163 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Damaged bags of runs: none is confirmed, trained on or judged by as if it were whole."""
+
+from collections import Counter
+import os
+from pathlib import Path
+import random
+import shutil
+
+from bags.bag_mutations import joined, KINDS, Mutant, mutant, opcode_flips, records_of
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_records import MAGIC
+from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.learning.bag_data import BagData, read_bags
+from hnn_vi_ros.learning.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.ros.recorded_run import resume
+from hnn_vi_ros.ros.replay_check import check_replay
+from mcap.opcode import Opcode
+import pytest
+from recorded import record_run
+
+# Of each kind; from 50 on with the opcode of every record flipped in all ways.
+MUTATIONS = int(os.environ.get('HNN_VI_ROS_MUTATIONS', '2'))
+TICKS = 60
+DATA = BagData.model_validate({'kind': 'bag', 'joints': ['angle'], 'commands': 'commands',
+                               'stamps': 'log'})
+SCENE = """\
+hamiltonian: {kind: pendulum}
+effects: [{kind: external_force, coordinates: [angle], timeout: 0.1}]
+integrator: {kind: generalized_leapfrog}
+step_size: 0.005
+initial_state: {q: [1.0], p: [0.0]}
+"""
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory) -> Path:
+    """Return a bag of ours of a driven run, in chunks of some samples."""
+    folder = tmp_path_factory.mktemp('run')
+    (folder / 'scene.yaml').write_text(SCENE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**13)
+        return record_run(folder / 'bag', load_scene(folder / 'scene.yaml'), TICKS,
+                          commands={step: [[0.01 * step]] for step in range(0, 100, 7)})
+
+
+@pytest.fixture(scope='module')
+def other(tmp_path_factory) -> bytes:
+    folder = tmp_path_factory.mktemp('other')
+    return (record_run(folder / 'bag', load_scene('exact_double_pendulum'), 30)
+            / 'bag_0.mcap').read_bytes()
+
+
+def without_end(content: bytes) -> bytes:
+    """Return a file as its recorder leaves it that is killed."""
+    records = records_of(content)
+    end = next(i for i, record in enumerate(records) if record[0] == Opcode.DATA_END)
+    return MAGIC + b''.join(records[:end])
+
+
+def content_of(bag: Path) -> Counter[tuple[str, int, bytes]]:
+    reader = BagReader(bag)
+    return Counter((reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages())
+
+
+def mutants(content: bytes, other: bytes) -> list[Mutant]:
+    rng = random.Random(17)
+    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(MUTATIONS)]
+    joints, doubles = list(joined(content, other)), list(joined(content, content))
+    flips = list(opcode_flips(content))
+    if MUTATIONS < 50:
+        joints, doubles, flips = joints[::3], doubles[::3], flips[::101]
+    return drawn + flips + joints + [found._replace(kind='double') for found in doubles]
+
+
+@pytest.mark.timeout(120 + 60 * MUTATIONS)
+@pytest.mark.parametrize('end', ['killed', 'finished'])
+def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
+        bag, other, tmp_path, caplog, end):
+    whole = content_of(bag)
+    content = (bag / 'bag_0.mcap').read_bytes()
+    if end == 'killed':
+        content, other = without_end(content), without_end(other)
+    states = sum(count for (topic, *_), count in whole.items() if topic.endswith('/state'))
+    rows = len(read_bags([bag], DATA).t)
+    outcomes = Counter[tuple[str, ...]]()
+    for found in mutants(content, other):
+        path = tmp_path / 'bag' / 'bag_0.mcap'
+        shutil.rmtree(path.parent, ignore_errors=True)
+        path.parent.mkdir()
+        if end == 'finished':
+            shutil.copy(bag / 'metadata.yaml', path.parent)
+        path.write_bytes(found.content)
+        # A killed recording ends where it breaks off, and nothing tells what would have come.
+        cut_off = end == 'killed' and content.startswith(found.content)
+        for stage in ('as it is', 'recovered'):
+            verdict = verdict_on(path.parent, whole, states, cut_off, found)
+            outcomes[stage, found.kind, verdict] += 1
+            used_openly(path.parent, rows, cut_off, caplog, found)
+            if stage == 'as it is':
+                kept = recovered(path, whole, cut_off)
+                assert kept or path.read_bytes() == found.content
+                # What is lost was told, once.
+                cut_off = True
+    # For a long run: pytest -s shows it.
+    print(end, sum(outcomes.values()), dict(outcomes))
+
+
+def recovered(path: Path, whole: Counter, cut_off: bool) -> bool:
+    """Recover a bag; return whether anything could be."""
+    before = path.read_bytes()
+    try:
+        recovery = recover(path.parent)
+    except HnnViRosError as problem:
+        assert '\n' not in str(problem)
+        return False
+    assert (recovery.original if recovery.changed else path).read_bytes() == before
+    # Of two files of the same topics, the second without its header, all messages are in one.
+    assert content_of(path.parent) >= whole or recovery.lost or cut_off
+    return True
+
+
+def verdict_on(bag: Path, whole: Counter, states: int, cut_off: bool, found: Mutant) -> str:
+    """Verify a bag, which confirms nothing but the run, each sample of which is there once."""
+    try:
+        verdict = check_replay(bag)
+    except HnnViRosError as problem:
+        assert '\n' not in str(problem), found.description
+        return 'refused'
+    assert '\n' not in verdict.text, found.description
+    if not verdict.good:
+        return 'not confirmed'
+    there = content_of(bag)
+    assert there <= whole, found.description
+    assert cut_off or there == whole, (found.description, verdict.text)
+    assert cut_off or f'of {states} samples agree' in verdict.text, found.description
+    return 'confirmed'
+
+
+def used_openly(bag: Path, rows: int, cut_off: bool, caplog: pytest.LogCaptureFixture,
+                found: Mutant) -> None:
+    """Read a bag as `train`, `evaluate` and `resume` do: what it lacks is told."""
+    caplog.clear()
+    try:
+        there = len(read_bags([bag], DATA).t)
+        assert there == rows or cut_off or 'warning' in caplog.text, found.description
+    except HnnViRosError as problem:
+        assert '\n' not in str(problem), found.description
+    try:
+        motions, told = read_bag_motions([bag], BagMotions(), ['angle'])
+        there = sum(len(motion.t) for motion in motions)
+        assert there == TICKS or cut_off or 'damaged' in told or 'count' in told, (
+            found.description, told)
+    except HnnViRosError as problem:
+        assert '\n' not in str(problem), found.description
+    try:
+        resumed = resume(bag)
+        assert resumed.step == 2 * TICKS or cut_off or resumed.damage, found.description
+    except HnnViRosError as problem:
+        assert '\n' not in str(problem), found.description
