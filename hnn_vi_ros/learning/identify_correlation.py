@@ -37,9 +37,8 @@ _BEHIND = 4.0
 _DRAWN, _KEPT, _TAILS = 200, 400, 5.0
 # Reflection coefficients are k = tanh x, for x up to this.
 _MOST = 6.0
-# Directions of which unknowns take less than this share from the residuals are left out, and
-# those of which they leave less than this are gone.
-_TAKEN, _GONE = 0.02, 1e-3
+# Directions of which unknowns take less than this share from the residuals count as left.
+_TAKEN = 0.02
 # Of differences of costs, for first derivatives in units of about 1, and for second ones.
 _SLOPE, _BEND = 1e-4, 3e-3
 # White noise that rounding adds, as a share of the square of all.
@@ -109,23 +108,15 @@ class _Restricted:
     """
 
     def __init__(self, residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray):
-        # Each window by itself: a direction with share s of its square in it is one that other
-        # windows and quantities tell as well as (1 - s) / s samples of white noise would.
+        # Each quantity in each window by itself: what others tell has a correlation of its own.
         left, sizes, _ = np.linalg.svd(taken, full_matrices=False)
-        share = np.minimum(sizes**2, 1.0)
-        kept = share > _TAKEN
+        kept = sizes**2 > _TAKEN
         most = int(kept.sum(axis=1).max(initial=0))
-        left, share, kept = left[:, :, :most], share[:, :most], kept[:, :most]
-        left = np.where(kept[:, None], left, 0.0)
-        gone = kept & (share > 1.0 - _GONE)
-        known = np.where(kept, (1.0 - share) / np.where(kept, share, 1.0), 1.0) * ~gone
-        # By least squares, with white noise, what others tell balances these residuals.
-        pulled = -np.einsum('wtk,wt->wk', left, residuals) * ~gone
-        self._others = np.zeros((len(residuals), most + 1, most + 1))
-        self._others[:, range(most), range(most)] = known
-        self._others[:, :most, most] = self._others[:, most, :most] = pulled
-        self._others[:, most, most] = (pulled**2 / np.where(known > 0.0, known, 1.0)).sum(axis=1)
-        self.freedom = max(1, int(lengths.sum()) - int(gone.sum()))
+        left, kept = np.where(kept[:, None], left, 0.0)[:, :, :most], kept[:, :most]
+        # Where windows have fewer directions than others.
+        self._blank = np.zeros((len(residuals), most + 1, most + 1))
+        self._blank[:, range(most), range(most)] = ~kept
+        self.freedom = max(1, int(lengths.sum()) - int(kept.sum()))
         self.highest = max(0, min(_ORDERS, self.freedom // _SAMPLES, int(lengths.min()) // 2 - 1))
         columns = np.concatenate([left, residuals[:, :, None]], axis=2)
         self._windows = len(lengths)
@@ -133,7 +124,7 @@ class _Restricted:
 
     def minus_log(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return minus its logarithm for N processes, and variances of their white noise, (N,)."""
-        if len(x) > 1 and len(x) * self._others.size > _AT_ONCE:
+        if len(x) > 1 and len(x) * self._blank.size > _AT_ONCE:
             one, other = zip(*map(self.minus_log, np.array_split(x, 2)), strict=True)
             return np.concatenate(one), np.concatenate(other)
         reflections = np.tanh(np.clip(x, -_MOST, _MOST))
@@ -141,8 +132,7 @@ class _Restricted:
         i, j = _pairs(x.shape[1])
         rest = 1.0 - reflections**2
         matrix = np.tensordot(a[:, i] * a[:, j], self._products[:len(i)], 1) \
-            + rest.prod(axis=1)[:, None, None, None] * self._others \
-            + _ROUNDING * np.eye(self._others.shape[1])
+            + self._blank + _ROUNDING * np.eye(self._blank.shape[1])
         # By the factors of Cholesky, in which the last one is what the others leave of residuals.
         roots = np.einsum('nwii->nwi', np.linalg.cholesky(matrix))
         variance = (roots[..., -1]**2).sum(axis=1) / self.freedom

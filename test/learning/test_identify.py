@@ -394,19 +394,27 @@ def test_autocovariances_are_those_of_the_process(reflections):
     assert Process(reflections, 3.0).autocovariances(2) == pytest.approx(3.0 * expected[:2])
 
 
+@pytest.mark.parametrize('others', [0, 3])
 @pytest.mark.parametrize('reflections', PROCESSES, ids=len)
-def test_likelihood_is_that_of_what_no_unknown_changes(reflections):
-    """By its definition: of all combinations of the samples that the unknowns leave alone."""
+def test_likelihood_is_that_of_what_no_unknown_changes(reflections, others):
+    """
+    By its definition: of all combinations of the samples that the unknowns leave alone.
+
+    Other samples, which tell the unknowns as well, do not count.
+    """
     random, lengths = np.random.default_rng(0), np.array([40, 37])
     residuals, taken = np.zeros((2, 40)), np.zeros((2, 40, 3))
     r = Process(reflections, 1.0).autocovariances(40)
     expected = 0.0
     for w, n in enumerate(lengths):
-        taken[w, :n] = np.linalg.qr(random.normal(size=(n, 3)))[0]
+        directions = np.linalg.qr(random.normal(size=(n + others, 3)) * np.where(
+            np.arange(n + others) < n, 1.0, 4.0)[:, None])[0]
+        taken[w, :n] = directions[:n]
+        noise = random.normal(size=n + others)
+        residuals[w, :n] = (noise - directions @ (directions.T @ noise))[:n]
         rest = null_space(taken[w, :n].T)
-        noise = random.normal(size=n)
-        residuals[w, :n] = rest @ (rest.T @ noise)
-        expected += multivariate_normal(cov=rest.T @ toeplitz(r[:n]) @ rest).logpdf(rest.T @ noise)
+        expected += multivariate_normal(cov=rest.T @ toeplitz(r[:n]) @ rest).logpdf(
+            rest.T @ noise[:n])
     likelihood = _Restricted(residuals, lengths, taken)
     (cost,), (variance,) = likelihood.minus_log(np.arctanh(reflections)[None])
     freedom = likelihood.freedom
