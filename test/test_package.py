@@ -48,7 +48,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 HOMES = {
     'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
     'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
-             r'|lockstep/\w+\.py|run/device_ensemble\.py',
+             r'|lockstep/\w+\.py|run/(device_ensemble|torch_functions)\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',

@@ -370,7 +370,8 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     compile_ = dispatcher.compile
 
     def compile_aside(signature: Any) -> Any:
-        if current_thread() is not main_thread():
+        # A function that numba compiles here already, and that calls this one, holds the lock.
+        if current_thread() is not main_thread() or global_compiler_lock.is_locked():
             return compile_(signature)
         found: Future[Any] = Future()
 

@@ -9,7 +9,7 @@ from types import FunctionType
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.bare_arrays import bare
-from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options
+from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, kept
 from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.loops import advance
@@ -147,3 +147,10 @@ def test_loop_counts_no_references_makes_no_texts_and_shares_no_functions():
     assert not re.search('^define (?:weak|linkonce)', code, re.M)
     # Neither may reorder or fuse operations: plain Python ends in the same numbers.
     assert run(advance)[1:] == tuple(end)
+
+
+@pytest.mark.timeout(60)
+def test_function_of_another_that_calls_a_kept_one_is_compiled():
+    # numba compiles the inner one while it holds its lock for the outer one.
+    inner = kept(own=False)(lambda x: 2.0 * x)
+    assert doubled(inner)(3.0) == 12.0
