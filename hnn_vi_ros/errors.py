@@ -81,7 +81,9 @@ class HnnViRosError(Exception):
     remedy: ClassVar[str] = ''
     __reduce__ = reduce_error
 
-    def __init__(self, message: str = ''):
+    def __init__(self, message: object = ''):
+        # Libraries make an error again from another one, as gymnasium does across processes.
+        message = str(message)
         if len(message) > _LONGEST:
             message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
         super().__init__(message)
