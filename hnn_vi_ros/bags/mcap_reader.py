@@ -101,7 +101,7 @@ class BagReader:
 
     @property
     def unread(self) -> int:
-        """Return how many parts could not be read; damaged messages count once reading met them."""
+        """Return how many parts could not be read; damaged messages count once they were met."""
         return sum(len(source.unread) for source in self._sources)
 
     @property

@@ -22,7 +22,7 @@ import zstandard
 MAGIC = MCAP0_MAGIC
 # Opcode and length come before each record's content.
 PREFIX = struct.Struct('<BQ')
-# Of a chunk: times of its first and last message, unpacked size, its CRC, length of a name.
+# A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
 _CHUNK = struct.Struct('<QQQII')
 _SIZE = struct.Struct('<Q')
 _READERS = {

@@ -101,8 +101,8 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     """
     Make a bag whole: indexes, summary and footer of its file, and its metadata.yaml.
 
-    A bag that is whole stays unchanged. All that can be read goes into a new file next to it, which
-    is read back and then takes its place in one stroke; a failure before that changes nothing.
+    A whole bag stays unchanged. Otherwise all that can be read goes into a new file next to it,
+    which is read back and then takes its place in one stroke; a failure before changes nothing.
 
     Parameters
     ----------
