@@ -78,7 +78,7 @@ class Arrangement:
 
     @property
     def columns(self) -> int:
-        """Number of portraits in a row."""
+        """Return the number of portraits in a row."""
         if self.tabbed or self.portraits <= 1:
             return 1
         return 1 if self.portraits == 2 and self.bounds is None else 2
