@@ -74,7 +74,7 @@ class HnnViRosError(Exception):
     Attributes
     ----------
     remedy : str
-        Remedy for the user against errors of this class; the page on troubleshooting lists them all.
+        Remedy against errors of this class; the page on troubleshooting lists them all.
 
     """
 

@@ -31,7 +31,7 @@ class StepSearch:
     order : int
         Its order.
     base : float
-        What steps divide [s].
+        A time that the steps divide [s].
     tried : dict of int to Trial
         By the number of parts that a step is of the base.
 
@@ -74,8 +74,8 @@ class StepSearch:
         Return whether smaller steps no longer help: round-off is what is left.
 
         That is shown by two steps in a row, each at most two thirds as long as the one before,
-        over which the error falls by less than a quarter of the method's order predicts; it must be
-        small, too, or have fallen by its order before, as it does where steps resolve the path.
+        over which the error falls by less than a quarter of the method's order predicts; the error
+        must be small, too, or have fallen by its order before, a sign that steps resolve the path.
         """
         rows = sorted((k, trial.error) for k, trial in self.tried.items()
                       if trial.complete and math.isfinite(trial.error))
@@ -112,7 +112,7 @@ def search(problem: InitialValueProblem, method: Method, base: float, judge: Jud
     method : Method
         The method to try.
     base : float
-        What steps divide [s].
+        A time that the steps divide [s].
     judge : Judge
         Measures a trial.
     guess : float

@@ -86,7 +86,7 @@ class Guard(ABC):
     kind : str
         Name of its alarms.
     remedy : str
-        Remedy for the user against its alarms; the page on troubleshooting lists them all.
+        Remedy against its alarms; the page on troubleshooting lists them all.
 
     """
 

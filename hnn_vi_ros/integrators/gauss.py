@@ -53,7 +53,7 @@ class StageSlopes(NamedTuple):
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 where slopes come from the step before, 0 where there is none.
+        1 if slopes come from the step before, 0 without one.
     slopes : np.ndarray, shape (2 s n,)
         H_q at the stages one after another, then H_p.
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declaration of a method's demands on a system, and of what it conserves of the motion."""
+"""Declaration of a method's demands on a system, and of its conservation properties."""
 
 from dataclasses import dataclass
 from typing import Literal

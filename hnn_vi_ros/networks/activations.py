@@ -3,7 +3,7 @@
 """
 Functions between the layers of a network: their value, slope and curvature.
 
-Each class of PackedPerceptron has one activation. By the class the compiler chooses among the loops
+Each class of PackedPerceptron has one activation, by which the compiler chooses among the loops
 below, so that a network of one activation holds nothing of the others. tanh needs no memory of
 its own: its slope is 1 - a^2. The others keep their slope in a fifth group of rows of
 ``nodes``, and in a sixth its derivative along a_0' = v.

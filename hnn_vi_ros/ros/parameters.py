@@ -33,7 +33,7 @@ class Specification:
     default : str, bool, int or float
         Its default, whose type is the parameter's.
     description : str
-        What it does.
+        Its purpose.
     unit : str
         Unit of a number.
     smallest, largest : float

@@ -263,7 +263,7 @@ class Run:
 
     def reset(self, time_too: bool) -> None:
         """
-        Restart in new files; the steps equal those of any run from that state.
+        Restart in new files; the steps equal any run's from that state.
 
         Parameters
         ----------
