@@ -122,7 +122,7 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
     Raises
     ------
     CalibrationError
-        No method holds the tolerance; gives how near the best comes. Or the path cannot be known up
+        No method holds the tolerance; it names the nearest miss. Or the path cannot be known up
         to the horizon, since it is chaotic or round-off is larger than the error.
     UnsupportedSystem
         No candidate takes the effects.

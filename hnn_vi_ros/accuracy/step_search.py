@@ -74,8 +74,8 @@ class StepSearch:
         Return whether smaller steps no longer help: round-off is what is left.
 
         That is shown by two steps in a row, each at most two thirds as long as the one before,
-        over which the error falls by less than a quarter of the method's order predicts; the error
-        must be small, too, or have fallen by its order before, a sign that steps resolve the path.
+        over which the error falls by less than a quarter of the method's order; the error must
+        be small, too, or have fallen by that order before, a sign that steps resolve the path.
         """
         rows = sorted((k, trial.error) for k, trial in self.tried.items()
                       if trial.complete and math.isfinite(trial.error))
