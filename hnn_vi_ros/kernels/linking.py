@@ -213,7 +213,7 @@ def _register(function: Callable[..., Any], inline: bool) -> None:
 register_by(_register)
 
 
-# A file begins with its readers' version, then the digest of the rest.
+# A file begins with the version of numba that reads it, then the digest of the rest.
 _MARK = b'hnn_vi_ros, numba '
 _HEAD = _MARK + numba.__version__.encode() + b'\n'
 # Other versions' files begin with these; before files had a digest, they were pickles.

@@ -220,6 +220,6 @@ def qos_yaml(qos: QoSProfile) -> str:
 
 
 def _offered_duration(duration: Duration) -> dict[str, int]:
-    # Zero means "not specified"; publishers offer that, and rosbag2 finds it, as for ever.
+    # Zero means "not specified"; publishers and rosbag2 treat it as infinite.
     seconds, nanoseconds = divmod(duration.nanoseconds or Infinite.nanoseconds, 10**9)
     return {'sec': seconds, 'nsec': nanoseconds}

@@ -307,7 +307,7 @@ class DifferentiableRun:
         if self._acting.any:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
-        # In a step H' is always multiplied by h.
+        # In a step h occurs only as a factor of H'.
         return OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
     def _start(self, block: slice) -> Simulation:

@@ -118,7 +118,7 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
     g : np.ndarray, shape (n,)
         The coordinates, that of z or others.
     z : Point
-        The momenta pi, and the known part of the gradient at z.q, for the first start.
+        The momenta pi, and an estimate of the gradient at z.q, for the first start.
     z1 : Point
         Its gradient is filled, at (g, mu).
     work : GroupWork
@@ -159,7 +159,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
     kernel, h, options
         See Integrator.
     z : Point
-        g and pi, and the known part of H_mu, for the first start.
+        g and pi, and an estimate of H_mu, for the first start.
     z1 : Point
         Filled: q, and the gradient at (q, mu).
     work : GroupWork
