@@ -194,7 +194,7 @@ def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 
 class _Bounded(BufferedReader):
-    """A file that reads at most as much at a time as a directory of an archive may have."""
+    """A file that refuses to read more at a time than a directory of an archive may have."""
 
     def read(self, size: int | None = -1) -> bytes:
         if size is not None and size > _LONGEST_DIRECTORY:
