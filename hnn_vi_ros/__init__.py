@@ -24,7 +24,7 @@ _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.run.ensemble
 
 
 def __getattr__(name: str) -> object:
-    # Imported on first use: an executable whose dependency is missing can then still say so.
+    # Imported on first use: an executable can then still report a missing dependency.
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(_HOMES[name]), name)

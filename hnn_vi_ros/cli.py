@@ -119,7 +119,7 @@ def _choose_cache() -> None:
         os.environ['ROS_LOG_DIR'] = str(private_folder() / 'ros_log')
     if usual_folder() is not None:
         return
-    # matplotlib would make another one each time, and say so.
+    # matplotlib would make another one each time, with a warning.
     if 'MPLCONFIGDIR' not in os.environ:
         os.environ['MPLCONFIGDIR'] = str(private_folder() / 'matplotlib')
     if 'NUMBA_CACHE_DIR' not in os.environ and not os.access(Path(__file__).parent, os.W_OK):
@@ -174,7 +174,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         signal.signal(number, signal.SIG_IGN)
     status = _with_output(shown, status)
     if status == _INTERRUPTED:
-        # The interpreter's end takes half a second, and waits for what a thread compiles.
+        # The interpreter's end takes half a second, and waits for threads that compile.
         os._exit(_INTERRUPTED)
     sys.exit(status)
 
@@ -215,7 +215,7 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
             raise
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt as stop:
-        # A command whose work can go on later says how.
+        # The message of a command whose work can continue later explains how.
         print(f'{shown}: {str(stop) or "stopped"}', file=sys.stderr)
         return _INTERRUPTED
 
@@ -243,7 +243,7 @@ def _missing(package: str) -> str:
     if package in _TRAINING:
         packages = list(_TRAINING)
         text += 'what training takes (1 GB, or 5 GB with CUDA) '
-        # Of the environment that `make` has made: requirements/make_venv wrote it.
+        # It marks an environment made by `make`: requirements/make_venv wrote it.
         made = Path(sys.prefix) / '.installed'
         if made.is_file():
             checkout = made.read_text(encoding='utf-8').splitlines()[0].partition(' ')[2]
@@ -272,5 +272,5 @@ def _with_output(name: str, status: int | str | None) -> int | str | None:
         return status or 128 + signal.SIGPIPE
     print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
           file=sys.stderr)
-    # None of the statuses by which an executable tells what it found.
+    # Different from all statuses with which an executable reports its findings.
     return status or os.EX_IOERR if matters else status

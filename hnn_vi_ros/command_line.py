@@ -70,11 +70,11 @@ class Parser(argparse.ArgumentParser):
     name : str
         Of the executable.
     description : str
-        What it does.
+        Its purpose.
     examples : sequence of str
         Command lines that show it.
     details : str, optional
-        What its help tells beside the options, before the examples.
+        Further text of its help, before the examples.
 
     """
 
@@ -96,7 +96,7 @@ class Parser(argparse.ArgumentParser):
     def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
         """Return what the arguments say, or exit with one line if they are not understood."""
-        # Before argparse misses what is required, of which this may be a misspelling. It has no
+        # Check before argparse misses a required option that this may misspell. argparse has no
         # public list of the options, which groups add as well.
         options = list(self._option_string_actions)
         for word in args:

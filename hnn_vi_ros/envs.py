@@ -55,7 +55,7 @@ class Transition(NamedTuple):
 
 
 _RESET = 'the episode has ended, or none has begun: reset()'
-# What is told of an action beside its transition, by name.
+# Information on an action besides its transition, by name.
 _Info = dict[str, Any]
 Step = tuple[np.ndarray, float, bool, bool, _Info]
 
@@ -64,10 +64,10 @@ class SceneEnv(gymnasium.Env):
     """
     A scene as an environment: an action is the external force, an observation is (q, p).
 
-    An action acts from the start of its first step to the end of its last one; the steps are
-    those of ``Simulation``, bit by bit. The environment terminates where an event of the scene
+    An action acts from the start of its first step to the end of its last one; the steps equal
+    those in ``Simulation``, bit by bit. The environment terminates where an event of the scene
     with ``then: stop`` comes, and where a step fails: ``info`` then holds ``event`` or
-    ``failure``. Other events of the scene are told in ``info['events']``.
+    ``failure``. Other events of the scene are in ``info['events']``.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class SceneEnv(gymnasium.Env):
             check_count('max_episode_steps', max_episode_steps)
         self._reward, self._every, self._most = reward, int(every), max_episode_steps
         self._initial_state = initial_state
-        # Of its own: vector environments add to it.
+        # A copy of its own: vector environments add to it.
         self.metadata = dict(self.metadata)
         found = scene if isinstance(scene, Scene) else load_scene(scene)
         self._scene, _ = resolve(found.with_overrides(
@@ -143,7 +143,7 @@ class SceneEnv(gymnasium.Env):
         other = copy(self)
         other._simulation = other._made()
         other.over, other._ahead = True, None
-        # Of its own, and random until reset() gets a seed.
+        # A generator of its own, random until reset() gets a seed.
         other.np_random, _ = gymnasium.utils.seeding.np_random()
         return other
 
@@ -169,7 +169,7 @@ class SceneEnv(gymnasium.Env):
         try:
             simulation.restart(q, p, stream=int(self.np_random.integers(2**63)))
         except (StepFailure, EffectError) as problem:
-            # gymnasium makes the error of another process anew, of its message alone.
+            # gymnasium rebuilds the error of another process from its message alone.
             raise StateError(str(problem)) from problem
         self.over, self._taken, self._ahead = False, 0, None
         return np.concatenate([simulation.q, simulation.p]), {}
@@ -240,7 +240,7 @@ class SceneVectorEnv(SyncVectorEnv):
     """
     Many environments of one scene, whose steps are taken on several threads.
 
-    What an action comes to, and when an environment is reset, is that of gymnasium's
+    Actions have the same results, and environments reset at the same times, as in gymnasium's
     ``SyncVectorEnv`` over ``SceneEnv``, bit by bit. A step of a network takes microseconds
     outside of Python's lock, so that threads gain where actions last several steps.
 
@@ -299,12 +299,12 @@ class SceneVectorEnv(SyncVectorEnv):
 
 def check_action(action: ArrayLike, space: Any) -> np.ndarray:
     """
-    Return an action, or those of several environments, as a fresh array of float64.
+    Return an action, or the actions of several environments, as a fresh array of float64.
 
     Parameters
     ----------
     action : array_like, shape of the space
-        What the caller gave [N] or [N m].
+        The caller's action [N] or [N m].
     space : gymnasium.spaces.Box
         Of actions.
 

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 # Names in a list; characters of a message, of a longer one from its begin and from its end.
 _MOST_LISTED = 20
 _LONGEST, _TAIL = 2000, 400
-# What a terminal obeys, C0, DEL and C1, by which it is led to write files or to hide what was
-# printed; and what shows as nothing, ends lines, or turns the direction of what is read.
+# Characters that a terminal obeys, C0, DEL and C1, which can make it write files or hide output;
+# and characters that are invisible, end lines, or turn the reading direction.
 _CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
                       '\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]')
 
@@ -33,7 +33,7 @@ def printable(text: str, keep: str = '') -> str:
     text : str
         As it came.
     keep : str, optional
-        Control characters that are left as they are.
+        Control characters to leave alone.
 
     """
     return _CONTROL.sub(lambda found: found[0] if found[0] in keep else
@@ -74,7 +74,7 @@ class HnnViRosError(Exception):
     Attributes
     ----------
     remedy : str
-        What a user can do about errors of this class; the page on troubleshooting lists them all.
+        Remedy against errors of this class; the page on troubleshooting lists them all.
 
     """
 

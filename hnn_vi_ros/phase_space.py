@@ -31,7 +31,7 @@ class Coordinate:
     name : str
         The name that topics, logs and plots carry.
     q_unit, p_unit : str
-        Units of the coordinate and of the momentum; of a pose those of its position.
+        Units of the coordinate and of the momentum; for a pose, the units of its position.
     kind : str
         ``'scalar'``, one number; ``'rotation'``, an attitude: a unit quaternion (x, y, z, w) that
         takes vectors of the body to space, with the angular momentum in the frame of the body,
@@ -214,7 +214,7 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
 
 def _normalise(quaternions: np.ndarray, column: int) -> None:
     """Make quaternions of shape (..., 4) unit ones, or raise ValueError."""
-    # Infinity is no norm of 1, and needs no warning of numpy's beside the error.
+    # Infinity is no norm of 1, and needs no warning of numpy's in addition to the error.
     with np.errstate(over='ignore'):
         norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     if (abs(norms - 1.0) > _NORM_ERROR).any():

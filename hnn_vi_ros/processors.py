@@ -13,7 +13,7 @@ _own = local()
 
 
 def usable_processors() -> int:
-    """Return how many processors this process may use: those of its affinity, all without one."""
+    """Return how many processors this process may use: its affinity's, or all without one."""
     if hasattr(os, 'sched_getaffinity'):
         # A container's cpuset, taskset or a queue may allow fewer than the machine has.
         return len(os.sched_getaffinity(0))

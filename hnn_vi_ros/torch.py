@@ -28,7 +28,7 @@ import torch
 
 __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
 
-# Names of tensors of a model, among those of numbers of a scene.
+# Names of a model's tensors, among the names of a scene's numbers.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
 # What else a run depends on, by the name that this tensor has in it.
 _WEIGHTS = 'weights'
@@ -59,9 +59,9 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     """
     Simulate a scene, as a function that torch differentiates, once, in reverse or forward mode.
 
-    The states are those of ``hnn_vi_ros.simulate``, or of ``simulate_many``, bit by bit. Their
-    derivatives are those of the compiled steps, exact to round-off: no steps are recorded by
-    torch. Memory grows with the square root of the number of steps.
+    The states equal those from ``hnn_vi_ros.simulate``, or ``simulate_many``, bit by bit. Their
+    derivatives belong to the compiled steps, exact to round-off: torch records no steps. Memory
+    grows with the square root of the number of steps.
 
     Parameters
     ----------
@@ -69,19 +69,19 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         See ``hnn_vi_ros.simulate``. Of effects it may have those that join H, forces that depend
         on time and state, damping, and external_force on coordinates.
     q0, p0 : torch.Tensor, shape (d,) or (m, d)
-        The initial state, or those of m trajectories, of float64.
+        The initial state, or m initial states of trajectories, of float64.
     duration : float
         Simulated time [s], a whole number of samples.
     parameters : mapping of str to torch.Tensor, optional
         Numbers in place of the scene's, of shape (), by their place in it:
-        ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of those of its
-        model, by their names in the file: ``'hamiltonian.linear1.weight'``.
+        ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of its model's,
+        under the names in the file: ``'hamiltonian.linear1.weight'``.
     commands : torch.Tensor, shape (N, c) or (N, m, c), optional
         Of external_force: a row for each of N samples, which holds until the next; for all
         trajectories or for each of m.
     step_size : float or torch.Tensor, shape (), optional
-        h [s], in place of the scene's. By a tensor the motion is differentiated with the number
-        of steps as it is, and so are the times.
+        h [s], in place of the scene's. By a tensor the motion is differentiated at a fixed number
+        of steps, and so are the times.
     every : int, optional
         Steps from one sample to the next.
     checkpoints : int, optional
@@ -120,9 +120,9 @@ class DifferentiableSimulation:
     A scene made ready to be simulated often, as a function that torch differentiates.
 
     It is read, checked and compiled once. A call writes the numbers that it is given into the
-    memory of the compiled loops, and runs them; its states and derivatives are those of
-    ``simulate``, bit by bit. What one call is given has no influence on others, also where they
-    are differentiated later, and calls of several threads do not wait for each other.
+    memory of the compiled loops, and runs them; its states and derivatives equal
+    ``simulate``'s, bit by bit. The arguments of a call have no influence on others, also where
+    they are differentiated later, and calls of several threads do not wait for each other.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class DifferentiableSimulation:
     def _arranged(self, parameters: Mapping[str, torch.Tensor],
                   step_size: float | torch.Tensor | None
                   ) -> tuple[list[str], list[torch.Tensor]]:
-        """Return the names of what a run depends on, and tensors; all weights are one of them."""
+        """Return the names of a run's inputs, and tensors; all weights are one of them."""
         expected = [*self._names, *self._weights]
         if parameters.keys() != set(expected):
             raise ValueError(f'parameters are {listed(parameters) or "none"}; expected those '
@@ -254,7 +254,7 @@ class DifferentiableSimulation:
             self._idle.append(held)
 
     def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
-        """Return the dependence of a run on what has a name in a ``Call``."""
+        """Return the dependence of a run on the tensor with this name in a ``Call``."""
         if name == STEP:
             return held.run.on_step_size
         if name == _WEIGHTS:
@@ -269,7 +269,7 @@ def _in_file(name: str) -> str:
 
 
 def _check_mapping(parameters: Mapping[str, torch.Tensor] | None) -> None:
-    """Raise unless parameters are by their names."""
+    """Raise unless parameters are a mapping of names to tensors."""
     if not isinstance(parameters, Mapping | None):
         raise TypeError(f'parameters is a {type(parameters).__name__}: give a mapping of names '
                         "to tensors, such as {'hamiltonian.mass': mass}")

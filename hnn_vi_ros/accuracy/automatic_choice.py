@@ -46,7 +46,7 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     scene : Scene
         The same if it names its method.
     chosen : Chosen or None
-        What was chosen, if that was to be done.
+        The choice, if the scene asks for one.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     with scene.placed('integrator'):
         base = scene.step_size or largest_step
         if _names_code(scene):
-            # What it does, and what it imports, may be other at each time.
+            # The code, and its imports, may change from one time to the next.
             choice = calibrate(problem, tolerance, base)
         else:
             name = json.dumps([scene.model_dump_json(), scene.model_digests])

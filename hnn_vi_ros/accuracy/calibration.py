@@ -39,7 +39,7 @@ _FIRST = 0.25
 _BEYOND_FLOOR = 10.0
 # Wall time in which the cost that is reported is measured [s], and in how many pieces.
 _TIMED, _PIECES = 0.05, 9
-# Of what is remembered; another number makes it be chosen anew.
+# Format of remembered choices; another number discards them all.
 _FORMAT = 2
 
 
@@ -59,9 +59,9 @@ class Choice:
     checked : float
         The simulated time over which it was seen [s]; less than the horizon where that is long.
     seconds_per_simulated_second : float
-        What a simulated second costs on this machine [s/s]; reported, and nothing is chosen by it.
+        Cost of a simulated second on this machine [s/s]; for the report, not for the choice.
     gradients_per_simulated_second : float
-        By which the choice was made [1/s].
+        Basis of the choice [1/s].
     arguments : mapping
         Of the method.
     energy_scale : float
@@ -107,7 +107,7 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     tolerance : Tolerance
         What must be held.
     largest_step : float, optional
@@ -122,7 +122,7 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
     Raises
     ------
     CalibrationError
-        No method holds the tolerance; says how near the best comes. Or the path cannot be known up
+        No method holds the tolerance; it names the nearest miss. Or the path cannot be known up
         to the horizon, since it is chaotic or round-off is larger than the error.
     UnsupportedSystem
         No candidate takes the effects.
@@ -223,7 +223,7 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
     problem, tolerance, largest_step
         See calibrate.
     name : str
-        What tells the problem from others, beside the model behind H.
+        Distinguishes the problem from others, in addition to the model behind H.
 
     """
     key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
@@ -232,7 +232,7 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
     try:
         return Choice(**json.loads(file.read_text()))
     except (OSError, ValueError, TypeError):
-        # Not yet, or not readable: it is made anew.
+        # Missing or not readable: choose again.
         choice = calibrate(problem, tolerance, largest_step)
     with suppress(OSError):
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -62,7 +62,7 @@ class RunErrors(NamedTuple):
     Parameters
     ----------
     path : float
-        Largest deviation of a coordinate or momentum from the reference; NaN where there is none.
+        Largest deviation of a coordinate or momentum from the reference; NaN without a reference.
     energy : float
         Largest abs(H - H0 - W) [J].
     gradients : int
@@ -163,7 +163,7 @@ class CostStudy:
         return min(good, key=lambda cost: cost.seconds, default=None)
 
     def recommended(self, error: float) -> Cost | None:
-        """Return the cheapest that holds an error, with a margin for what is not known."""
+        """Return the cheapest that holds an error, with a margin for unknown errors."""
         return self.cheapest(_SEEN * error - self.floor)
 
 

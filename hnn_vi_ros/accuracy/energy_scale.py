@@ -8,10 +8,10 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 
-# Of the state, over which H is differenced where (q, p) is not canonical: truncation and rounding
-# are some 1e-6 both.
+# Share of the state over which to difference H where (q, p) is not canonical: truncation and
+# rounding are both some 1e-6.
 _SPACING = 1e-5
-# Samples from which on their mean stands for that over the path; of fewer any may lie at a
+# With this many samples, their mean represents the mean over the path; fewer may all lie at a
 # turning point.
 _MEAN = 8
 
@@ -60,7 +60,7 @@ class EnergyScale:
         box = hamiltonian.box
         middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
         angles = angle_columns(hamiltonian.coordinates)
-        # What costs nothing where there is nothing to do.
+        # None skips the shift where all its numbers are zero.
         self._middle = middle if middle.any() else None
         self._angles = angles if angles.any() else None
         self._gauge = hamiltonian.gauge
@@ -76,7 +76,7 @@ class EnergyScale:
         Parameters
         ----------
         q, p : np.ndarray, shape (d,) or (m, d)
-            The state, or those of m trajectories, whose energies add up.
+            The state, or m states, whose energies add up.
         dH_dq, dH_dp : np.ndarray, of the shape of q
             -p' and q' there.
         weight : float, optional
@@ -89,7 +89,7 @@ class EnergyScale:
         else:
             potential, virial = self._both(q, p, dH_dq, dH_dp)
             self._first = max(self._first, 0.5 * (potential + virial))
-        # What is not finite is not in play; the energy itself tells.
+        # A value that is not finite is not in play; the energy itself shows it.
         if math.isfinite(virial):
             self._sum += weight * virial
             self._time += weight
@@ -158,7 +158,7 @@ class EnergyScale:
         return np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
 
     def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
-        """Return H' (v_q, v_p), where what stands for the gradient of H is none."""
+        """Return H' (v_q, v_p) by differences, for a kernel that gives no gradient of H."""
         ahead, behind = self._hamiltonian.energy(
             np.array([q + _SPACING * v_q, q - _SPACING * v_q]),
             np.array([p + _SPACING * v_p, p - _SPACING * v_p]))

@@ -11,7 +11,7 @@ import numpy as np
 
 def local_error(simulation: Simulation) -> float:
     """
-    Return the estimated error that the next step of a simulation adds, and leave it as it is.
+    Return the estimated error that the next step of a simulation adds, and leave it unchanged.
 
     A step of h and two of h / 2 from the same state differ by (1 - 2^-p) of the error of the
     first, up to terms of higher order, with p the order of the method:
@@ -21,7 +21,7 @@ def local_error(simulation: Simulation) -> float:
     Parameters
     ----------
     simulation : Simulation
-        In any state; it goes on bit-identically.
+        In any state; it continues bit-identically.
 
     Returns
     -------

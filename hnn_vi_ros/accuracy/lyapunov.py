@@ -30,10 +30,10 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
     """
     Return the time in which neighbouring motions part by the factor e [s].
 
-    The method and effects are those of the scene; a second motion is kept near the first
-    (Benettin). The growth in the second half of ever longer runs decides: it is some 10 and grows
+    The scene gives the method and the effects; a second motion is kept near the first (Benettin).
+    The growth in the second half of ever longer runs decides: it is some 10 and grows
     where the motion is chaotic, and stays near 1 where neighbours part in proportion to time. A
-    close encounter makes them part for a while only, and is told by the half before.
+    close encounter makes them part for a while only, and the half before reveals it.
 
     Parameters
     ----------

@@ -82,7 +82,7 @@ class Instants:
 @dataclass(frozen=True)
 class PathReference:
     """
-    A path as it is known.
+    A path, known as well as possible.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class PathReference:
         The largest error: of a formula a bound, else the largest difference from the path that
         was found before it.
     how : str
-        What it was computed by.
+        How it was computed.
 
     """
 
@@ -123,11 +123,11 @@ def find_reference(problem: InitialValueProblem, tolerance: Tolerance, base: flo
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     tolerance : Tolerance
         How well it must be known, and until when.
     base : float
-        What the steps of trials divide [s].
+        A time that the steps of trials divide [s].
     known : PathSurvey
         Of the path.
 
@@ -153,7 +153,7 @@ def best_reference(problem: InitialValueProblem, horizon: float, known: PathSurv
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     horizon : float
         Until when [s].
     known : PathSurvey
@@ -202,7 +202,7 @@ def refined_path(problem: InitialValueProblem, instants: Instants, known: PathSu
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     instants : Instants
         Where it is wanted; it may end sooner.
     known : PathSurvey
@@ -291,7 +291,7 @@ class PathJudge:
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     tolerance : Tolerance
         What must be held.
     reference : PathReference

@@ -9,8 +9,8 @@ from hnn_vi_ros.accuracy.trials import (
     FAILED, InitialValueProblem, Judge, Method, parts_between, parts_for, Trial)
 from hnn_vi_ros.errors import StepFailure
 
-# What is measured must stay this far below the tolerance: where all up to the horizon was seen,
-# and where it is carried on from a shorter time.
+# Measured errors must stay this far below the tolerance: if seen all the way up to the horizon,
+# and if extrapolated from a shorter time.
 _SEEN, _CARRIED = 0.95, 0.5
 # The most trials of a method.
 _TRIALS = 24
@@ -27,11 +27,11 @@ class StepSearch:
     Parameters
     ----------
     method : Method
-        What is tried.
+        The method to try.
     order : int
         Its order.
     base : float
-        What steps divide [s].
+        A time that the steps divide [s].
     tried : dict of int to Trial
         By the number of parts that a step is of the base.
 
@@ -74,8 +74,8 @@ class StepSearch:
         Return whether smaller steps no longer help: round-off is what is left.
 
         That is shown by two steps in a row, each at most two thirds as long as the one before,
-        over which the error falls by less than a quarter of the method's order says; of errors
-        so small, or that have fallen by its order before, as they do where steps resolve the path.
+        over which the error falls by less than a quarter of the method's order; the error must
+        be small, too, or have fallen by that order before, a sign that steps resolve the path.
         """
         rows = sorted((k, trial.error) for k, trial in self.tried.items()
                       if trial.complete and math.isfinite(trial.error))
@@ -108,11 +108,11 @@ def search(problem: InitialValueProblem, method: Method, base: float, judge: Jud
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     method : Method
-        What is tried.
+        The method to try.
     base : float
-        What steps divide [s].
+        A time that the steps divide [s].
     judge : Judge
         Measures a trial.
     guess : float
@@ -142,7 +142,7 @@ def _wish(found: StepSearch, parts: int, now: Trial, judge: Judge, bound: float)
     factor = 2.5
     if 0.0 < now.error < math.inf:
         allowed = max(found.allowed(now, judge), 1e-300)
-        # By its order; the tenth more keeps what is just missed from being missed again.
+        # The order gives the factor; a tenth more keeps a near miss from missing again.
         factor = 1.1 * (now.error / allowed) ** (1.0 / found.order)
     elif now.error == 0.0:
         factor = 0.25

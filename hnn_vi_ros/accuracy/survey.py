@@ -60,13 +60,13 @@ def survey(problem: InitialValueProblem, horizon: float, base: float,
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     horizon : float
         How far, if gradients allow [s].
     base : float
         A time that the steps divide [s].
     surveyors : sequence of str, optional
-        Methods, of which the first that fits is taken.
+        Methods; the first that fits is taken.
 
     Raises
     ------

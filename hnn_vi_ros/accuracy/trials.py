@@ -91,7 +91,7 @@ class InitialValueProblem:
     hamiltonian : Hamiltonian
         H.
     effects : tuple of Effect
-        What acts beside it.
+        Effects in addition to H.
     q, p : np.ndarray, shape (d,)
         The initial state.
 
@@ -161,7 +161,7 @@ FAILED = Trial(math.inf, 0.0, math.inf, False)
 
 class Judge(Protocol):
     """
-    Judge of a simulation: takes it up to a horizon and says how large its error is.
+    Judge of a simulation: takes it up to a horizon and returns the size of its error.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ class EnergyJudge:
     Parameters
     ----------
     problem : InitialValueProblem
-        What is simulated.
+        The problem to simulate.
     tolerance : Tolerance
         What must be held.
     scale : float

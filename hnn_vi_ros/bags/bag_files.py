@@ -41,7 +41,7 @@ def bag_files(bag: Path) -> list[Path]:
         A folder without a bag, with several, or with a part of one.
 
     """
-    # Of a path that cannot be one, whoever opens it says why.
+    # Opening the path reports why it cannot be a bag.
     if not os.path.isdir(bag):
         return [bag]
     files = sorted(path for path in bag.iterdir() if path.name.endswith(_SUFFIXES))
@@ -87,7 +87,7 @@ def _nearest(folder: Path) -> str:
 
 def open_source(path: Path) -> Source:
     """
-    Return a file of a bag; one that is packed is unpacked for as long as it is used.
+    Return a file of a bag; a packed one stays unpacked while in use.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ METADATA_VERSION = 9
 NEVER = 2**63 - 1
 # No metadata.yaml is larger [bytes].
 _LARGEST = 2**20
-# Metadata of our recordings: the definitions of all types, by their names.
+# Metadata of our recordings: the definitions of all types, keyed by type name.
 DEFINITIONS = 'definitions'
 
 
@@ -34,7 +34,7 @@ class Topic:
     type : str
         Message type, ``'std_msgs/msg/Float64'``.
     definition : str
-        Text of the .msg file, followed by those of the types that it uses.
+        Text of the .msg file, then the texts of the types that it uses.
     type_hash : str
         RIHS01 hash of the type.
     offered_qos_profiles : str
@@ -80,7 +80,7 @@ class Extent(NamedTuple):
     messages : int
         How many.
     first, last : int
-        Earliest and latest log time [ns]; of no account where there is no message.
+        Earliest and latest log time [ns]; meaningless without messages.
 
     """
 

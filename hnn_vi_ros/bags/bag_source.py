@@ -21,7 +21,7 @@ class Piece(NamedTuple):
     start, length : int
         Where it is in the file: in bytes, or in rows.
     kind : int
-        What the file's reader must know of it.
+        Information for the file's reader.
 
     """
 

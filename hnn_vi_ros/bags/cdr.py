@@ -7,7 +7,7 @@ from typing import final, NamedTuple
 
 import numpy as np
 
-# Of numbers in the byte order of the message, by the second byte of the message.
+# Byte order of the numbers, keyed by the second byte of the message.
 _ORDERS = {0: '>', 1: '<'}
 _PREFIX = 4
 

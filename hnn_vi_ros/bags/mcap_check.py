@@ -40,12 +40,12 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
 
 
 def contradicted(stream: BinaryIO, survey: Survey) -> int:
-    """Return how many chunks have indexes that are not those of their messages."""
+    """Return how many chunks have indexes that do not match their messages."""
     return sum(not _agrees(stream, indexed) for indexed in survey.chunks)
 
 
 def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
-    """Return whether the data are as they were written, header and metadata too, where known."""
+    """Return whether the data are unchanged, header and metadata too, where known."""
     stream.seek(survey.end)
     data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
     return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
@@ -89,7 +89,7 @@ def _summarised(survey: Survey) -> bool:
 
 
 def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
-    """Return whether the times and the indexes of a chunk are those of its messages."""
+    """Return whether the times and the indexes of a chunk match its messages."""
     content = read_content(stream, indexed.chunk)
     head, messages = chunk_head(content), _messages(unpack(content, True)[0])
     times = [time for some in messages.values() for time, _ in some]

@@ -52,7 +52,7 @@ def copy_messages(file: McapFile, target: BinaryIO) -> None:
 
 def _register(writer: Writer, file: McapFile) -> dict[int, int]:
     """Describe the channels, in the order of their numbers; return the new ones."""
-    # Of schema 0 there is none.
+    # Schema 0 means no schema.
     schemas = {0: 0}
     for number, schema in file.schemas.items():
         schemas[number] = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -45,7 +45,7 @@ class Definitions:
         return self._of(record).get(record.id, record) != record
 
     def add(self, others: 'Definitions') -> None:
-        """Take those of others whose numbers are not taken."""
+        """Add the definitions of others whose numbers are free."""
         self.schemas |= others.schemas | self.schemas
         self.channels |= others.channels | self.channels
 

@@ -25,10 +25,10 @@ import numpy as np
 _CHANNEL = struct.Struct('<H')
 # Where the entries of a message index begin.
 _ENTRIES = 6
-# What a chunk tells before its data fits in so many bytes.
+# The fields of a chunk before its data fit in so many bytes.
 _HEAD = 64
-# Records in chunks, over the size of the file and beside so many: of messages without content
-# whose stamps are even, zstd packs 1.4 into a byte; of those that are equal in all, 350.
+# Most records in chunks, per byte of the file plus a constant: zstd packs 1.4 messages without
+# content and with even stamps into a byte; of entirely equal ones, 350.
 _PER_BYTE, _AT_LEAST = 4, 2**20
 
 
@@ -55,7 +55,7 @@ class McapFile(Source):
     Attributes
     ----------
     survey : Survey
-        What the file holds.
+        Survey of the file.
 
     Raises
     ------
@@ -211,7 +211,7 @@ class McapFile(Source):
         numbers = {number for number, _ in indexes}
         times, places = np.concatenate(
             [np.empty((0, 2), '<u8'), *(entries for _, entries in indexes)]).T
-        # What a chunk defines comes before the first message of it.
+        # The definitions in a chunk come before its first message.
         if head is None or not len(times) or places.min() != 0 or len(numbers) < len(indexes) \
                 or not numbers <= {*self._defined.channels, *self._loose.channels} \
                 or (head.first, head.last) != (int(times.min()), int(times.max())):

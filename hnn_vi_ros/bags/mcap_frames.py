@@ -4,8 +4,8 @@
 Find the records of an MCAP file, behind damage as well.
 
 A record is taken for one only if what it says of its own lengths agrees: the prefix, the fields
-inside, and what comes next. Where nothing does, the search goes on byte by byte. No opcode ends
-it.
+inside, and what comes next. Where nothing does, the search continues byte by byte. No opcode
+ends it.
 """
 
 from collections.abc import Iterator
@@ -21,15 +21,15 @@ _HEAD = 64
 # Records below 4 GiB: an opcode, and the length's upper half, which is zero.
 _START = re.compile(rb'(?=[\x01-\x0f].{4}\x00{4})', re.DOTALL)
 _WINDOW = 2**20
-# What is read in search of records, over the size of the file and beside so many bytes: a bag that
-# was damaged takes a few times its size, one that is made to take long would take its square.
+# Most bytes to read in search of records, as a multiple of the file's size plus a constant: a
+# damaged bag takes a few times its size, one made to take long would take its square.
 _MOST_READ, _AT_LEAST = 64, 2**28
 # Only chunks, attachments, messages and their indexes may be longer [bytes].
 _LONGEST = 2**24
 _KINDS = frozenset(range(0x01, 0x10))
 # Kinds that the format leaves to others.
 _PRIVATE = frozenset(range(0x10, 0x100))
-# What a chunk may hold.
+# Kinds of records that a chunk may hold.
 _INNER = frozenset((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _INDEX_HEAD = 6
 
@@ -162,7 +162,7 @@ class _Finder:
         return content
 
     def _fits(self, frame: Frame, head: bytes) -> bool:
-        """Return whether a record is there, and its fields are as long as it is."""
+        """Return whether a record is there, and its fields agree with its length."""
         opcode, length = frame.opcode, frame.length
         if opcode == Opcode.CHUNK or frame.end > self._size:
             return False
@@ -184,7 +184,7 @@ class _Finder:
         return frame if alone or self._follows(frame.end) or self._sound(frame) else None
 
     def _mended_chunk(self, frame: Frame, own: int | None) -> Frame | None:
-        """Return a chunk of which opcode, length or one of its own lengths is damaged."""
+        """Return a chunk whose opcode, length or one of its inner lengths is damaged."""
         for length in {own, frame.length if frame.opcode == Opcode.CHUNK else None} - {None}:
             chunk = Frame(Opcode.CHUNK, frame.start, length, True)
             if chunk.end <= self._size and self._sound(chunk):

@@ -13,7 +13,7 @@ class _Record(bytes):
     __slots__ = ()
 
     def write(self, builder: RecordBuilder) -> None:
-        """Add it to those of the summary."""
+        """Add it to the records of the summary."""
         builder.write(self)
 
 

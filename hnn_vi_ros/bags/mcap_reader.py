@@ -17,8 +17,8 @@ import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
 _BLOCK = 2**20
-# Messages that wait for earlier ones hold at most so many bytes, those of some largest chunks;
-# each takes so many besides.
+# Messages that wait for earlier ones hold at most so many bytes, as much as some largest chunks;
+# each takes so many more.
 _HELD, _BESIDES = 2**30, 160
 
 
@@ -101,7 +101,7 @@ class BagReader:
 
     @property
     def unread(self) -> int:
-        """Return how many parts could not be read; those of messages once these were read."""
+        """Return how many parts could not be read; damaged messages count once they were met."""
         return sum(len(source.unread) for source in self._sources)
 
     @property
@@ -149,7 +149,7 @@ class BagReader:
     def messages(self, channels: Collection[int] | None = None, first: int = 0,
                  last: int = 2**64 - 1) -> Iterator[Recorded]:
         """
-        Yield messages in the order of their log times, those of one time as they were recorded.
+        Yield messages in the order of their log times, equal times in the order of recording.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class BagReader:
                         f'order: to sort them takes more than {_HELD >> 20} MiB; sort it with '
                         '`mcap sort`')
             held.sort(key=lambda message: message.time)
-            # What a later piece may come before is kept.
+            # Messages that a later piece may precede are kept.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
             place = 0
             while place < len(held) and held[place].time < until:
@@ -191,7 +191,7 @@ class BagReader:
             if number not in wanted:
                 continue
             data = message.data
-            # What is not packed begins with how it is encoded, 00 .. in CDR.
+            # A message that is not packed begins with its encoding, 00 .. in CDR.
             if data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
                 data = _unpacked(data)
             if data is None:

@@ -22,7 +22,7 @@ import zstandard
 MAGIC = MCAP0_MAGIC
 # Opcode and length come before each record's content.
 PREFIX = struct.Struct('<BQ')
-# Of a chunk: times of its first and last message, unpacked size, its CRC, length of a name.
+# A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
 _CHUNK = struct.Struct('<QQQII')
 _SIZE = struct.Struct('<Q')
 _READERS = {
@@ -36,7 +36,7 @@ _READERS = {
 _NAMES = {Opcode.HEADER: 0, Opcode.METADATA: 0, Opcode.SCHEMA: 2, Opcode.CHANNEL: 4,
           Opcode.ATTACHMENT: 16, Opcode.METADATA_INDEX: 16, Opcode.ATTACHMENT_INDEX: 40}
 _COUNTS = 42
-# Of a message: its channel and its log time.
+# A message begins with its channel and holds its log time.
 MESSAGE = struct.Struct('<HxxxxQ')
 # Channel, sequence, log time and publish time come before its data.
 _MESSAGE_HEAD = struct.Struct('<HIQQ')
@@ -142,7 +142,7 @@ def is_consistent(record: McapRecord | None) -> TypeGuard[Statistics]:
 
 
 def _is_named(content: bytes, start: int) -> bool:
-    """Return whether a name stands there that prints, with its length before it."""
+    """Return whether a printable name is at this place, after its length."""
     begin = start + 4
     end = begin + int.from_bytes(content[start:begin], 'little')
     name = content[begin:end]
@@ -159,7 +159,7 @@ def _message(content: bytes) -> Message | None:
 
 
 def read_content(stream: BinaryIO, frame: Frame) -> bytes:
-    """Return the content of a frame, as far as it is there; nothing of one that is too large."""
+    """Return the content of a frame, as far as present; nothing of one that is too large."""
     if frame.length > LARGEST:
         return b''
     stream.seek(frame.start)
@@ -215,7 +215,7 @@ def unpack(content: bytes, whole: bool, most: int = LARGEST) -> tuple[bytes, boo
         return data[:head.unpacked], False
     intact = len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) \
         and _in_order(data, most)
-    # Of a damaged chunk nothing is believed.
+    # Nothing in a damaged chunk is believed.
     return (data, True) if intact else (b'', False)
 
 

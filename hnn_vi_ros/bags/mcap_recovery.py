@@ -39,11 +39,11 @@ class Recovery:
     first, last : int
         Earliest and latest log time [ns].
     changed : bool
-        Whether the file was written anew.
+        Whether the file was rewritten.
     described : bool
         Whether metadata.yaml was written.
     original : Path or None
-        Where the file is kept as it was.
+        Where the original file is kept.
     incomplete : int
         Bytes with which a recording breaks off: no damage, its last second or less.
     damaged : int
@@ -51,7 +51,7 @@ class Recovery:
     unread : int
         Their bytes.
     altered : bool
-        Whether the header or metadata, of which nothing else tells, are not as recorded.
+        Whether the header or metadata, which nothing else confirms, differ from the recording.
     another : int or None
         Where a second file begins behind the first, which alone is kept.
     fewer : int
@@ -61,7 +61,7 @@ class Recovery:
     files : int
         Attachments and metadata that there were, by the file's own count, and are not kept.
     contradicted : int
-        Chunks whose indexes are not those of their messages: these are made again.
+        Chunks whose indexes do not match their messages: these are made again.
     gaps : list of Missing
         Where stamps are missing that otherwise come evenly.
 
@@ -101,9 +101,8 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     """
     Make a bag whole: indexes, summary and footer of its file, and its metadata.yaml.
 
-    What is whole already stays as it is. What can be read is written into a file beside it, which
-    is read back and then takes its place in one stroke; whatever goes wrong before leaves all as
-    it was.
+    A whole bag stays unchanged. Otherwise all that can be read goes into a new file next to it,
+    which is read back and then takes its place in one stroke; a failure before changes nothing.
 
     Parameters
     ----------
@@ -115,7 +114,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     Raises
     ------
     RecordingError
-        Nothing can be recovered, it is being recorded, or nothing can be written beside it.
+        Nothing can be recovered, it is being recorded, or its folder cannot be written.
 
     """
     files = bag_files(bag)

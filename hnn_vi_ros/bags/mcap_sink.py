@@ -42,7 +42,7 @@ class McapSink:
     folder : Path
         The bag. It must not exist; its parents are created.
     topics : sequence of Topic
-        What is recorded at each tick, in the order of its payloads.
+        Topics recorded at each tick, in the order of its payloads.
     attachments : mapping of str to bytes
         Files that explain the recording, by name: the scene, the parameters.
     ros_distro : str
@@ -59,7 +59,7 @@ class McapSink:
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
         self._ticks, self._described = 0, False
-        # Of topics that have no message each tick: their channel, and how many they have.
+        # Topics without a message each tick: their channel, and how many messages they have.
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
@@ -75,11 +75,11 @@ class McapSink:
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._describe()
             self._attach(attachments)
-            # By which it is known whether the same run could be had again, bit by bit.
+            # It shows whether the same run could be had again, bit by bit.
             self._writer.add_metadata('hnn_vi_ros', origin)
             self._channels = [self._register(topic) for topic in self._topics]
             self._writer.flush()
-            # What is there under this name can be read, whenever the process is killed.
+            # A file under this name can be read, whenever the process is killed.
             os.rename(hidden, self._path)
             # With the first tick, at once: of a run that began there is a sample.
             self._next_flush = 0.0
@@ -240,7 +240,7 @@ class McapSink:
         self._next_flush = time.monotonic() + FLUSH_INTERVAL
 
     def _abandon(self, problem: OSError) -> RecordingError:
-        """Let go of the file as it is and return the error to raise."""
+        """Abandon the file in its current state and return the error to raise."""
         if self._stream is not None:
             # Closing tries once more what has just failed; that failure is the one we report.
             with suppress(OSError):

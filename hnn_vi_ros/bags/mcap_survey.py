@@ -66,11 +66,11 @@ class Survey:
     private : int
         Bytes of records whose kind is not known.
     summary : bool or None
-        Whether what is behind the data is as it was written; None where no CRC tells.
+        Whether the records behind the data are unchanged; None without a CRC.
     chunked : bool
         Whether messages are in chunks: then none is believed that is not.
     another : Gap or None
-        A second file behind the first one, of which nothing is read.
+        A second file behind the first one, which is not read.
 
     """
 
@@ -121,7 +121,7 @@ class Survey:
         self.gaps = [gap for gap in self.gaps if not self.complete and gap.start < self.end]
 
     def disbelieve(self) -> None:
-        """Take messages outside of chunks for what is damaged."""
+        """Count messages outside of chunks as damage."""
         self.gaps += [Gap(run.start, run.start + run.length, False) for run in self.runs]
         self.runs, self.messages, self.numbers = [], 0, set()
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.errors import printable, RecordingError
 
 
 def main(argv: list[str]) -> int:
-    """Make each bag whole, and say what is in it."""
+    """Make each bag whole, and print its contents."""
     options = arguments.recover_bag().parse_args(argv)
     return max(_recover(bag, options.replace) for bag in options.bag)
 

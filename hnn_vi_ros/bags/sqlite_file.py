@@ -17,7 +17,7 @@ from mcap.records import Channel, Message, Schema
 # Rows that are read together, as a power of two, and how much they may hold [bytes].
 _SHIFT = 4
 _MOST = 2**30
-# Of what a message is stamped with.
+# Only such rows count as stamped messages.
 _STAMPED = "typeof(timestamp) = 'integer' AND timestamp >= 0"
 
 
@@ -45,7 +45,7 @@ class SqliteFile(Source):
                 raise RecordingError(f'{name}: no bag: it has no tables topics and messages')
             columns = {row[1] for row in database.execute('PRAGMA table_info(topics)')}
             self._add_topics(database, columns)
-            # Of the column id, which a file may declare as anything, nothing is asked.
+            # The query avoids the column id, which a file may declare as anything.
             self.pieces = [
                 Piece(first, last, rows << _SHIFT, 1 << _SHIFT)
                 for rows, first, last in database.execute(

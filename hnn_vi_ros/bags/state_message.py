@@ -59,7 +59,7 @@ def _momenta(names: list[str], count: int) -> int | None:
     d = count // 3
     if names == state_names(names[:d]):
         return d
-    # Of a quaternion there are four columns and three momenta.
+    # A quaternion has four columns and three momenta.
     rates = sum(name.startswith(RATE) for name in names)
     momenta = [name.removeprefix(RATE) for name in names[count - rates:count]]
     return rates if names == state_names(names[:count - 2 * rates], momenta) else None

@@ -15,9 +15,9 @@ def json_schema(model: type[BaseModel], title: str) -> str:
     Parameters
     ----------
     model : type of BaseModel
-        What the file holds.
+        Schema of the file.
     title : str
-        What the file is.
+        Description of the file.
 
     """
     schema = model.model_json_schema(schema_generator=_Plain)

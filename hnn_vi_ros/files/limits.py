@@ -3,7 +3,7 @@
 """
 Read files, whoever wrote them, within limits that are checked before the work.
 
-What a file claims is compared with what it holds before memory is taken for it. YAML and XML have
+A file's claims are compared with its content before memory is taken for it. YAML and XML have
 limits of their own, in ``yaml_text`` and ``xml_text``; bags in the room ``bags``.
 """
 
@@ -30,16 +30,16 @@ from numpy.lib import format as npy
 LONGEST_LINE = 1 << 20
 # Values of JSON: a covariance of a thousand parameters has a million.
 MOST_VALUES = 1_200_000
-# Of safetensors [bytes]: the card of an ensemble of a thousand members takes 3 MiB.
+# Header of safetensors [bytes]: the card of an ensemble of a thousand members takes 3 MiB.
 LONGEST_HEADER = 4 << 20
-# Of what an archive lists [bytes]: 80 thousand arrays.
+# Directory of an archive [bytes]: 80 thousand arrays.
 _LONGEST_DIRECTORY = 4 << 20
-# Of an array's dtype and shape, as numpy has it [bytes].
+# An array's dtype and shape in numpy's header [bytes].
 _LONGEST_ARRAY_HEADER = 10_000
-# What zipfile and numpy raise of what is no archive of plain arrays.
+# Errors of zipfile and numpy for anything but an archive of plain arrays.
 _NOT_ARRAYS = (ValueError, EOFError, AttributeError, RuntimeError, MemoryError, TypeError,
                KeyError, zipfile.BadZipFile, zlib.error)
-# What of a pickle names something; and what those of tensors name.
+# Opcodes of a pickle that name something; and the names in pickles of tensors.
 _NAMING = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
 _PLAIN = re.compile(r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|'
                     r'torch\.storage \w+|torch\.serialization _get_layout|'
@@ -194,7 +194,7 @@ def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 
 class _Bounded(BufferedReader):
-    """A file of which no more is read at a time than a directory of an archive may have."""
+    """A file that refuses to read more at a time than a directory of an archive may have."""
 
     def read(self, size: int | None = -1) -> bytes:
         if size is not None and size > _LONGEST_DIRECTORY:

@@ -34,7 +34,7 @@ def _check(name: str | None, info: ValidationInfo) -> str | None:
 NAMES_CODE = AfterValidator(_check)
 
 
-# The folder of the scene whose code is imported next, and those of all scenes so far.
+# The folder of the scene whose code is imported next, and the folders of all scenes so far.
 _folder: ContextVar[str | None] = ContextVar('folder', default=None)
 _folders: set[str] = set()
 
@@ -62,7 +62,7 @@ def import_named(name: str) -> Any:
     Raises
     ------
     ImportError
-        A module of that name is there already, and another one stands beside the scene.
+        A module of that name is loaded already, and another one is next to the scene.
     Exception
         What importing the module raises, or AttributeError.
 
@@ -75,7 +75,7 @@ def import_named(name: str) -> Any:
 
 
 def _check_origins(named: str, folder: Path) -> None:
-    """Refuse a module in place of another one of its name that stands beside the scene."""
+    """Refuse a module in place of another one of its name next to the scene."""
     for name, module in list(sys.modules.items()):
         # Not by getattr, for which a module may run code of its own.
         file = getattr(module, '__dict__', {}).get('__file__')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Packages that only some of what there is takes, and that need not be installed."""
+"""Packages that only some features need, and that may be missing."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -36,6 +36,6 @@ def package_file(uri: str) -> Path:
 
 def prefixes() -> list[Path]:
     """Return the folders that ROS packages are installed in, first what overlays others."""
-    # Wheels put share/ beside the interpreter's lib/ and need no AMENT_PREFIX_PATH for it.
+    # Wheels put share/ next to the interpreter's lib/ and need no AMENT_PREFIX_PATH for it.
     listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
     return [Path(prefix) for prefix in (*listed, sys.prefix) if prefix]

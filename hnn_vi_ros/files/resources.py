@@ -62,7 +62,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
     text : str
         The name of a shipped file, or the path of a file.
     error : type of HnnViRosError
-        The exception to raise where there is no such file, with one line: the valid names, and the
+        The exception to raise if there is no such file, with one line: the valid names, and the
         nearest one.
 
     """
@@ -77,7 +77,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
         raise error(f'no {what} {text!r}{did_you_mean(text, names)}{beside}; shipped: '
                     f'{", ".join(names)}; or give the path of a .yaml file')
-    # By what stands before the suffix: all files share that.
+    # Compare the stems: all files share the suffix.
     files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
     beside_it = {file.stem: file.name for file in files}
     hint = did_you_mean(path.stem, beside_it)

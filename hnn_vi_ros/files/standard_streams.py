@@ -12,7 +12,7 @@ from typing import Any, TextIO
 
 from hnn_vi_ros.errors import printable
 
-# By which a user or the system ends a process in good order; the last when its terminal closes.
+# Signals that end a process in good order; the last one arrives when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # How often a line of progress is written on a terminal, and elsewhere [s].
 _TERMINAL, _ELSEWHERE, _BAR = 0.2, 10.0, 24
@@ -82,7 +82,7 @@ def guard_streams() -> None:
             os.fstat(number)
         except OSError:
             # Else the next file that is opened, such as a bag, would be what is printed to. Opened
-            # so that writing fails, as it does to what is closed.
+            # so that writing fails, as with a closed stream.
             os.open(os.devnull, os.O_WRONLY if number == 0 else os.O_RDONLY)
     out, error = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
     error.keep += '\r'
@@ -90,7 +90,7 @@ def guard_streams() -> None:
 
 
 def spare_output() -> None:
-    """Note that the process is for messages or files, whatever becomes of what it prints."""
+    """Note that the process is for messages or files, whatever becomes of its output."""
     if isinstance(raw := getattr(getattr(sys.stdout, 'buffer', None), 'raw', None), _Lossy):
         raw.matters = False
 

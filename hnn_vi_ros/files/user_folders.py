@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of the user: that of caches, also where there is no home, as in some containers."""
+"""Folders of the user: the cache folder, even without a home, as in some containers."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,7 @@ import tempfile
 
 
 def expand_user(path: str | Path) -> Path:
-    """Return a path with ``~`` as the home; as it is where the user, or ``~NAME``, has none."""
+    """Return a path with ``~`` as the home; unchanged if the user, or ``~NAME``, has none."""
     return Path(os.path.expanduser(path))
 
 

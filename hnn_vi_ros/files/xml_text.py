@@ -3,8 +3,8 @@
 """
 Read XML: elements and attributes alone, whoever wrote it, within limits.
 
-A document type declaration is refused, and with it all entities but those of XML itself, so that
-nothing is expanded and no other file is read.
+A document type declaration is refused, and with it all entities but XML's own, so that nothing is
+expanded and no other file is read.
 """
 
 from dataclasses import dataclass, field

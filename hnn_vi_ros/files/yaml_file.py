@@ -49,7 +49,7 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
     path : Path
         The file, of at most 1 MiB.
     schema : type of BaseModel
-        What the file must hold.
+        Schema that the file must satisfy.
     error : type of HnnViRosError
         The exception to raise, with one line: file, line, key, what is expected.
 
@@ -67,7 +67,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
     Parameters
     ----------
     data : mapping
-        What was read.
+        The data read.
     places : KeyPlaces or callable
         Where its keys stand, or what returns that; only an error asks for it.
     schema, error
@@ -117,7 +117,7 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
     else:
         message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
                                _units_at(schema, loc, key))
-    # What the file as a whole lacks names its key itself.
+    # A message about a missing top-level key already names it.
     place = places.place(*key) if key else places.top
     return f'{place}: {one_line(message)}'
 

@@ -27,7 +27,7 @@ MAX_GROWTH = 100
 # Characters; every integer of so many digits is within the range of a float.
 MAX_NUMBER = 300
 MAX_KEY = 256
-# Of an error.
+# An error's line is at most this long.
 _LONGEST_LINE = 1000
 
 _INT, _FLOAT = 'tag:yaml.org,2002:int', 'tag:yaml.org,2002:float'
@@ -51,8 +51,8 @@ class KeyPlaces:
     where : str
         What holds the text, a file or a topic.
     lines : dict of tuple of str to int
-        The line of each key; the items of a list count as keys '0', '1', ... 0 where there is no
-        text: the data were not read.
+        The line of each key; the items of a list count as keys '0', '1', ... 0 without a text:
+        the data were not read.
 
     """
 
@@ -61,7 +61,7 @@ class KeyPlaces:
 
     @classmethod
     def of_data(cls, data: object, where: str) -> 'KeyPlaces':
-        """Return the keys of plain data that stand in no text."""
+        """Return the keys of plain data that come from no text."""
         return cls(where, dict.fromkeys(_keys(data, ()), 0))
 
     @property
@@ -70,7 +70,7 @@ class KeyPlaces:
         return f'{self.where}:1' if self.lines[()] else self.where
 
     def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
-        """Return the parts of a key or of a pydantic location that stand in the text."""
+        """Return the parts of a key or of a pydantic location that the text contains."""
         followed: tuple[str, ...] = ()
         for part in key:
             if (*followed, str(part)) in self.lines:
@@ -92,8 +92,8 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
     Parameters
     ----------
     text : bytes or str
-        UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values, of which aliases repeat at
-        most 100.
+        UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values; aliases repeat at most 100
+        of them.
     where : object
         What holds the text, for errors.
     error : type of HnnViRosError
@@ -162,7 +162,7 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    # Of line breaks of other kinds than \n only this style is read back unchanged.
+    # Only this style reads back line breaks of other kinds than \n unchanged.
     style = None if text.isprintable() else '"'
     return dumper.represent_scalar('tag:yaml.org,2002:str', text, style)
 
@@ -189,7 +189,7 @@ class _Loader(_Base):
     def __init__(self, text: str):
         super().__init__(text)
         self.anchors: dict[str, yaml.Node] = {}
-        # Of the nodes with an anchor, how many they are with all that they hold.
+        # Number of nodes that each node with an anchor makes up with all its content.
         self._sizes: dict[yaml.Node, int] = {}
         self._depth = self._nodes = self._growth = 0
 
@@ -229,7 +229,7 @@ class _Loader(_Base):
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
-        """Return a mapping with the keys as they are written."""
+        """Return a mapping with the keys in their written form."""
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
 
     def _repeat(self, event: yaml.AliasEvent, node: yaml.Node) -> yaml.Node:

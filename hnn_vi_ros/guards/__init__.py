@@ -15,7 +15,7 @@ from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 
-# Of the energy scale, where no others are asked for: see ResolutionGuard and EnergyGuard.
+# Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
 BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
 
 
@@ -27,7 +27,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     Parameters
     ----------
     simulation : Simulation
-        What is watched.
+        The simulation to watch.
     scale : callable
         Returns the energy scale as of a sample [J]; see SampledScale.
     band_limit, change_limit : float

@@ -15,7 +15,7 @@ class BarrierGuard(BandGuard):
     Parameters
     ----------
     name : str
-        What the barrier is: 'separatrix', 'escape barrier'.
+        Name of the barrier: 'separatrix', 'escape barrier'.
     energy : float
         That of the barrier [J]; the motion's is that of the first sample.
     order : int, optional

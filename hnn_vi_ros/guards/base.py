@@ -61,7 +61,7 @@ class Alarm(NamedTuple):
     step : int
         Steps since the start of the run.
     value, limit : float
-        What was found, and what would have been allowed.
+        The value found, and the limit for it.
     message : str
         One line: what, by how much, remedy.
     unit : str
@@ -84,9 +84,9 @@ class Guard(ABC):
     Attributes
     ----------
     kind : str
-        What an alarm of it is called.
+        Name of its alarms.
     remedy : str
-        What a user can do about its alarms; the page on troubleshooting lists them all.
+        Remedy against its alarms; the page on troubleshooting lists them all.
 
     """
 
@@ -102,10 +102,10 @@ class Guard(ABC):
 
     @abstractmethod
     def renew(self, sample: Observed) -> Alarm | None:
-        """Return the alarm that was raised as it stands at a sample, None if it stays as it is."""
+        """Return the raised alarm updated to a sample, None if nothing in it changes."""
 
 
 def accounted_energy(sample: Observed) -> float:
-    """Return H~, or H where there is none, less the work done on the system [J]."""
+    """Return H~, or H for want of it, less the work done on the system [J]."""
     modified = sample.modified_energy
     return (sample.energy if math.isnan(modified) else modified) - sample.work

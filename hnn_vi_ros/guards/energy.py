@@ -11,7 +11,7 @@ from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
 _BLOCKS, _BLOCK = 50, 20
 # It must last from one length of the run to this many times that: a slow swing does not.
 _LASTING = 5
-# Of the energies in play: a change at once that is no oscillation any more.
+# A sudden change by this multiple of the energies in play is no oscillation any more.
 _JUMP = 10.0
 
 

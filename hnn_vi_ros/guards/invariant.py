@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An invariant beside the energy as a bound."""
+"""An invariant besides the energy as a bound."""
 
 from collections.abc import Callable
 
@@ -10,13 +10,13 @@ from hnn_vi_ros.guards.base import Alarm, Observed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
-# Of the state, for differences; they need be good to a tenth only.
+# Spacing of differences relative to the state; they need be good to a tenth only.
 _SPACING = 1e-4
 
 
 class InvariantGuard(BandGuard):
     """
-    An invariant stays within a share of what the state can change it by.
+    An invariant stays within a share of the change that the state could cause.
 
     That scale is the sum over i of abs(dI/dz_i) s_i, with s_i the size of the state or of the
     training box (``state_scales``): no constant in I changes it. It is the mean of those at the
@@ -25,7 +25,7 @@ class InvariantGuard(BandGuard):
     Parameters
     ----------
     name : str
-        What it is called.
+        Name of the invariant.
     function : callable
         Of q and p, each of shape (d,).
     share : float

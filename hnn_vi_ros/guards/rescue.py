@@ -8,7 +8,7 @@ from hnn_vi_ros.simulation import Simulation
 
 class RescueGuard(Guard):
     """
-    All steps are those of the scene's method: none is taken in sub-steps or by the midpoint rule.
+    The scene's method takes all steps: none in sub-steps or by the midpoint rule.
 
     Each change of method leaves H where it is, but moves what the method itself conserves.
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The modified energy tells whether the step resolves the motion."""
+"""The modified energy shows whether the step resolves the motion."""
 
 from collections.abc import Callable
 import math
@@ -64,7 +64,7 @@ class ResolutionGuard(BandGuard):
         return self._share * self._scale(sample)
 
     def _alarm(self, step: int, limit: float) -> Alarm:
-        # Of H, if that is what went too far.
+        # Report H, if H went too far.
         plain = self._modified and self.band > super().band
         band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
         if not (limit > 0.0 and math.isfinite(band / limit)):

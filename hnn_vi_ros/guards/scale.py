@@ -9,8 +9,8 @@ from hnn_vi_ros.accuracy.energy_scale import EnergyScale
 from hnn_vi_ros.guards.base import accounted_energy, Observed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 
-# An error of energy that is told from rounding is this many times larger, over the scale: a share
-# of a fiftieth is the smallest that can be watched.
+# An error of energy must be this many times larger, over the scale, to differ from rounding: a
+# share of a fiftieth is the smallest that can be watched.
 _ABOVE_ROUNDING = 50.0
 # From rest, energies grow as the square of the time, and an error of the first order in h by the
 # share 1 / (2 n) of them in n steps: less than a fortieth beyond this many.

@@ -14,8 +14,8 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     """
     Return which trajectories may raise an alarm.
 
-    The bounds are those of the guards, with the whole band of a trajectory against the least
-    energy scale along it: who is within them raises no alarm at any sample.
+    The bounds match the guards', with the whole band of a trajectory against the least energy
+    scale along it: a trajectory within them raises no alarm at any sample.
 
     Parameters
     ----------

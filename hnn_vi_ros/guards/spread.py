@@ -19,7 +19,7 @@ class SpreadGuard(Guard):
     box : tuple of np.ndarray
         Bounds of q and of p in the data of training, each (d, 2).
     limit : float
-        What is allowed, in half-widths of the box.
+        Largest allowed spread, in half-widths of the box.
 
     Attributes
     ----------

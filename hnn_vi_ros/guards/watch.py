@@ -19,8 +19,8 @@ from hnn_vi_ros.guards.solutions import SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# Samples of a path that the guards are shown at most, beside its extremes. A change for good
-# takes half as many to be told; see EnergyGuard.
+# Most samples of a path that the guards see, besides its extremes. They need half as many to
+# recognise a lasting change; see EnergyGuard.
 _SHOWN = 10_000
 # Trajectories that are screened at a time, which takes several times the memory of their states.
 _SCREENED = 1024
@@ -33,7 +33,7 @@ class Watch:
     Parameters
     ----------
     simulation : Simulation
-        What is watched, from any initial state.
+        The simulation to watch, from any initial state.
     barrier : tuple of (str, float) or None
         Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
     band_limit, change_limit : float, optional
@@ -166,7 +166,7 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     hamiltonian = simulation.hamiltonian
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
         found = np.ones(len(alarms), bool)
-        # Of longer paths the guards are shown a part, which the screening does not know.
+        # Guards see only a part of longer paths, which the screening does not know.
         if len(steps) < 2 * _SHOWN:
             for first in range(0, len(found), _SCREENED):
                 block = np.s_[:, first:first + _SCREENED]
@@ -198,6 +198,6 @@ def tell_many(alarms: list[list[Alarm]], step_size: float) -> None:
 
 
 def watch_of_block(simulation: Simulation) -> Watch:
-    """Return the guards of what is told of all trajectories that step together; see show_many."""
+    """Return the guards whose alarms concern all trajectories of a block; see show_many."""
     return Watch(simulation, None, kinds=(
         CostGuard, RescueGuard, SolutionGuard, *[EnergyGuard] * (not simulation.conservative)))

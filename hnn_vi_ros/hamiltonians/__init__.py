@@ -30,7 +30,7 @@ HAMILTONIANS = {
     'quadrotor': Quadrotor,
     'tao': Tao,
 }
-# What a file describes: its argument ``file`` is found from the scene; see scene.
+# Systems that a file describes: the scene locates their argument ``file``; see scene.
 ROBOTS = {
     'urdf': RigidBodyTree,
 }

@@ -26,7 +26,7 @@ class ExactMotion(NamedTuple):
     condition : float
         Relative error of its period, over that of the energy.
     formula : str
-        What it is computed by.
+        Formula that computes it.
 
     """
 
@@ -39,13 +39,13 @@ class Hamiltonian(ABC):
     """
     A function H(q, p) of d coordinates and their momenta, with q' = H_p, p' = -H_q.
 
-    Of coordinates that turn (see Coordinate) d is the number of columns of q, of which p has one
-    less for each rotation; H_p holds angular velocities in the frame of the body, and H_q the
-    derivatives by each column of a quaternion.
+    With coordinates that turn (see Coordinate) d is the number of columns of q, and p has one
+    column less for each rotation; H_p holds angular velocities in the frame of the body, and H_q
+    the derivatives by each column of a quaternion.
 
     A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q). Where
-    (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p stands for the first half of
-    u', and -H_q for the second.
+    (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p means the first half of u',
+    and -H_q the second.
     """
 
     coordinates: tuple[Coordinate, ...]
@@ -53,12 +53,12 @@ class Hamiltonian(ABC):
     canonical: ClassVar[bool] = True
     # Whose joints the coordinates are, where a URDF describes one.
     robot: Robot | None = None
-    # What is watched of them, by name: functions of q and p, of shape (d,). A scene sets them.
+    # Functions of q and p, of shape (d,), to watch, by name. A scene sets them.
     invariants: Mapping[str, Callable[[np.ndarray, np.ndarray], float]] = MappingProxyType({})
 
     @property
     def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
-        """Return what motions conserve beside H, where nothing else acts; see invariants."""
+        """Return what motions conserve besides H, where nothing else acts; see invariants."""
         return {}
 
     @property
@@ -68,7 +68,7 @@ class Hamiltonian(ABC):
 
     @property
     def gauge(self) -> np.ndarray | None:
-        """Return G, shape (d, d), of magnetic fields: M v = p - G q; None where there is none."""
+        """Return G, shape (d, d), of magnetic fields: M v = p - G q; None without such fields."""
         return None
 
     @property

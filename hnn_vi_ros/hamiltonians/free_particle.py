@@ -18,8 +18,8 @@ class FreeParticle(Hamiltonian):
     """
     A mass on which nothing acts, H(q, p) = |p|^2 / (2 m).
 
-    It moves straight on at the velocity p / m. Several particles of the same mass are one whose
-    coordinates are those of all of them.
+    It moves straight on at the velocity p / m. Several particles of the same mass are one that
+    has the coordinates of all.
 
     Parameters
     ----------

@@ -17,8 +17,8 @@ class FreeRigidBody(Hamiltonian):
     """
     A rigid body that turns freely about its centre of mass, H = sum of p_i^2 / (2 I_i).
 
-    p is the angular momentum in the frame of the body, of which Euler's equations p' = p x omega
-    make Jacobi elliptic functions of time. It conserves the angular momentum in space. Turns about
+    p is the angular momentum in the frame of the body; Euler's equations p' = p x omega make it
+    Jacobi elliptic functions of time. It conserves the angular momentum in space. Turns about
     the axis of the middle moment of inertia are unstable: the body tumbles.
 
     Parameters

@@ -20,7 +20,7 @@ class HeavyTop(Hamiltonian):
 
     H = sum of p_i^2 / (2 I_i) + m g l cos(theta), with p the angular momentum in the frame of the
     body, theta between its third axis and the vertical. With I_1 = I_2, Lagrange's top, it
-    conserves p_3 beside H and the vertical part of the angular momentum in space. It sleeps
+    conserves p_3 besides H and the vertical part of the angular momentum in space. It sleeps
     upright while p_3^2 > 4 m g l I_1.
 
     Parameters

@@ -6,7 +6,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 _ITERATIONS, _HALVINGS = 50, 20
-# Of the larger of 1 and the size of the velocities: rounding of a gradient, with room.
+# Rounding of a gradient, with room, relative to the larger of 1 and the size of the velocities.
 _TOLERANCE = 1e-10
 
 

@@ -20,8 +20,8 @@ class RigidBodyTree(Hamiltonian):
     """
     A robot that a URDF describes, H = p . M(q)^-1 p / 2 + V(q).
 
-    Up to 12 joints move, revolute, continuous or prismatic; their names are those of the
-    coordinates. M is that of the links and of rotors; V = -sum of m g . c over the links that
+    Up to 12 joints move, revolute, continuous or prismatic; they name the coordinates. M covers
+    the links and the rotors; V = -sum of m g . c over the links that
     move, with centres of mass c from the origin of the base. Nothing else acts: limits, damping
     and friction of the URDF do where a scene lists effects for them.
 

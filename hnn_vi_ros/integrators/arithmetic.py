@@ -74,7 +74,7 @@ def copy_array(source: np.ndarray, target: np.ndarray) -> None:
 
 @inlined
 def copy_point(source: Point, target: Point) -> None:
-    """Copy every array of a point into those of another."""
+    """Copy every array of a point into another point's."""
     for i in range(source.q.size):
         target.q[i], target.p[i] = source.q[i], source.p[i]
         target.q_carry[i], target.p_carry[i] = source.q_carry[i], source.p_carry[i]

@@ -26,7 +26,7 @@ REASONS = {NO_CONVERGENCE: 'no convergence', NOT_FINITE: 'not finite',
            NOT_HELD: 'no impulses hold the constraints over the step',
            NO_IMPACT: 'its impacts cannot be followed',
            ENDLESS: 'the steps of its own that it takes become too many, or too short'}
-# What a user can do about those that another step size or method does not cure.
+# Remedies for the user where another step size or method is no cure.
 REMEDIES = {NO_MASS: 'start elsewhere, or take another model', REDUNDANT: 'leave it out',
             ENDLESS: 'start elsewhere, or use another integrator; time_transformed takes fewer '
                      'with a larger force'}
@@ -83,7 +83,7 @@ class PointWork(NamedTuple):
 def step_failure(outcome: int, t: float, h: float, residual: float, evaluations: int,
                  reason: str = '') -> StepFailure:
     """Return the error of a step with an outcome, whose reason may be told more closely."""
-    # Of no other outcome is it that of an equation that was not solved.
+    # For any other outcome it is not the residual of an unsolved equation.
     unsolved = residual if outcome == NO_CONVERGENCE else math.nan
     return StepFailure(reason or REASONS[outcome], t, h, unsolved, evaluations,
                        REMEDIES.get(outcome, ADVICE))
@@ -98,7 +98,7 @@ class Integrator(ABC):
     order : int
         Order of convergence on smooth problems.
     requirements : Requirements
-        What the method needs of a system, and what it keeps.
+        The method's demands on a system, and its conservation properties.
     explicit : bool
         Whether a step solves no equation.
     keeps_gradient : bool
@@ -106,14 +106,14 @@ class Integrator(ABC):
     halves : tuple of callable or None
         Two steps of h / 2 that make up the step, if it has a middle to put something in.
     no_solution : str
-        What it means that no solution of the step's equation is connected to h = 0; '' where the
+        Meaning of a step's equation without a solution connected to h = 0; '' where the
         one that solvers find is taken.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
         ``step(kernel, h, options, z, z1, memory)`` maps the point z to z1 and returns
-        ``(outcome, residual, gradients)``; it never changes z. ``memory`` is what the method
-        of this name returns. It is plain Python in numba's subset, run compiled or as it stands.
+        ``(outcome, residual, gradients)``; it never changes z. The method ``memory`` returns the
+        argument of this name. It is plain Python in numba's subset, run compiled or interpreted.
 
     """
 
@@ -146,7 +146,7 @@ class Integrator(ABC):
 
     @property
     def usual_gradients(self) -> int:
-        """Return how many gradients a step takes at most as a rule; 0 where there is no rule."""
+        """Return how many gradients a step takes at most as a rule; 0 if no rule holds."""
         return 0
 
     @abstractmethod
@@ -177,7 +177,7 @@ class Integrator(ABC):
         return None
 
     def substep(self) -> 'Integrator | None':
-        """Return the symmetric method of which a failed step is made anew, None for no such."""
+        """Return the symmetric method that redoes a failed step in sub-steps, None for no such."""
         return None
 
     @staticmethod

@@ -87,7 +87,7 @@ class Composition(Integrator):
         return self.base.options(attempt, dimension)
 
     def substep(self) -> Integrator | None:
-        """Return the method of which the base makes a failed step anew."""
+        """Return the method with which the base redoes a failed step."""
         return self.base.substep()
 
     def unknowns(self, n: int) -> tuple[int, ...]:

@@ -14,10 +14,10 @@ from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
-# Of the way from h = 0; points of it that are tried, and Newton steps at each.
+# Lengths as shares of the way from h = 0; points on it to try, and Newton steps at each.
 _FIRST_LENGTH, _SHORTEST_LENGTH, _POINTS, _CORRECTIONS = 0.25, 2.0**-16, 100, 8
-# By which each Newton step must be shorter than the one before it, and relative to the scale the
-# length at which they have arrived: as far as the next one doubles the digits.
+# Each Newton step must be shorter than the one before by this factor; they have arrived at this
+# length relative to the scale, since the next step doubles the digits.
 _CONTRACTION, _ARRIVED = 0.25, float(np.sqrt(np.finfo(np.float64).eps))
 
 

@@ -64,7 +64,7 @@ class DenseOutput:
     Parameters
     ----------
     order : int
-        m: its error is O(h^(m + 1)) anywhere in the step, beside that of the step's ends.
+        m: its error is O(h^(m + 1)) anywhere in the step, on top of the error of the step's ends.
     coefficients : np.ndarray, shape (j, k, n)
         Of (q, p) in k parts, of the powers of theta = t / h in each, or of Legendre's polynomials
         in 2 theta - 1.

@@ -28,7 +28,7 @@ class DiscreteEulerLagrange(Integrator):
 
     Derivatives come from torch's automatic differentiation. L_d is the action of one step [J s],
     so the paper's sum of L_d times its step has the step inside L_d here. Symplectic for every
-    L_d; its order, and whether it is symmetric, are those of L_d.
+    L_d; L_d decides its order, and whether it is symmetric.
 
     Parameters
     ----------

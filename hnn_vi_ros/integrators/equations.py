@@ -28,7 +28,7 @@ class Known(NamedTuple):
     base, carry : np.ndarray
         The old values of x, and what was rounded off them.
     slope : np.ndarray
-        H_x, as well as it is known, for the first start.
+        H_x, or its best estimate, for the first start.
 
     """
 
@@ -90,7 +90,7 @@ class HalfwayWork(NamedTuple):
     Parameters
     ----------
     kept, solver, product_q, product_p
-        As those of EquationWork.
+        See EquationWork.
     half_q, half_carry : np.ndarray, shape (n,)
         The half-way coordinates, and what was rounded off them.
 

@@ -53,7 +53,7 @@ class StageSlopes(NamedTuple):
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 where slopes are those of the step before, 0 where there is none.
+        1 if slopes come from the step before, 0 without one.
     slopes : np.ndarray, shape (2 s n,)
         H_q at the stages one after another, then H_p.
 
@@ -74,7 +74,7 @@ class GaussWork(NamedTuple):
     solver : SolverWork
         What its solvers work on.
     modes : ModesWork
-        What the simplified Newton method works on besides.
+        Further arrays of the simplified Newton method.
     stages : np.ndarray, shape (2 s n,)
         q of the stages one after another, then p.
 
@@ -183,7 +183,7 @@ class Gauss(Collocation):
 
     @property
     def partitioned(self) -> PartitionedTableau:
-        """Return its stages, those of q and of p the same; see Integrator."""
+        """Return its stages, the same for q and p; see Integrator."""
         matrix, weights, _ = gauss_tableau(self.stages)
         return PartitionedTableau(matrix, matrix, weights, weights)
 

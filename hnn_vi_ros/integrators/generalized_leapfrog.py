@@ -72,7 +72,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
              memory: tuple[EquationWork, HalfwayWork]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         half = 0.5 * h
-        # The half-way momentum stands in z1.p.
+        # z1.p holds the half-way momentum.
         outcome, residual, gradients = solve_momenta(
             kernel, half, Known(z.q, z.p, z.p_carry, z.dH_dq),
             Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)

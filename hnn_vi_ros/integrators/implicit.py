@@ -28,7 +28,7 @@ class ImplicitIntegrator(Integrator):
     else Anderson's; for a step that these do not solve, Newton's method: with a
     Jacobian up to 128 unknowns, without one beyond, and with one again, up to 512 unknowns, where
     that fails; for one that Newton's does not solve either, sub-steps of a symmetric method. Where
-    ``no_solution`` says so, a step of up to 128 unknowns that is not solved quickly is solved by
+    ``no_solution`` is set, a step of up to 128 unknowns that is not solved quickly is solved by
     continuation from h = 0 instead, so that which of several solutions is taken does not depend on
     the steps before.
 

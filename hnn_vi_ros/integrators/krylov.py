@@ -24,8 +24,8 @@ def krylov(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     """
     Iterate (I - G'(x)) step = G(x) - x, each step by the method GMRES; see the module.
 
-    It takes products G'(x) v, of which it keeps a few, and no matrix. Where those do not suffice
-    for a linear system, the next iteration goes on from as far as they lead. Scales are raised as
+    It takes products G'(x) v, keeps a few, and forms no matrix. Where they do not suffice for a
+    linear system, the next iteration continues from as far as they lead. Scales are raised as
     in Newton's method with a Jacobian, but by abs(G'(x) x) for the sum of absolute values, which
     takes the matrix: the two agree where one unknown is much larger than the others.
 
@@ -105,7 +105,7 @@ def _extend(work: NewtonWork, product: np.ndarray, j: int) -> float:
     """
     Add (I - G') times direction j to the space, orthogonalised; return what is left of G(x) - x.
 
-    The small matrix is kept triangular by rotations, of which the last leaves the residual.
+    Rotations keep the small matrix triangular; the last one leaves the residual.
     """
     weights, column = work.weights, work.hessenberg[:, j]
     n = weights.size

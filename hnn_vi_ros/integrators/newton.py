@@ -14,7 +14,7 @@ from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 
-# Of a central difference, relative to what it is about.
+# Spacing of a central difference, relative to its argument.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 _EPS = float(np.finfo(np.float64).eps)
 # A Jacobian is kept while each iteration takes the residual at least this many times down: one of
@@ -32,9 +32,9 @@ def newton(equation: Callable, tangent: Callable, problem: NamedTuple, x: np.nda
     residual shrinks fast with them. Nothing is kept from step to step.
 
     x_j is rounded to eps abs(x_j), and so G_i is known to eps sum_j abs(G'_ij x_j) at best: the
-    scale of an unknown is that sum where it is larger, as for the momenta beside an angle that
-    has turned over many times. The scale of the largest of a kind is so for all of them: terms
-    may cancel in the sum that do not in H.
+    scale of an unknown is that sum where it is larger, as for the momenta of an angle that has
+    turned over many times. The scale of the largest of a kind holds for all of them: terms that
+    do not cancel in H may cancel in the sum.
     """
     n, iterates, own = x.size, work.iterates, work.newton
     value, defect, step = iterates.values[0], iterates.residuals[0], own.direction
@@ -86,7 +86,7 @@ def fill_matrix(tangent: Callable, problem: NamedTuple, x: np.ndarray, share: fl
 
 @inlined
 def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) -> None:
-    """Raise each own scale to what the equation is known to, and the others to the largest."""
+    """Raise each own scale to the accuracy of the equation, and the others to the largest."""
     for i in range(scale.size):
         own_scale[i] = max(own_scale[i], known[i])
     first = 0

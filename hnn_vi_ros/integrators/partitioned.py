@@ -13,7 +13,7 @@ class Node(NamedTuple):
     """
     A stage that begins where those before it have ended, by shares of the step size.
 
-    From (x, c), which are q and p before the first node, it finds Q and P, and goes on:
+    From (x, c), which are q and p before the first node, it finds Q and P, and advances:
 
         Q = x + a h H_p(Q, P),  P = c - b h H_q(Q, P)
         x <- x + u h H_p(Q, P),  c <- c - w h H_q(Q, P)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declaration of what a method needs of a system, and what it keeps of its motion."""
+"""Declaration of a method's demands on a system, and of its conservation properties."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,7 +17,7 @@ class Requirements:
     Parameters
     ----------
     symmetric, symplectic : bool
-        What the map is; symplectic in the 2-form that the method's docstring names.
+        Properties of the map; symplectic in the 2-form that the method's docstring names.
     separable : bool
         Whether it needs H = T(p) + V(q), and forces that do not depend on p.
     coordinates : str
@@ -30,7 +30,7 @@ class Requirements:
     forces : bool
         Whether the map stays right where the kernel's gradient holds forces as well.
     from_state : bool
-        False if the next step goes on from elsewhere than the state that the last one ended in:
+        False if the next step starts elsewhere than at the state that the last one ended in:
         nothing may change that state between them.
 
     """

@@ -29,7 +29,7 @@ class Modes(NamedTuple):
     left : np.ndarray of complex, shape (r, s)
         The rows of the inverse of the eigenvectors.
     right : np.ndarray of complex, shape (s, r)
-        The eigenvectors, twice those of a pair: the real part of a sum over them is that over all.
+        The eigenvectors, doubled for a pair: the real part of a sum over them is the sum over all.
 
     """
 
@@ -59,7 +59,7 @@ class ModesWork(NamedTuple):
     inverses : np.ndarray of complex, shape (r, N)
         The inverse of I - mu J for each eigenvalue and, one after another, each system.
     vectors : np.ndarray of complex, shape (2, s)
-        What it is multiplied by, and with it.
+        Its right factor, and the product.
     pivots : np.ndarray of int, shape (s,)
         The rows that were exchanged.
 

@@ -36,8 +36,8 @@ QUICK = 5
 # Residuals that are not rounding alone.
 _NOISE = 1e-11
 GO_ON = -1
-# What a residual is relative to: at first the scale of the largest unknown, then each one's own;
-# or an iterate that was good enough is gone back to.
+# A residual is relative first to the scale of the largest unknown, then to each one's own; or the
+# solver goes back to an iterate that was good enough.
 COMMON, OWN, BACK = 0, 1, 2
 
 
@@ -172,7 +172,7 @@ def is_in_doubt(options: SolverOptions, slow_start: np.ndarray, matrix: np.ndarr
 
 @inlined
 def extrapolate(history: History, base: np.ndarray, x: np.ndarray) -> None:
-    """Start x from up to three earlier solutions, relative to their bases, where there are."""
+    """Start x from up to three earlier solutions, relative to their bases, if there are any."""
     count, increments = history.count[0], history.increments
     for i in range(x.size):
         if count == 1:
@@ -205,8 +205,8 @@ def _residual(value: np.ndarray, x: np.ndarray, scale: np.ndarray, defect: np.nd
         elif scale[i] > 0.0:
             defect[i] = difference / scale[i]
         else:
-            # A state and slope of zero say nothing about the size of the solution; nor does an
-            # iterate that is lost, which may be not a number beside zero.
+            # A state and slope of zero say nothing about the size of the solution; nor does a lost
+            # iterate, where NaN may meet zero.
             size = max(abs(value[i]), abs(x[i]))
             defect[i] = difference / size if size > 0.0 else difference
         if not abs(defect[i]) <= result:
@@ -219,7 +219,7 @@ def judge(equation: Callable, problem: NamedTuple, x: np.ndarray,
           sizes: tuple[np.ndarray, np.ndarray, np.ndarray], value: np.ndarray,
           defect: np.ndarray, previous: float, stage: int, is_last: bool
           ) -> tuple[int, float, int]:
-    """Evaluate G at x; say whether x is good enough, not finite, or to be improved, and how."""
+    """Evaluate G at x; judge whether x is good enough, not finite, or to be improved, and how."""
     scale, own_scale, accepted = sizes
     equation(problem, x, value)
     residual, bound = _residual(value, x, scale, defect), max(8, x.size) * _EPS

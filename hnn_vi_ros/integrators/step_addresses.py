@@ -123,7 +123,7 @@ def _address(entry: Dispatcher) -> int:
 
 def _name(step: Step, name: str, kinds: tuple[types.Type, ...], options: Parameters) -> str:
     """Return a name for all that an entry is compiled from, the same in every process."""
-    # Numba keeps a function by its name and code: what it finds under global names is not seen.
+    # Numba caches a function under its name and code, blind to the values of global names.
     parts = reached(step, options)
     sources = digest_of(frozenset(part.__module__ for part in parts))
     names = sorted(f'{part.__module__}.{part.__qualname__}' for part in parts)

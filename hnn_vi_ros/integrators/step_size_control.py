@@ -19,12 +19,12 @@ _MOST_STEPS = 100_000
 
 class Ahead(NamedTuple):
     """
-    State that the next step of the clock goes on from.
+    State from which the next step of the clock continues.
 
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 where there is such a state, 0 before the first step.
+        1 if there is such a state, 0 before the first step.
     clock : np.ndarray, shape (3,)
         The density of steps [1], how far the state is ahead of the clock [s], and what was
         rounded off that.
@@ -47,7 +47,7 @@ class ControlledWork(NamedTuple):
     kept : Ahead
         For the next step of the clock.
     own_step : np.ndarray, shape (1,)
-        The steps of the base where the density is 1, 0 for those of the clock [s].
+        The steps of the base where the density is 1, 0 for the steps of the clock [s].
     at : Point
         The state that a step of the base begins with.
     v_q, v_p, change_q, change_p : np.ndarray

@@ -27,7 +27,7 @@ CONTROLS: dict[str, dict[str, Callable[[], Integrator]]] = {
     'hamiltonian': BASES, 'integrating': BASES | {'stormer_verlet': StormerVerlet}}
 # Steps of its own in one step of the clock, beyond which it is given up.
 _MOST_STEPS = 100_000
-# Spacing of the difference of gradients that stands for the second derivatives of K.
+# Spacing of the difference of gradients that replaces the second derivatives of K.
 _SPACING = float(np.finfo(np.float64).eps) ** (1.0 / 3.0)
 
 
@@ -127,7 +127,7 @@ class TimeTransformed(Integrator):
     state without being a part of a Hamiltonian would let the energy drift.
 
     These states come at times of their own. A state at the end of a step of the clock is the next
-    of them, brought there by one step of the method in H; nothing goes on from it. So the states
+    of them, brought there by one step of the method in H; no step continues from it. So the states
     that are seen are as close to the path as the method's order says, and their energy does not
     drift; the map from one of them to the next is not itself symplectic.
 
@@ -143,7 +143,7 @@ class TimeTransformed(Integrator):
         a >= 0 [1]. With 3/4, and H_q as r^-2, steps are as r^(3/2): as the time of a close orbit.
     control : str
         ``'hamiltonian'``: by K. ``'integrating'``: by a symmetric controller, whose density of
-        steps is a further variable that follows 1 / g. It takes H as it is, with the explicit
+        steps is a further variable that follows 1 / g. It takes H unchanged, with the explicit
         ``'stormer_verlet'`` as a base as well, for fewer evaluations; what is symmetric, and not
         symplectic, keeps the energy of motions that are reversible.
 
@@ -196,7 +196,7 @@ class TimeTransformed(Integrator):
         return (self.base.options(attempt, dimension), self._force, self._exponent)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of H at the clock, and those of the steps of its own."""
+        """Return the equations of H at the clock, and the equations of its own steps."""
         more = 0 if self._control == 'integrating' else 1
         return (*self.base.unknowns(n), *self.base.unknowns(n + more))
 

@@ -30,7 +30,7 @@ class VariationalWork(NamedTuple):
     end, start, middle : np.ndarray
         The new state, the old one, and half-way between.
     rates : np.ndarray
-        Rates of change, those of the last evaluation.
+        Rates of change in the last evaluation.
     ahead, behind : np.ndarray
         For differences; see newton.difference.
 
@@ -69,7 +69,7 @@ class VariationalMidpoint(ImplicitIntegrator):
         (p0 + p1) / 2 = theta(u~),  p1 - p0 = theta'(u~)^T (u1 - u0) - h H'(u~).
 
     L is linear in u', so that p is no free variable: it is theta(u). The two equations hold that
-    only in their middles. Taken as they are, they have twice as many solutions as there are
+    only in their middles. Taken literally, they have twice as many solutions as there are
     motions; the others alternate in sign from step to step, and may grow: with a gradient added
     to theta, which changes no motion, a double pendulum is lost within 2 s. So p = theta(u)
     takes the place of the first equation, and theta(u1) - theta(u0) = theta'(u~) (u1 - u0), to
@@ -166,8 +166,8 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         b = a + d
         # Each trajectory's covector and rates lie together until they are sorted below.
         covector = value[2 * a:2 * b]
-        # By way of its package: it is there, since H is of it. Imported in this file it would
-        # load the compiler for who only reads a scene.
+        # Reached through its package, already loaded, since H comes from it. An import in this
+        # file would load the compiler for anyone who only reads a scene.
         models.symplectic_form.slope(  # type: ignore[attr-defined]
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         square, along = 0.0, 0.0

@@ -4,9 +4,9 @@
 Workspaces of steps: named arrays, allocated once.
 
 The memory of a method is a tuple of workspaces, each a NamedTuple of arrays or of groups of them:
-one for each implicit equation, and one for what is composed of steps, or wrapped around them,
-after those of what is inside. What outlives a step stands in the group ``kept`` of a workspace,
-and is part of a simulation's state; all else is filled anew in each step.
+one for each implicit equation, and one for a composition of steps, or a wrapper around them,
+after the workspaces inside. The group ``kept`` of a workspace holds the values that outlive a
+step and are part of a simulation's state; each step fills all else again.
 """
 
 from collections.abc import Iterator
@@ -37,7 +37,7 @@ def forget(memory: tuple) -> None:
 
 def separate(memory: tuple, row: int, width: int) -> None:
     """
-    Let the equations of a memory be those of several systems, where they are.
+    Mark the equations of a memory as belonging to several systems, where they do.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def separate(memory: tuple, row: int, width: int) -> None:
     """
     for workspace in memory:
         solver = getattr(workspace, 'solver', None)
-        # Of a common clock there is an unknown more.
+        # A common clock adds an unknown.
         if isinstance(solver, SolverWork) and solver.iterates.scale.size % row == 0:
             solver.iterates.layout[:] = row, width
 
@@ -118,7 +118,7 @@ class Iterates(NamedTuple):
         The last evaluations of the fixed-point map and their relative residuals; Newton's method
         fills the first of them.
     layout : np.ndarray of int, shape (2,)
-        Unknowns stand in rows of the first number; in each row systems that do not depend on each
+        Unknowns lie in rows of the first number; in each row systems that do not depend on each
         other follow one another, with the second number of unknowns each. Both are N for one.
 
     """

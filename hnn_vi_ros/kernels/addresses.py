@@ -56,10 +56,10 @@ class Target(NamedTuple):
 
 
 class _Memory(Block):
-    """The memory of a target's words, with what they point to."""
+    """The memory of a target's words, with the objects that they point to."""
 
     kernel: Kernel
-    # What stands in for the entries stays: machine code may be inside of it.
+    # The substitutes for entries stay: machine code may be running inside of them.
     late: list[Any]
     entries: 'dict[int, _Entry]'
 
@@ -71,8 +71,8 @@ def by_address(kernel: Kernel) -> Kernel:
     Parameters
     ----------
     kernel : Kernel
-        Of a Hamiltonian, with effects or without; as it is where it is not compiled. Its arrays
-        are not copied.
+        Of a Hamiltonian, with effects or without; returned unchanged if it is not compiled. Its
+        arrays are not copied.
 
     """
     if not kernel.compiled or isinstance(kernel.parameters, Target):
@@ -111,7 +111,7 @@ def provide(kernel: Kernel, *which: int) -> None:
 
 
 def original(kernel: Kernel) -> Kernel:
-    """Return the kernel whose functions are called by address; any other as it is."""
+    """Return the kernel whose functions are called by address; any other unchanged."""
     return _memory_of(kernel.parameters).kernel if isinstance(kernel.parameters, Target) \
         else kernel
 
@@ -144,7 +144,7 @@ def _memory_of(target: Target) -> _Memory:
 
 
 def _late(memory: _Memory, k: int) -> Any:
-    """Return what stands in for an entry until it is called: it compiles the entry."""
+    """Return a substitute for an entry until the first call, which compiles the entry."""
     def compile_and_call(result: int, error: int, *arguments: int) -> int:
         provide(memory.kernel._replace(parameters=Target(memory.words)), k)
         return memory.entries[k].native(result, error, *arguments)
@@ -185,7 +185,7 @@ def _entry(function: Dispatcher, kind: types.Type, name: str, k: int) -> _Entry:
 
 def _name(kernel: Kernel, kind: types.Type, k: int) -> str:
     """Return a name for all that an entry is compiled from, the same in every process."""
-    # Numba keeps a function by its name and code: what it finds under global names is not seen.
+    # Numba caches a function under its name and code, blind to the values of global names.
     sources = digest_of(frozenset(part.__module__ for part in reached(kernel.parameters)))
     layout = re.sub(r' at 0x\w+', '', str(kind))
     text = '/'.join((identify(functions_of(kernel)[k]), layout, sources))
@@ -255,7 +255,7 @@ class _Linked(Part):
     """A function of every kernel by address; called from Python, it calls the entry."""
 
     def __call__(self, target: Target, *arrays: np.ndarray) -> Any:
-        """Call the entry of the function that the target stands for."""
+        """Call the entry of the target's function."""
         k = _ARRAYS.index(len(arrays))
         memory = _memory_of(target)
         if k not in memory.entries:

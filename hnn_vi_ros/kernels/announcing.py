@@ -38,7 +38,7 @@ class _Announcer(Listener):
             self._tell(f'compiling {what}, once: about {seconds:.0f} s')
 
     def on_end(self, event: Event) -> None:
-        """Go back to what it is a part of."""
+        """Return to the compilation that this one is a part of."""
         self._depth -= 1
 
 

@@ -59,6 +59,6 @@ def without_owners(context: BaseContext, builder: ir.IRBuilder, kind: types.Type
         for k, part in enumerate(kind.types):
             value = without_owners(context, builder, part, value, (*place, k))
     elif context.data_model_manager[kind].contains_nrt_meminfo():
-        # What is no array keeps its count: the result is a reference of its own.
+        # Anything but an array keeps its count: the result is a reference of its own.
         context.nrt.incref(builder, kind, builder.extract_value(value, place) if place else value)
     return value

@@ -18,11 +18,11 @@ from hnn_vi_ros.kernels.value_types import kind_of, type_of
 import numba
 from numba.core.dispatcher import Dispatcher
 
-# Of loops, which only Python calls.
+# These options suit loops, which only Python calls.
 _Function = TypeVar('_Function', bound=Callable[..., Any])
 _LOOP: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 _naming = Lock()
-# By the function and the kinds of its arguments.
+# Keyed by the function and the kinds of its arguments.
 _entries: dict[Any, Callable[..., Any]] = {}
 
 
@@ -140,7 +140,7 @@ def _uncached(loop: _Function) -> _Function:
 @cache
 def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
     # Under a name of its own it has an index of its own on disk. In one index for all, reading
-    # any kernel would build the functions of every other one anew, those of older sources too.
+    # any kernel would rebuild the functions of every other one, even from older sources.
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
     digest = sha256('/'.join(names).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
@@ -168,19 +168,19 @@ def functions_of(kernel: Kernel) -> tuple[Dispatcher, Dispatcher, Dispatcher]:
 def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
              parameters: Parameters) -> Kernel:
     """
-    Return a kernel whose functions call those of another.
+    Return a kernel whose functions call another kernel's.
 
     Parameters
     ----------
     kernel : Kernel
         The other.
     functions : tuple of callable
-        What takes the place of ``functions_of(kernel)``: plain Python, the same functions for the
-        same kernel and kinds.
+        Replacements for ``functions_of(kernel)``: plain Python, the same functions for the same
+        kernel and kinds.
     kinds : tuple of type
-        What is joined to the kernel; their names tell the functions from others.
+        Types joined to the kernel; their names distinguish the functions from others.
     parameters : tuple
-        What the functions take first.
+        First argument of the functions.
 
     """
     if kernel.compiled:
@@ -199,8 +199,8 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
 @cache
 def _compile(function: Callable[..., Any], base: Dispatcher, kinds: tuple[type, ...]
              ) -> Callable[..., Any]:
-    # The name tells what is composed, and the module where any of it comes from elsewhere; see
-    # identify and compiled_loop.
+    # The name lists the composed parts, with the module of any part from elsewhere; see identify
+    # and compiled_loop.
     names = ','.join(kind.__qualname__ for kind in kinds)
     foreign = [kind.__module__ for kind in kinds if not is_own(kind.__module__)]
     function.__module__ = [*foreign, base.py_func.__module__][0]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Identity of what the last bits of a run depend on: processor, and versions of libraries."""
+"""Identity of the processor and the libraries, on which the last bits of a run depend."""
 
 from functools import cache
 from hashlib import sha256

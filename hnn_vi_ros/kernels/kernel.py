@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-# What the functions of a Hamiltonian, an effect or a network take first: numbers, arrays and
-# tuples of such, each its own.
+# First argument of the functions of a Hamiltonian, an effect or a network: numbers, arrays and
+# tuples of such, a different type for each.
 Parameters = tuple[Any, ...]
 # The functions of a Kernel, which see.
 Energy = Callable[[Any, np.ndarray, np.ndarray], float]

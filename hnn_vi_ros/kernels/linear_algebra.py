@@ -161,7 +161,7 @@ def solve_in_order(matrix: np.ndarray, right: np.ndarray, diagonal: np.ndarray) 
     Returns
     -------
     int
-        -1, or the first row whose pivot is negative or vanishes beside its diagonal.
+        -1, or the first row whose pivot is negative or vanishes relative to its diagonal.
 
     """
     for k in range(right.size):
@@ -198,7 +198,7 @@ def factorise(matrix: np.ndarray) -> bool:
     """
     Put the Cholesky factor C of a symmetric matrix C C^T into its lower triangle.
 
-    The upper triangle is left as it is. False if the matrix is not positive definite.
+    The upper triangle is left alone. False if the matrix is not positive definite.
     """
     for j in range(matrix.shape[0]):
         for i in range(j, matrix.shape[0]):

@@ -97,8 +97,8 @@ class _Lowering(NativeLowering):
         super().run_pass(state)
         function, environment = state['cr'].fndesc, state['cr'].env
         if library.defines(context.get_env_name(function)):
-            # What it may print or raise is made in Python, from an environment that numba finds
-            # by its address: this one has to be loaded.
+            # Python makes anything it prints or raises, from an environment that numba finds by
+            # its address: this one has to be loaded.
             library.link_only = False
             library.enable_object_caching()
             entry = context.get_executable(library, function, environment)
@@ -179,7 +179,7 @@ class Part(CPUDispatcher):
     targetoptions : dict
         For numba's compiler.
     others
-        For numba, which makes such an object anew from a cache on disk.
+        For numba, which rebuilds such an object from a cache on disk.
 
     """
 
@@ -213,19 +213,19 @@ def _register(function: Callable[..., Any], inline: bool) -> None:
 register_by(_register)
 
 
-# What a file begins with: what it can be read by, then the digest of the rest.
+# A file begins with the version of numba that reads it, then the digest of the rest.
 _MARK = b'hnn_vi_ros, numba '
 _HEAD = _MARK + numba.__version__.encode() + b'\n'
-# What those of other versions begin with; before files had a digest, they were pickles.
+# Other versions' files begin with these; before files had a digest, they were pickles.
 _OTHERS = (_MARK, pickle.PROTO)
 
 
 class _Files(IndexDataCacheFile):
     """
-    Numba's files of a function, each with a digest; what is in one tells where it belongs.
+    Numba's files of a function, each with a digest and, inside, the place where it belongs.
 
-    Those that are damaged, or stand in the place of another, are absent: a bit that has changed in
-    machine code ends a process, or changes a number. Those of other versions are absent as well.
+    Damaged files, or files in the place of another, count as absent: a changed bit in machine code
+    ends a process, or changes a number. Other versions' files count as absent as well.
     """
 
     def save(self, key: Any, data: Any) -> None:
@@ -233,7 +233,7 @@ class _Files(IndexDataCacheFile):
         super().save(key, (key, data))
 
     def load(self, key: Any) -> Any:
-        """Return what belongs to a key, None where there is nothing."""
+        """Return the entry of a key, None if there is none."""
         own, data = super().load(key) or (key, None)
         if own != key:
             self._warn('files are in the place of others')
@@ -276,7 +276,7 @@ class _Files(IndexDataCacheFile):
         try:
             name, content = pickle.loads(data)
         except Exception:
-            # Of other sources, whose types are not there any more.
+            # It comes from other sources, whose types no longer exist.
             return None
         if name != self._index_name:
             self._warn('files are in the place of others')
@@ -387,7 +387,7 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
 
 
 def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispatcher:
-    """Have a function of this package found again on disk while its sources stay as they are."""
+    """Cache a function of this package on disk for as long as its sources stay unchanged."""
     try:
         dispatcher._cache = kind(dispatcher.py_func)
     except RuntimeError:
@@ -396,5 +396,5 @@ def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispa
 
 
 def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:
-    """Have a loop, whose name tells what it is compiled from, found again on disk."""
+    """Cache a loop on disk; its name identifies the parts that it is compiled from."""
     return keep(dispatcher, _LoopCache)

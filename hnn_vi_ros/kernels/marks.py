@@ -18,7 +18,7 @@ _Registrar = Callable[[Callable[..., Any], bool], None]
 _PACKAGE = __name__.partition('.')[0]
 
 _lock = Lock()
-# What is marked and not registered yet, and who registers it, once there is one.
+# Functions marked and not registered yet, and the registrars, once there is one.
 _waiting: list[tuple[Callable[..., Any], bool]] = []
 _registrars: list[_Registrar] = []
 
@@ -46,7 +46,7 @@ def _mark(function: _Function, inline: bool) -> _Function:
 
 def register_by(registrar: _Registrar) -> None:
     """
-    Register all marked functions, those of later marks too.
+    Register all marked functions, now and at later marks.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ def _digest_of(modules: frozenset[str]) -> str:
 
 @cache
 def _imports(path: Path) -> tuple[str, ...]:
-    """Return what a file imports of this package, names of modules and of what is in them."""
+    """Return the imports of a file from this package, names of modules and of their content."""
     def names() -> Iterator[str]:
         for match in _IMPORT.finditer(path.read_text(encoding='utf-8')):
             for name in re.findall(r'\w+(?= as |\s*[,)\n]|$)', match[2]):
@@ -89,7 +89,7 @@ def _functions(value: object) -> Iterator[FunctionType]:
 
 @cache
 def _reached_by(function: FunctionType) -> frozenset[FunctionType]:
-    """Return a function and all it calls, as it is compiled: by the globals of the first time."""
+    """Return a function and all it calls in compiled form: by the globals of the first time."""
     rest, found = [function], set()
     while rest:
         own = rest.pop()

@@ -25,5 +25,5 @@ def kind_of(value: object) -> Any:
         return type(value), *map(kind_of, value)
     if type(value) is np.ndarray:
         return value.dtype, value.ndim, value.flags.num
-    # Of an integer the value decides as well.
+    # The value of an integer decides as well.
     return float if type(value) is float else numba.typeof(value)

@@ -39,7 +39,7 @@ _DRAWN, _KEPT, _TAILS = 200, 400, 5.0
 _MOST = 6.0
 # Directions of which unknowns take less than this share from the residuals count as left.
 _TAKEN = 0.02
-# Of differences of costs, for first derivatives in units of about 1, and for second ones.
+# Spacings of differences of costs, for first derivatives in units of about 1, and second ones.
 _SLOPE, _BEND = 1e-4, 3e-3
 # White noise that rounding adds, as a share of the square of all.
 _ROUNDING = 1e-8
@@ -64,7 +64,7 @@ class Process(NamedTuple):
     variance: float
 
     def autocovariances(self, count: int) -> np.ndarray:
-        """Return those of samples 0, 1, ... apart, shape (count,)."""
+        """Return the autocovariances of samples 0, 1, ... apart, shape (count,)."""
         found, left = [1.0], 1.0
         for p, k in enumerate(self.reflections):  # the recursion of Levinson and Durbin
             a = _polynomials(self.reflections[None, :p])[0]
@@ -100,7 +100,7 @@ class _Restricted:
     Parameters
     ----------
     residuals : np.ndarray, shape (W, T)
-        Those of least squares, 0 where there is none.
+        Residuals of least squares, 0 for missing samples.
     lengths : np.ndarray of int, shape (W,)
         How many there are in each window.
     taken : np.ndarray, shape (W, T, k)
@@ -134,7 +134,7 @@ class _Restricted:
         rest = 1.0 - reflections**2
         matrix = np.tensordot(a[:, i] * a[:, j], self._products[:len(i)], 1) \
             + self._blank + _ROUNDING * np.eye(self._blank.shape[1])
-        # By the factors of Cholesky, in which the last one is what the others leave of residuals.
+        # The Cholesky factor's last diagonal entry is the residual that the other columns leave.
         roots = np.einsum('nwii->nwi', np.linalg.cholesky(matrix))
         variance = (roots[..., -1]**2).sum(axis=1) / self.freedom
         return 0.5 * self.freedom * np.log(variance) + np.log(roots[..., :-1]).sum(axis=(1, 2)) \
@@ -283,7 +283,7 @@ def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> n
     Parameters
     ----------
     influences : np.ndarray, shape (W, T, C, u)
-        Factors of the noise of each sample in u sums; 0 where there is no sample.
+        Factors of the noise of each sample in u sums; 0 for missing samples.
     noise : sequence of sequence of Process
         Of each of C quantities as many.
 

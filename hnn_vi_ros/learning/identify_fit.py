@@ -5,7 +5,7 @@ Numbers of a scene by least squares: multiple shooting, with each window's start
 
 The windows' initial states are unknowns too, but each is felt in its own window alone. So for any
 values of the numbers they are found first, window by window, and what the numbers do beyond what
-initial states could do is what the search goes by (variable projection).
+initial states could do guides the search (variable projection).
 
 G. Golub, V. Pereyra, Separable nonlinear least squares: the variable projection method and its
 applications, Inverse Problems 19 (2003). H. G. Bock, Recent advances in parameter identification
@@ -25,13 +25,13 @@ from hnn_vi_ros.learning.identify_windows import Prediction, Windows, windows_of
 import numpy as np
 from scipy.optimize import least_squares
 
-# Of the residual in standard deviations, where the robust loss goes over from squares to lines.
+# Residual in standard deviations at which the robust loss turns from squares to lines.
 _SOFT = 2.0
 # Most steps for the initial states, and what may still be gained by another one, of the cost.
 _INNER, _GAIN = 30, 1e-10
 # What a start is charged from which a window cannot be simulated, in standard deviations.
 _FAILED = 1e3
-# Of the search for the numbers, at the end and before.
+# Tolerances of the search for the numbers, at the end and before, and most evaluations.
 _TOLERANCE, _ROUGH, _EVALUATIONS = 1e-8, 1e-4, 60
 # Windows grow by this factor, as long as residuals do not, by more than this.
 _LONGER, _GROWTH = 3.0, 1.5
@@ -53,13 +53,13 @@ class Solution:
     starts : np.ndarray, shape (W, 2 d)
         The initial states.
     residuals : np.ndarray, shape (W, T, C)
-        Prediction less measurement, in standard deviations; 0 where there is no sample.
+        Prediction less measurement, in standard deviations; 0 for missing samples.
     by_starts, by_numbers : np.ndarray, shapes (W, T, C, 2 d) and (W, T, C, n)
         Derivatives of the residuals.
     noise : np.ndarray, shape (C,)
         Those standard deviations.
     windows : Windows
-        What was fitted.
+        The fitted windows.
 
     """
 
@@ -153,7 +153,7 @@ class Problem:
         return squares.sum(axis=(1, 2))
 
     def _scaled(self, values: np.ndarray) -> np.ndarray:
-        """Return derivatives in standard deviations, 0 where there is no sample."""
+        """Return derivatives in standard deviations, 0 for missing samples."""
         shape = (1, 1, -1) + (1,) * (values.ndim - 3)
         there = self.windows.there.reshape(self.windows.there.shape + (1,) * (values.ndim - 2))
         return np.where(there, values / self.noise.reshape(shape), 0.0)
@@ -227,7 +227,7 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 
     """
     slopes, numbers = solution.by_starts, solution.by_numbers
-    # By orthogonal factors: a matrix of squares would lose half of the digits.
+    # Orthogonal factors keep the digits: a matrix of squares would lose half of them.
     w, t, c, n = slopes.shape
     root = np.sqrt(weights).reshape(w, t * c, 1)
     left, right = root * slopes.reshape(w, t * c, n), root * numbers.reshape(w, t * c, -1)
@@ -273,7 +273,7 @@ def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: f
     free : FreeScene
         The scene.
     motions : sequence of Motion
-        What was measured.
+        The measured motions.
     velocities : bool
         Whether velocities were.
     horizon : float, optional

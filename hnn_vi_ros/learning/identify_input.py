@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.runs import Motion
 import numpy as np
 
-# Of a step: times of samples that are further from whole steps shift the phase of a drive.
+# Share of a step: times of samples further from whole steps shift the phase of a drive.
 _OFF_GRID = 0.01
 
 

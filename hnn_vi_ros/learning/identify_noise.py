@@ -8,7 +8,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.runs import Motion
 import numpy as np
 
-# Least noise, of the range of what is measured: rounding has no smaller one.
+# Least noise, relative to the measured range: rounding alone makes as much.
 _LEAST_NOISE = 1e-9
 _LEAST_SAMPLES = 10
 

@@ -15,7 +15,7 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
 import numpy as np
 
-# What is no number of a scene: the states that windows begin in, and how late forces come [s].
+# Numbers outside the scene: the states that windows begin in, and how late forces come [s].
 STATES, DELAY = 'initial_state', 'input_delay'
 
 
@@ -179,7 +179,7 @@ def _bounded(number: Number, low: float) -> Number:
 
 
 def _known(scene: Scene) -> dict[str, str]:
-    """Return the place of each number by its short name, as far as that is one number's."""
+    """Return the place of each number by short name, which counts effects of a repeated kind."""
     kinds = [effect.kind for effect in scene.effects]
     named: dict[str, str] = {}
     for place in numbers_of(scene):

@@ -28,7 +28,7 @@ def write_identification(folder: Path, text: str, solution: Solution, estimates:
     folder : Path
         An empty one.
     text : str
-        What is known: Markdown.
+        Text of the report: Markdown.
     solution : Solution
         The fit.
     estimates : Estimates
@@ -45,7 +45,7 @@ def write_identification(folder: Path, text: str, solution: Solution, estimates:
 
 
 def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]) -> None:
-    """Draw measurement and fit of the longest run, and the residuals beside their noise."""
+    """Draw measurement and fit of the longest run, and the residuals with their noise."""
     windows = solution.windows
     runs = [len(motion.t) for motion in windows.motions]
     run = int(np.argmax(runs))

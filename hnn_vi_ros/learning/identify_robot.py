@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a URDF, by name: those of its links, and of the friction in its joints."""
+"""The numbers of a URDF, by name: of its links, and of the friction in its joints."""
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
@@ -81,7 +81,7 @@ def _parsed(file: Path) -> ElementTree.Element:
 
 @lru_cache(4)
 def _read(file: Path, changed: int) -> ElementTree.Element:
-    # The reader of robots first: it refuses all that XML could do beside holding elements.
+    # The reader of robots first: it refuses all that XML could do besides holding elements.
     text = read_urdf(file).text
     builder = ElementTree.TreeBuilder(insert_comments=True)
     return ElementTree.fromstring(text, ElementTree.XMLParser(target=builder))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a scene with other numbers, and keep the rest of its file as it stands."""
+"""Write a scene with other numbers, and keep the rest of its file unchanged."""
 
 from collections.abc import Mapping, Sequence
 import os
@@ -23,7 +23,7 @@ _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
                  initial_state: Mapping[str, Sequence[float]] | None) -> None:
     """
-    Write a scene, and beside it the URDF of its robot if numbers of that were free.
+    Write a scene, and next to it the URDF of its robot if numbers of that were free.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
             raise SceneError(f'{robot}: exists already; name another scene file')
         changes['hamiltonian', 'file'] = robot.name
     for name, file in free.scene.model_files().items():
-        # What it names from its own folder is not found from that of the new file.
+        # Paths relative to its own folder would not lead anywhere from the new file's folder.
         if '/' in name and '://' not in name:
             text = text.replace(name, os.path.relpath(file.resolve(), path.resolve().parent))
     text = edited(text, changes)
@@ -75,7 +75,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
 
 
 def edited(text: str, changes: Mapping[tuple[str, ...], str]) -> str:
-    """Return YAML with other values of some keys; those that do not stand in it are added."""
+    """Return YAML with other values of some keys; missing keys are added."""
     root = root_node(text)
     spans: list[tuple[int, int, str]] = []
     for key, value in changes.items():

@@ -26,9 +26,9 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
-# Of a central difference: the error of its truncation is as large as that of rounding.
+# Spacing of a central difference: its truncation error is as large as its rounding error.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
-# Of a step: where forces jump no further from one of its ends, it is not taken in two.
+# Share of a step: where forces jump no further from one of its ends, it is not taken in two.
 _ALIGNED = 1e-9
 
 
@@ -315,7 +315,7 @@ class Prediction:
 
     @cached_property
     def _run(self) -> DifferentiableRun | None:
-        """Return the run whose derivatives are exact, None where there is none."""
+        """Return the run whose derivatives are exact, None if there is no such run."""
         if len(self._parts) > 1:
             return None
         try:
@@ -376,7 +376,7 @@ class Prediction:
     def _beside(self, k: int) -> list[tuple[float, float]]:
         """Return values of a number within its bounds, and weights of a difference by them."""
         number, value = self._free.numbers[k], float(self._values[k])
-        # Not of what is left of a number that has all but vanished: that would be rounding.
+        # A spacing relative to a number that has all but vanished would be lost in rounding.
         usual = self._windows.spacing if number.place == DELAY else abs(number.start) or 1.0
         return difference(value, _SPACING * max(abs(value), usual), number.low, number.high)
 

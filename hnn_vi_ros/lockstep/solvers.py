@@ -22,8 +22,8 @@ EPS = float(np.finfo(np.float64).eps)
 # As in integrators.solvers: residuals that are not rounding alone; residuals above which, after so
 # many iterations, there is no contraction to speak of.
 NOISE, HOPELESS, PATIENCE = 1e-11, 1e-8, 5
-# What an equation knows of its trajectories, each of shape (..., m); G(x), shape (N, m), and what
-# else is found on the way there.
+# Known quantities of an equation's trajectories, each of shape (..., m); G(x), shape (N, m), and
+# by-products of its evaluation.
 Known = tuple[torch.Tensor, ...]
 Equation = Callable[[Known, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
@@ -204,7 +204,7 @@ class Anderson(Iteration):
 
 
 class _Judged(NamedTuple):
-    """Judgement of iterates: outcomes, or GO_ON with what the next ones are made of."""
+    """Judgement of iterates: outcomes, or GO_ON with the ingredients of the next ones."""
 
     outcome: torch.Tensor
     value: torch.Tensor

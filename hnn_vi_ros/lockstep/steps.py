@@ -156,7 +156,7 @@ def plus(x: torch.Tensor, carry: torch.Tensor, increment: torch.Tensor) -> _Pair
 
 def extrapolated(counts: torch.Tensor, earlier: torch.Tensor, base: torch.Tensor, x: torch.Tensor
                  ) -> torch.Tensor:
-    """Start from up to three earlier solutions, shape (3, N, m), where there are; else from x."""
+    """Start from up to three earlier solutions, shape (3, N, m), if there are any; else from x."""
     first, second, third = earlier
     x = torch.where(counts == 1, base + first, x)
     x = torch.where(counts == 2, base + (2.0 * first - second), x)

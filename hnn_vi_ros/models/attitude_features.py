@@ -3,8 +3,8 @@
 """
 Features of a body that turns: (x, R row by row, pi), with pi = (R^T p, L).
 
-x and p are those of its position, if it has one; R is its attitude, of a quaternion (x, y, z, w),
-and quadratic in it; L is its angular momentum in its own frame.
+x and p belong to its position, if it has one; R is its attitude, quadratic in its quaternion
+(x, y, z, w); L is its angular momentum in its own frame.
 """
 
 from hnn_vi_ros.kernels.marks import called

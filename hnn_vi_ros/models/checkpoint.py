@@ -5,9 +5,9 @@ Trained networks on disk: one safetensors file, its metadata the model card.
 
 The file holds the float64 tensors ``linear1.weight`` (outputs, inputs), ``linear1.bias``, ... in
 the order of the layers, with the card's activation between them, of the one network of a model.
-Those of a model of several networks begin with the network's name, as in
-``potential.linear1.weight``; in an ensemble of N such models, those of each before that with the
-member's number, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a
+In a model of several networks, they begin with the network's name, as in
+``potential.linear1.weight``; in an ensemble of N such models, the member's number comes before
+that, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a
 ModelCard as JSON. Nothing in it is ever executed.
 """
 
@@ -76,9 +76,9 @@ class Checkpoint:
     Parameters
     ----------
     card : ModelCard
-        What it is.
+        Description of the model.
     networks : mapping of str to Layers
-        By name, those of the card's layout.
+        Networks of the card's layout, by name.
     sha256 : str
         Of the file that it was loaded from; empty for one that was not.
     members : tuple of Checkpoint
@@ -103,7 +103,7 @@ class Checkpoint:
 
     def member(self, number: int | None) -> 'Checkpoint':
         """
-        Return a member of an ensemble, from 1 to N; None: the whole, as it is.
+        Return a member of an ensemble, from 1 to N; None: the whole, unchanged.
 
         Raises
         ------
@@ -141,7 +141,7 @@ def load_checkpoint(path: str | Path, ensembles: bool = False) -> Checkpoint:
     Raises
     ------
     ModelError
-        The file is missing, damaged, or not a model of ours; one line says which.
+        The file is missing, damaged, or not a model of ours.
 
     """
     with _opened(Path(path)) as stream:
@@ -245,7 +245,7 @@ def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     Raises
     ------
     ModelError
-        See ``save_checkpoint``; the file is as it was.
+        See ``save_checkpoint``; the file is unchanged.
 
     """
     raw = _serialized(path, checkpoint)

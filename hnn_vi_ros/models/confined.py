@@ -50,8 +50,8 @@ class ConfinedHamiltonian(Hamiltonian):
     convex, three times continuously differentiable, with phi'' <= 5/4 and phi ~ y^2 / 2 far away.
     In the box H is what it is, to the last bit. K_i = max(w_q G_q, w_p G_p), with G the largest
     size of H's derivative by that coordinate or momentum on the faces of the box: what H changes
-    by over a half-width. One half-width outside the wall turns back with 3/4 of G at least, from
-    there on ever harder, and its frequencies K_i phi'' / (w_q w_p) stay those of the box.
+    by over a half-width. One half-width outside the wall turns back with 3/4 of G at least, then
+    ever harder, and its frequencies K_i phi'' / (w_q w_p) stay those in the box.
 
     A tanh network by itself holds no state: its gradient vanishes far away, and abs(H - b) <= B,
     with b its last bias and B the sum of the sizes of its last weights. Of a motion at the energy
@@ -205,7 +205,7 @@ def _wall(walls: np.ndarray, i: int, x: float) -> tuple[float, float, float]:
     """Return K phi(y(x)) and its two derivatives by x, for x outside of interval i."""
     low, high, energy = walls[i, 0], walls[i, 1], walls[i, 2]
     half = 0.5 * (high - low)
-    # Of the sign of the derivative.
+    # y has the sign of the derivative.
     y = (x - high if x > high else x - low) / half
     square = y * y
     s = square / (1.0 + square)

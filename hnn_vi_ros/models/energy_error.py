@@ -39,14 +39,14 @@ class EnergyError(StrictModel):
 
     @property
     def compared_with(self) -> str:
-        """Return what H is compared with, in words."""
+        """Return a description of the reference for H."""
         if self.friction_power is None:
             return self.against
         return f'{self.against}, {self.friction_power:.3g} W in the mean'
 
 
 def interval_text(interval: list[float] | None) -> str:
-    """Return an interval in words."""
+    """Return a description of an interval."""
     if interval is None:
         return 'no interval: too few errors are independent'
     return f'95 %: {interval[0]:.2g} to {interval[1]:.2g}'
@@ -76,7 +76,7 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
                   work: np.ndarray | None = None,
                   against: Reference = 'mean along each trajectory') -> EnergyError:
     """
-    Compare energies with what they should be along each trajectory, up to a constant of it.
+    Compare energies with their expected course along each trajectory, up to a constant of it.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def energy_spread(learned: np.ndarray, trajectory: np.ndarray, seed: int,
     work : np.ndarray, shape (n,), optional
         What has been done on the system up to each state [J]; none: the motions conserve energy.
     against : str
-        What the work is of; see EnergyError.
+        Source of the work; see EnergyError.
 
     References
     ----------
@@ -128,7 +128,7 @@ def rows_of_each(trajectory: np.ndarray) -> list[np.ndarray]:
 
 def _correlation(pieces: Sequence[np.ndarray]) -> int:
     """
-    Return over how many samples those of a series are correlated, at least 1.
+    Return over how many samples a series is correlated, at least 1.
 
     That is 1 + 2 sum_k rho_k, up to where the correlation rho_k first is not positive.
     """

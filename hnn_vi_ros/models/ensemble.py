@@ -74,7 +74,7 @@ class EnsembleHamiltonian(MeanHamiltonian):
     """
     H = (H_1 + ... + H_N) / N of members that share their momenta.
 
-    A gradient costs N of those of a member.
+    A gradient costs N gradients of a member.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def exact_system(kind: str) -> ExactSystem:
     Raises
     ------
     ValueError
-        H is not p . M(q)^-1 p / 2 + V(q), or its functions do not take its parameters as they are.
+        H is not p . M(q)^-1 p / 2 + V(q), or its functions cannot take its parameters unchanged.
 
     """
     defaults = parameters_of(kind)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Terms of an exact system beside a learned M and V, compiled: its kernel by address."""
+"""Terms of an exact system added to a learned M and V, compiled: its kernel by address."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ class ExactTerms(NamedTuple):
     target : Target
         Its functions and parameters.
     inverse, mass : np.ndarray, shape (d, d)
-        M^-1, of which its Cholesky factor is left; and M at the coordinates seen last.
+        M^-1, overwritten by its Cholesky factor; and M at the coordinates seen last.
     momentum, turned : np.ndarray, shape (d,)
         pi = M v, and M' v.
     unit, zero, at_q, at_p : np.ndarray, shape (d,)
@@ -113,7 +113,7 @@ def subtract_turned_mass(prior: ExactTerms, q: np.ndarray, v_q: np.ndarray, v: n
 @kept(error_model='numpy')
 def add_prior_slope_change(prior: ExactTerms, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
                            v_change: np.ndarray, covector: np.ndarray) -> None:
-    """Add the change of H_q(q, M v) along those of q and v, after subtract_turned_mass."""
+    """Add the change of H_q(q, M v) along changes of q and v, after subtract_turned_mass."""
     unit, turned = prior.unit, prior.turned
     for i in range(q.size):
         prior.zero[i] = v_q[i]

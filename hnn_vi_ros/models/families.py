@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The model families: one row says what a card holds, what is compiled, and what is trained."""
+"""The model families: one row names the contents of a card, the kernel and the training."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -50,9 +50,9 @@ class Family:
     dissipation : str
         The network that may be the D of the effect learned_dissipation; '' if none.
     averaged : str
-        ``room.module:Class`` of the mean of several models, where there is one; '' if none.
+        ``room.module:Class`` of the mean of several models; '' if there is no such mean.
     measured_momenta : bool
-        Whether p is that of the data; else it is the model's own, p = M(q) q' with its own M.
+        Whether p comes from the data; else it is the model's own, p = M(q) q' with its own M.
 
     """
 
@@ -124,8 +124,8 @@ FAMILIES = {
         'learning.families.mechanical:MechanicalNetwork', constants=('mechanical',),
         conservative=False, averaged='models.mechanical_mean:MeanMechanism',
         measured_momenta=False),
-    # Of one body, by the card's ``lie_group``, which tells what its networks see, and whether
-    # there are more: of dissipation, and of an input map.
+    # It models one body; the card's ``lie_group`` lists the inputs of its networks, and whether
+    # there are more networks: for dissipation, and for an input map.
     'lie_group': Family(
         {'mass': Network(1), 'potential': Network(1)}, 'models.lie_group:LieGroupHamiltonian',
         'learning.families.lie_group:LieGroupNetwork', constants=('lie_group',),

@@ -26,9 +26,9 @@ class Features(NamedTuple):
     periodic : np.ndarray of int, shape (k,)
         Whether a row is seen by its sine and cosine.
     inputs, change : np.ndarray, shape (n,)
-        Space for what the network sees, and what it changes by.
+        Space for the inputs of the network, and their change.
     cotangent, cotangent_change : np.ndarray, shape (n,)
-        Space for a derivative by the inputs, and for what that changes by.
+        Space for a derivative by the inputs, and its change.
 
     """
 
@@ -48,7 +48,7 @@ def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features
 
 
 def even_layers(layers: Layers) -> Layers:
-    """Return the same network with an even number of inputs, one of which may be of no effect."""
+    """Return the same network with an even number of inputs; one may have no effect."""
     first, *others = layers.weights
     missing = _even(first.shape[1]) - first.shape[1]
     return Layers((np.hstack([first, np.zeros((len(first), missing))]), *others), layers.biases)

@@ -21,7 +21,7 @@ import numpy as np
 _SAMPLES = 1000
 _CONDITION = 1e8
 _ITERATIONS = 50
-# Relative changes below which Newton's method goes on with the last inverse, and stops.
+# Relative changes below which Newton's method keeps the last inverse, and stops.
 _HOLD, _STOP = 1e-4, 1e-15
 
 

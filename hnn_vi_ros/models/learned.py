@@ -66,7 +66,7 @@ class LearnedHamiltonian(Hamiltonian):
         """Return the functions that simulations compile."""
         kernel = self._kernel()
         if self._scales is None:
-            # By address: what is compiled here is what simulations call.
+            # Simulations call by address too, so that they share the functions compiled here.
             called = by_address(kernel)
             self._scales = self._gradient_scale(called), self._energy_scale(called)
         gradient, energy = self._scales
@@ -149,7 +149,7 @@ def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) 
 
 
 def padded(layers: Layers, part: str) -> Layers:
-    """Return a network of one ``part``, q or p, as one of both; or one of both as it is."""
+    """Return a network of one ``part``, q or p, as one of both; leave one of both unchanged."""
     first, *others = layers.weights
     zero = np.zeros_like(first)
     parts = {'both': (first,), 'q': (first, zero), 'p': (zero, first)}

@@ -76,7 +76,7 @@ class LieGroupParameters(NamedTuple):
     scale : np.ndarray, shape (k,)
         The diagonal of S.
     floor : float
-        What is added to the diagonal of L L^T.
+        Constant added to the diagonal of L L^T.
     positive : bool
         Whether the diagonal of L is log(1 + exp(y)), not y.
     work : LieGroupWork
@@ -99,8 +99,8 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
     pi = (R^T p, L): the momentum of the position and that of turning, both in the frame of the
     body. The network ``mass`` gives the entries y of the lower triangular L, a block of 3 x 3 for
-    each, those of its diagonal as log(1 + exp(y)), or as they are; ``potential`` gives V. They
-    see the nine entries of R, and the position, as the card says. With u = S pi and w = L^T u,
+    each, with log(1 + exp(y)) or y on its diagonal; ``potential`` gives V. They see the nine
+    entries of R, and the position, as the card says. With u = S pi and w = L^T u,
 
         v = S (L w + floor u) + V_pi,    H_g = V_g + sum_ij u_i w_j (L_ij)_g + p . (R v)_g,
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Card of a model of the family lie_group, beside its networks."""
+"""Card of a model of the family lie_group, without its networks."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -66,7 +66,7 @@ class LieGroupCard(StrictModel):
                 for name, (seen, outputs) in found.items()}
 
     def columns(self, seen: Sequence[str]) -> list[int]:
-        """Return the places of what a network sees in (x, R row by row, pi)."""
+        """Return the places of a network's inputs in (x, R row by row, pi)."""
         places = self.size - 3
         ends = {'position': (0, places), 'attitude': (places, places + 9),
                 'momentum': (places + 9, places + 9 + self.size)}

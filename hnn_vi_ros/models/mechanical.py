@@ -21,9 +21,9 @@ class MechanicalHamiltonian(LearnedHamiltonian):
     """
     H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = S (L L^T + floor) S.
 
-    The network ``mass`` gives the entries y of the lower triangular L, those of its diagonal as
-    log(1 + exp(y)), and ``potential`` gives V; what they see of q, S and the floor stand in the
-    card. p = M(q) v is the model's own momentum. With u = S v and w = L^T u,
+    The network ``mass`` gives the entries y of the lower triangular L, with log(1 + exp(y)) on its
+    diagonal, and ``potential`` gives V; the card holds their inputs from q, S and the floor.
+    p = M(q) v is the model's own momentum. With u = S v and w = L^T u,
 
         H_p = v = M^-1 p,    H_q = V' - sum_ij u_i w_j L_ij',
 

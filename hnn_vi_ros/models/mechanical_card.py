@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Card of a model of the family mechanical, beside its networks."""
+"""Card of a model of the family mechanical, without its networks."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
@@ -20,9 +20,9 @@ from pydantic import Field, model_validator
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Kind = Literal['revolute', 'continuous', 'prismatic']
-# Of an ensemble.
+# An ensemble has at most this many members.
 MOST_MEMBERS = 64
-# What the members of an ensemble have in common.
+# The members of an ensemble agree in these fields.
 _SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features'
 
 
@@ -45,7 +45,7 @@ class FrictionCard(StrictModel):
     """Friction at each coordinate, whose power is never positive."""
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
-    # Of the mean of an ensemble those of all members.
+    # The mean of an ensemble has the terms of all members.
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
@@ -203,7 +203,7 @@ class MechanicalCard(StrictModel):
             raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')
         rows, matrices = self.terms[:2]
-        # Of two links M is smallest where they are in line.
+        # M of two links is smallest where they are in line.
         for sign in (-1.0, 1.0):
             mass = np.where(rows.any(axis=1), sign, 1.0) @ matrices.reshape(len(rows), -1)
             if not np.linalg.eigvalsh(mass.reshape(2 * matrices.shape[1:2]))[0] > 0.0:
@@ -256,10 +256,10 @@ def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
 
 def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     """
-    Return the card of the mean of models: its friction and its input map are those of the mean.
+    Return the card of the mean of models, with the mean's friction and input map.
 
     The friction is all their terms, with an N-th of their forces. Scales and parameters of priors
-    are means for the reader; M and V are those of each member.
+    are means for the reader; the members themselves supply M and V.
     """
     count, first = len(cards), cards[0]
 

@@ -26,13 +26,13 @@ class MassNetwork(NamedTuple):
     outputs : PackedOutputs
         The network of y.
     seen : Features
-        What it sees of q.
+        Its inputs from q.
     places : np.ndarray of int, shape (k, 2)
         Row and column of each entry in L.
     scale : np.ndarray, shape (d,)
         The diagonal of S.
     floor : float
-        What is added to the diagonal of L L^T.
+        Constant added to the diagonal of L L^T.
 
     """
 
@@ -277,7 +277,7 @@ def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarr
 
 @part(error_model='numpy')
 def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill y, L, the Cholesky factor of S^-1 M S^-1, and v, u, w; NaN where there is none."""
+    """Fill y, L, the Cholesky factor of S^-1 M S^-1, and v, u, w; NaN if no factor exists."""
     scale, work = parameters.mass.scale, parameters.work
     L, factor, v, u, w = work.L, work.factor, work.v, work.u, work.w
     d = scale.size

@@ -54,15 +54,15 @@ class MeanMechanism(MeanHamiltonian):
     """
     H(q, p) = p . M(q)^-1 p / 2 + V(q), with M = (M_1 + ... + M_N) / N, and V in the same way.
 
-    That is the mean of the members' Lagrangians, which are functions of what was measured, q and
-    q'. With the mean of their friction and input maps, the force that the mean needs for a
-    motion is the mean of what the members need: a motion that all of them have is one of the
+    That is the mean of the members' Lagrangians, which are functions of the measured q and q'.
+    With the mean of their friction and input maps, the force that the mean needs for a
+    motion is the mean of the members' forces: a motion that all of them have is one of the
     mean's, even where they differ by a factor of M, V and friction, which motions of little force
     hardly tell. M is positive definite as each M_k is. With v = M^-1 p and p_k = M_k v
 
         H_p = v,    H_q = (sum_k V_k' - (v . M_k v)_q / 2) / N,
 
-    where each term is H_k,q(q, p_k): a gradient costs N of those of a member.
+    where each term is H_k,q(q, p_k): a gradient costs N gradients of a member.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q
 
 @part(error_model='numpy')
 def _solve(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill the factor of M, and v; NaN where there is none."""
+    """Fill the factor of M, and v; NaN if no factor exists."""
     factor, v, mass = parameters.factor, parameters.v, parameters.wide_mass
     d, share = v.size, 1.0 / len(parameters.members)
     for i in range(d):

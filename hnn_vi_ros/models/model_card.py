@@ -250,7 +250,7 @@ class EnsembleCard(StrictModel):
 
 
 def averaged_families() -> list[str]:
-    """Return the families of which there are ensembles."""
+    """Return the families that can form ensembles."""
     return [name for name, family in FAMILIES.items() if family.averaged]
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Networks as parts of a Hamiltonian, and those of several outputs, by the compiled loops for one.
+Networks as parts of a Hamiltonian; the compiled loops for one output also serve several.
 
 A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, whose last weights w
 are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
@@ -48,7 +48,7 @@ def pack_outputs(checkpoint: Checkpoint, network: str, part: str = 'q') -> Packe
     network : str
         The name of its network, with k outputs.
     part : str
-        What it is a network of: ``'q'``, ``'p'`` or ``'both'``.
+        Its arguments: ``'q'``, ``'p'`` or ``'both'``.
 
     """
     return pack_layers(padded(checkpoint.networks[network], part), checkpoint.card.activation)

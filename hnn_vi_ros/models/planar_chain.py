@@ -3,7 +3,7 @@
 """
 Mass matrix and potential of a chain of rigid links that turn in a plane, by its parameters.
 
-With the angles phi = F q of the links from the vertical, those of F being the rows of features,
+With the angles phi = F q of the links from the vertical, and F_i the rows of features,
 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
@@ -69,7 +69,7 @@ def parameter_names(features: Sequence[Sequence[float]]) -> list[str]:
     own = [f'inertia{i + 1}' for i in range(d)]
     pairs = [f'coupling{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)]
     gravity = [f'gravity{i + 1}' for i in range(d)]
-    # Of links whose coordinates are their own angles, it is a part of the inertia.
+    # For links whose coordinates are their own angles, it is a part of the inertia.
     relative = bool((np.count_nonzero(features, axis=1) > 1).any())
     motors = [f'motor_inertia{i + 1}' for i in range(1, d)] if relative else []
     return own + pairs + gravity + motors

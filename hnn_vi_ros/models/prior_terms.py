@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Terms of a parametric system beside a learned M and V: those of planar_chain.py, compiled."""
+"""Terms of a parametric system added to a learned M and V: planar_chain.py, compiled."""
 
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.planar_chain import Terms

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Priors of the family mechanical, beside its networks: rigid links, or an exact system."""
+"""Priors of the family mechanical, added to its networks: rigid links, or an exact system."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -23,9 +23,9 @@ RIGID_BODY = 'rigid_body'
 _INERTIAL = ('mass', 'first_x', 'first_y', 'first_z', 'inertia_xx', 'inertia_xy', 'inertia_yy',
              'inertia_xz', 'inertia_yz', 'inertia_zz')
 INERTIAL = len(_INERTIAL)
-# Parameters of each body, with those of its joint.
+# Parameters of each body and its joint.
 EACH = INERTIAL + 2
-# Of the largest eigenvalue of a pseudo-inertia: what rounding leaves of zero.
+# Rounding of zero, relative to the largest eigenvalue of a pseudo-inertia.
 _ROUNDING = 1e-9
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -140,7 +140,7 @@ def tree_card(bodies: Bodies, joints: Mapping[int, Joint], robot: str) -> TreeCa
 
 
 def values_of(tree: TreeCard, bodies: Bodies) -> np.ndarray:
-    """Return the parameters of bodies, shape (d, 12), of which offsets are zero."""
+    """Return the parameters of bodies, shape (d, 12), with offsets of zero."""
     found = np.zeros((len(tree.bodies), EACH))
     for i, (row, body) in enumerate(zip(found, tree.bodies, strict=True), start=1):
         row[:INERTIAL] = turned(bodies.inertia[i], frame_of(np.array(body.axis)))
@@ -182,7 +182,7 @@ def pseudo_inertia(inertial: np.ndarray) -> np.ndarray:
     """
     Return the moments of the mass itself, shape (4, 4), of (m, h, I).
 
-    It is positive semidefinite for what a body can have, and for nothing else (P. Wensing,
+    It is positive semidefinite if, and only if, a body can have these moments (P. Wensing,
     S. Kim, J.-J. Slotine, IEEE Robotics and Automation Letters 3, 2018).
     """
     second = symmetric(inertial[4:])

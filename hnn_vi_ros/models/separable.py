@@ -14,7 +14,7 @@ import numpy as np
 
 
 class SeparableParameters(NamedTuple):
-    """The networks of T and of V, and space for what is zero, shape (m d,)."""
+    """The networks of T and of V, and an array of zeros, shape (m d,)."""
 
     kinetic: PackedPerceptron
     potential: PackedPerceptron

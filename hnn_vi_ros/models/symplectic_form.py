@@ -18,9 +18,9 @@ import numpy as np
 
 # States of the box at which W is looked at.
 _SAMPLES = 1024
-# Of W in units in which the box is a cube; beyond it too few digits of u' are left.
+# Condition of W in units in which the box is a cube; beyond it, u' keeps too few digits.
 _LARGEST_CONDITION = 1e6
-# What keeps W regular: motions tell it only where they pass, and it varies freely beside them.
+# Motions fix W only along their paths, and it varies freely elsewhere; these keep it regular.
 REMEDY = ('give linearity (0.01, then more), a weight that keeps the field plain where data leave '
           'it open; or take data from more motions, or from a smaller box')
 _EPS = float(np.finfo(np.float64).eps)
@@ -33,7 +33,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     """
     The one-form theta(u) and the energy H(u) of a neural symplectic form, u = (q, p) in R^2d.
 
-    The p of u are whatever was measured beside q, often velocities: u need not be canonical. The
+    The p of u may be any quantity measured with q, often velocities: u need not be canonical. The
     motions make the integral of theta(u) . u' - H(u) over time stationary. Its variation is
     zero where
 
@@ -44,7 +44,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     theta = (M p, 0) + N(u): M is the mass matrix of the model card, N the network ``one_form``,
     and H the network ``energy``.
 
-    What stands for (H_q, H_p) is (-p', q'), with u' = W^-1 H'.
+    In place of (H_q, H_p) it returns (-p', q'), with u' = W^-1 H'.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def _gradient(parameters: FormParameters, q: np.ndarray, p: np.ndarray,
 @_compiled
 def _hessian_vector(parameters: FormParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    """Fill the derivative of what stands for the gradient, by a central difference."""
+    """Fill the derivative of (-p', q'), by a central difference."""
     size = max(np.abs(v_q).max(), np.abs(v_p).max())
     if size == 0.0:
         product_q[:], product_p[:] = 0.0, 0.0

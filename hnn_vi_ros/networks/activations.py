@@ -3,9 +3,9 @@
 """
 Functions between the layers of a network: their value, slope and curvature.
 
-Each class of PackedPerceptron stands for an activation. By it the compiler chooses among the loops
+Each class of PackedPerceptron has one activation, by which the compiler chooses among the loops
 below, so that a network of one activation holds nothing of the others. tanh needs no memory of
-its own: its slope is 1 - a^2. Of the others the slope is kept, in a fifth group of rows of
+its own: its slope is 1 - a^2. The others keep their slope in a fifth group of rows of
 ``nodes``, and in a sixth its derivative along a_0' = v.
 """
 
@@ -48,7 +48,7 @@ ACTIVATIONS = {
 
 @_inlined
 def _relu(z: float) -> tuple[float, float]:
-    # Of NaN, NaN.
+    # NaN gives NaN.
     return (0.0 if z <= 0.0 else z), (1.0 if z > 0.0 else 0.0 if z <= 0.0 else z)
 
 

@@ -34,7 +34,7 @@ def sine_and_cosine(x: float) -> tuple[float, float]:
     Return the sine and the cosine of x; NaN stays NaN, and infinity becomes NaN.
 
     Write x = k pi / 2 + r, abs(r) <= pi / 4: the polynomials give sin r and cos r, and k mod 4
-    says which of them is which and of what sign. The error is 1.5 units of round-off for
+    decides which of them is which and its sign. The error is 1.5 units of round-off for
     abs(x) < 1e6; beyond, x's own last digit. There is no branch and no call, as in vector_tanh.
 
     """

@@ -31,15 +31,15 @@ class AccuracyEncoder:
     step; ``iterations`` are the gradients that each step since the sample before took, on average.
     What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
     the size of the energies in play [J], by which an error is judged; see EnergyScale.
-    ``local_error`` is what a step adds, as estimated at the first and then at every 64th sample;
-    see local_error. After them come the invariants of the scene, by their names.
+    ``local_error`` is the estimated error that a step adds, at the first and then at every 64th
+    sample; see local_error. The invariants of the scene follow, each under its name.
 
     Parameters
     ----------
     simulation : Simulation
         In its initial state.
     monitor : Monitor
-        What is measured of it.
+        Its measurements.
 
     """
 

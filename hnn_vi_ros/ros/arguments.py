@@ -82,7 +82,7 @@ def rerun_bridge() -> Parser:
 
 
 def sweep() -> Parser:
-    """Return the parser of ``sweep``, of which those that write bags are run from here."""
+    """Return the parser of ``sweep``; the sweeps that write bags run from here."""
     return sweeps.sweep()
 
 

@@ -31,7 +31,7 @@ class BagOutput(Sink):
     settings : Settings
         The node's parameters.
     topics : BagTopics
-        What the bag holds.
+        Topics in the bag.
     files : RunFiles
         Which gives them names.
 

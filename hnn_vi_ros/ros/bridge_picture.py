@@ -25,7 +25,7 @@ from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
 
-# Simulated time of which the picture leaves room [s].
+# The picture leaves room for this much simulated time [s].
 _SEEN = 30.0
 # The viewer counts no farther.
 _MOST_STEPS = 2.0**63

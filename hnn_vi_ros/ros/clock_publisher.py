@@ -29,7 +29,7 @@ class ClockPublisher:
         self._last = 0
 
     def publish(self, stamp: int) -> None:
-        """Publish a stamp, if it is time to; one that is less than the last begins anew."""
+        """Publish a stamp, if it is time to; one that is less than the last starts over."""
         if not 0 <= stamp - self._last < CLOCK_PERIOD:
             self._last = stamp
             self.tell(stamp)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Control of when a run goes on: start, halt, pause, steps by number, reset."""
+"""Control of when a run advances: start, halt, pause, steps by number, reset."""
 
 from collections.abc import Callable
 import gc
@@ -42,9 +42,9 @@ class Control:
     node : Node
         The simulator.
     run : Run
-        What is driven.
+        The run to drive.
     discovery : Discovery
-        What the first step waits for.
+        The first step waits for it.
     settings : Settings
         The node's parameters.
 
@@ -54,7 +54,7 @@ class Control:
         Whether the node is active, and whether a pause was asked for.
     stopped : bool
         Whether the run waits at its initial state to be played, rather than in a pause: a
-        difference that simulation_interfaces makes. Whoever stops it says so here.
+        difference that simulation_interfaces makes. Whoever stops it sets this.
 
     """
 
@@ -72,7 +72,7 @@ class Control:
 
     @property
     def running(self) -> bool:
-        """Return whether simulated time goes on by itself."""
+        """Return whether simulated time advances by itself."""
         return self.active and not self.paused
 
     def activate(self) -> None:
@@ -85,7 +85,7 @@ class Control:
         self._schedule()
 
     def deactivate(self) -> None:
-        """Stand still and keep all as it is."""
+        """Stand still and keep everything."""
         self.active = False
         self._end_request(Answer(False, 'the node was deactivated'))
         self._schedule()
@@ -165,7 +165,7 @@ class Control:
                                         reset_time=time_too))
 
     def reset_time(self) -> Answer:
-        """Let simulated time begin anew from the state as it is; resets go back as before."""
+        """Restart simulated time from the current state; resets go back as before."""
         run, start = self._run, self._run.start
         run.set_start(run.simulation.q.copy(), run.simulation.p.copy())
         try:
@@ -192,7 +192,7 @@ class Control:
         """Start once discovery is over."""
         if self._discovery.over:
             self._node.destroy_timer(self._timers.pop())
-            # What was made since the preparation has frozen the rest.
+            # The preparation froze the rest; this freezes the objects made since.
             gc.freeze()
             self._run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)
@@ -249,7 +249,7 @@ class Control:
             self._schedule()
 
     def _end_request(self, answer: Answer) -> None:
-        """Answer a request for steps, if there is one, and say how many were taken."""
+        """Answer a request for steps, if there is one, with the number of steps taken."""
         if self._waiting is not None:
             words = [answer.message] * bool(answer.message)
             where = self._where(steps=self._asked - self._left)

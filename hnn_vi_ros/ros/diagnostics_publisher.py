@@ -49,12 +49,12 @@ class DiagnosticsPublisher:
     publisher : Publisher
         Of diagnostic_msgs/DiagnosticArray.
     hardware_id : str
-        What the statuses are about: the scene.
+        Subject of the statuses: the scene.
 
     Attributes
     ----------
     topic : Topic
-        What the log says of the topic.
+        Description of the topic for the log.
 
     """
 
@@ -66,7 +66,7 @@ class DiagnosticsPublisher:
             publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
     def publish(self, statuses: Iterable[Status], stamp: int) -> bytes:
-        """Publish all the statuses as of a stamp [ns] in one message; return it as it was sent."""
+        """Publish all the statuses as of a stamp [ns] in one message; return the bytes sent."""
         message = DiagnosticArray()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.status = [DiagnosticStatus(

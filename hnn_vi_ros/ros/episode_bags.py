@@ -70,6 +70,6 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
 
 
 def _topic(name: str, kind: type, qos: QoSProfile) -> Topic:
-    """Describe a topic of the simulator, as it is called without a namespace."""
+    """Describe a topic of the simulator, under its name without a namespace."""
     full = name.replace('~', _NODE) if name.startswith('~') else f'/{name}'
     return describe_topic(full, kind, qos)

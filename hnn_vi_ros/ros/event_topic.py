@@ -23,8 +23,8 @@ class EventTopic:
     """
     Topic of events: each is one message with one status, stamped with its own time.
 
-    The status' message is the event in words; its values are the condition, the direction, the
-    time, q and p by their names, and H, with all their digits.
+    The status' message describes the event; its values are the condition, the direction, the
+    time, the named q and p, and H, with all their digits.
 
     Parameters
     ----------

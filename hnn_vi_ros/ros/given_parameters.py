@@ -4,7 +4,7 @@
 The parameters that a node is given when it starts: those that it does not have are refused.
 
 A node that takes part is created with ``automatically_declare_parameters_from_overrides``, rclpy's
-public way to learn what it was given; ``declare_parameters`` then declares its own anew.
+public way to learn what it was given; ``declare_parameters`` then declares its own again.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,8 +27,8 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
     Refuse parameters that a node was given and does not have, before they run the default.
 
     A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
-    What the node does not have there belongs to another one: it is reported if it looks like a
-    misspelling, and left. So is a section whose name is nearly the node's, where none is its own.
+    A parameter there that the node lacks belongs to another node: it is reported if it looks like
+    a misspelling, and left. So is a section named nearly like the node, if none is its own.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _sections_in(content: Mapping, node: str) -> Iterator[tuple[str, object]]:
 
 
 def _flat(parameters: object, prefix: str) -> Iterator[str]:
-    """Yield the names of parameters, where ``a: {b: 1}`` stands for ``a.b``."""
+    """Yield the names of parameters; ``a: {b: 1}`` means ``a.b``."""
     for key, value in parameters.items() if isinstance(parameters, Mapping) else ():
         if isinstance(value, Mapping):
             yield from _flat(value, f'{prefix}{key}.')

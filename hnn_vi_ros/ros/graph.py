@@ -16,16 +16,16 @@ THREAD_TURN = 2e-4
 DISCOVERY_PERIOD = 0.02
 # Subscribers whose number has not changed for so long are taken for all there are [s].
 _SETTLED = 0.5
-# What the delivery of the last messages may take [s], and how often signals are looked for.
+# Limit on the delivery of the last messages [s], and how often signals are looked for.
 _DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
 _DELIVERY_TURN = 0.1
-# What is logged where that was too short.
+# Logged when that was too short.
 UNDELIVERED = 'a subscriber was too slow to receive all that was published of {}'
 
 
 def freeze_memory() -> None:
     """Leave what is there out of every garbage collection, which would stop all for 0.1 s."""
-    # What an earlier run of the node has left in cycles is not there to stay.
+    # Cycles that an earlier run of the node left behind are not there to stay.
     gc.unfreeze()
     gc.collect()
     gc.freeze()
@@ -77,7 +77,7 @@ def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) 
     Returns
     -------
     str
-        The topics of which a subscriber still lacks messages; empty for none.
+        Topics whose messages some subscriber still lacks; empty for none.
 
     """
     begin, late = time.monotonic(), []

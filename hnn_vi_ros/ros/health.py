@@ -47,7 +47,7 @@ class Health:
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
         self._stamp_at, self._guards, self.errors = stamp_at, guards, errors
         self._diagnostics, self._recording, self._log = diagnostics, recording, log
-        # The newest alarm of each kind as it stands now, the step at which it was raised, how
+        # The newest alarm of each kind in its current form, the step that raised it, how
         # many there were, and when the log takes the next.
         self._alarms: dict[str, Alarm] = {}
         self._raised: dict[str, int] = {}
@@ -91,7 +91,7 @@ class Health:
         """
         if sample is not None:
             self._renew(sample)
-        # Of several the newest.
+        # The newest wins among equals.
         worst = max(reversed(self._alarms.values()), key=self._level, default=None)
         level, message = OK, 'no alarm'
         if worst is not None:

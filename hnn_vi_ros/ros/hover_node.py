@@ -14,7 +14,7 @@ import numpy as np
 import rclpy
 from std_msgs.msg import Float64MultiArray
 
-# Of the scene quadrotor.
+# The scene quadrotor has these values.
 MASS, GRAVITY, INERTIA = 0.8, 9.81, np.array([0.006, 0.006, 0.011])
 # Natural frequencies [rad/s] of place and attitude, and the damping ratio of both.
 PLACE_RATE, TURN_RATE, DAMPING = 1.5, 9.0, 0.9
@@ -26,8 +26,8 @@ def commands_of(message: Odometry, place: np.ndarray) -> np.ndarray:
     """
     Return the thrust [N] and three torques [N m] that lead to a place, without turning to a side.
 
-    The force that a damped spring to the place asks for, beside the weight, is the third axis of
-    the attitude that another damped spring turns the body to.
+    A force carries the weight and pulls like a damped spring to the place; it is the third axis
+    of the attitude that another damped spring turns the body to.
 
     References
     ----------

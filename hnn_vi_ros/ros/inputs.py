@@ -26,7 +26,7 @@ class Input(NamedTuple):
     message_type : type
         Of its messages.
     holds : frozenset of str
-        What its commands may hold, of which a scene takes some; see commands.contents.
+        Possible contents of its commands; a scene takes some of them; see commands.contents.
     read : callable
         ``read(message, stamp)`` returns the command of a message that finds the state of that
         stamp [ns], or raises ValueError.

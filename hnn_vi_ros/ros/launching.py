@@ -9,7 +9,7 @@ from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.ros.parameters import Specification
 import yaml
 
-# Arguments beside the parameters: name, default and description.
+# Arguments besides the parameters: name, default and description.
 _COMMON = (
     ('namespace', '', 'namespace of the node'),
     ('params_file', '', 'parameter file; what is given as an argument as well counts for more'),
@@ -45,7 +45,7 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
     table = [item for item in table if not (managed and item.name == 'autostart')]
     return LaunchDescription([
         *(DeclareLaunchArgument(word, description=text) for word, text in words),
-        # Empty stands for not given: then a parameter file counts, and after it the default.
+        # Empty means not given: then a parameter file counts, and after it the default.
         *(DeclareLaunchArgument(item.name, default_value='', description=(
             f'{item.description} (default: {_text(item.default)})')) for item in table),
         DeclareLaunchArgument('name', default_value=name, description='name of the node'),
@@ -136,5 +136,5 @@ def _transitions(node: Any) -> list[Any]:
 
 
 def _text(value: object) -> str:
-    """Return a default as it is written in YAML; an empty string as such."""
+    """Return a default in YAML; an empty string as the word empty."""
     return 'empty' if value == '' else yaml.safe_dump(value).splitlines()[0]

@@ -33,9 +33,9 @@ _PUBLIC = {
 
 class ManagedNode(LifecycleNodeMixin, RobustNode):
     """
-    A lifecycle node that goes on serving while a transition takes its time.
+    A lifecycle node that keeps serving during a long transition.
 
-    Here ``on_configure`` may be a coroutine, which awaits what ``in_thread`` works on. Its
+    Here ``on_configure`` may be a coroutine, which awaits the work of ``in_thread``. Its
     publishers are ordinary ones, which cost nothing more for each message: a node that is not
     active has nothing to publish.
 
@@ -68,7 +68,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         return any(thread.is_alive() for thread in self._threads)
 
     def wait(self, seconds: float) -> None:
-        """Wait at most so long for what is at work."""
+        """Wait at most so long for the threads at work."""
         for thread in list(self._threads):
             thread.join(seconds)
 
@@ -138,7 +138,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                                response: ChangeState.Response) -> ChangeState.Response:
         transition = request.transition.id
         if request.transition.label:
-            # The state machine's own look-up raises where there is none of this name.
+            # The state machine's own look-up raises for an unknown name.
             transition = next((found[0] for found in self._machine.available_transitions
                                if found[1] == request.transition.label), 0)
         try:

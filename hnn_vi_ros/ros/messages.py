@@ -46,8 +46,8 @@ class MessageEncoder:
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        In the order of q. Of a quaternion there are four columns in q, and three in p. Joint
-        states are those of scalar coordinates alone: no joint turns by a quaternion.
+        In the order of q. A quaternion takes four columns in q, and three in p. Joint states
+        cover scalar coordinates alone: no joint turns by a quaternion.
 
     """
 
@@ -115,7 +115,7 @@ def describe_topic(name: str, message_type: type, qos: QoSProfile) -> Topic:
     message_type : type
         Class of its messages.
     qos : QoSProfile
-        What the publisher offers, overrides included.
+        Policies that the publisher offers, overrides included.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def message_type_name(message_type: type) -> str:
 
 def message_definition(type_name: str) -> str:
     """
-    Return the text of a type's .msg file, followed by those of the types it uses.
+    Return the text of a type's .msg file, then the texts of the types it uses.
 
     Parameters
     ----------
@@ -220,6 +220,6 @@ def qos_yaml(qos: QoSProfile) -> str:
 
 
 def _offered_duration(duration: Duration) -> dict[str, int]:
-    # Zero stands for "not specified", which publishers offer, and rosbag2 finds, as for ever.
+    # Zero means "not specified"; publishers and rosbag2 treat it as infinite.
     seconds, nanoseconds = divmod(duration.nanoseconds or Infinite.nanoseconds, 10**9)
     return {'sec': seconds, 'nsec': nanoseconds}

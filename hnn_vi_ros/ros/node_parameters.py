@@ -71,7 +71,7 @@ class Parameters:
     configured : bool
         Whether a configured run uses them.
     run : object or None
-        Told of changes while it goes on: ``check(settings)``, which may raise ParameterError,
+        It receives changes while it runs: ``check(settings)``, which may raise ParameterError,
         and then ``apply(settings)``.
 
     Raises
@@ -136,7 +136,7 @@ def _descriptor(item: Specification) -> ParameterDescriptor:
         descriptor.integer_range = [
             IntegerRange(from_value=int(item.smallest), to_value=int(item.largest))]
     elif isinstance(item.default, float):
-        # An integer given for a double must work; the range is checked beside this.
+        # An integer given for a double must work; the range is checked separately.
         descriptor.dynamic_typing = True
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=item.smallest, to_value=item.largest)]

@@ -18,8 +18,8 @@ class OdometryEncoder:
     Serialise one message for each body: its pose in space, its velocities in its own frame.
 
     As the definition of the message says: the pose is in ``header.frame_id``, the twist, linear
-    and angular, in ``child_frame_id``, which is the name of the coordinate. Axes are those of REP
-    103 and REP 105. A body that turns about a point is in the origin. The state is exact: all
+    and angular, in ``child_frame_id``, which is the name of the coordinate. Axes follow REP 103
+    and REP 105. A body that turns about a point is in the origin. The state is exact: all
     covariances are zero.
 
     Parameters

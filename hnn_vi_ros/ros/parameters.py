@@ -33,7 +33,7 @@ class Specification:
     default : str, bool, int or float
         Its default, whose type is the parameter's.
     description : str
-        What it does.
+        Its purpose.
     unit : str
         Unit of a number.
     smallest, largest : float
@@ -162,7 +162,7 @@ PARAMETERS = specifications(Settings)
 
 
 def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:
-    """Return parameters as rows of a table: when they change is told where that differs."""
+    """Return parameters as rows of a table, with when they change if that differs."""
     rows, differs = [], len({item.changes for item in table}) > 1
     for item in table:
         choices = f' ({", ".join(item.choices)})' if item.choices else ''

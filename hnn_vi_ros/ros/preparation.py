@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Preparation of a run, which takes long: for a thread beside the one that serves."""
+"""Preparation of a run, which takes long: for another thread than the one that serves."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -31,7 +31,7 @@ import numpy as np
 
 # The last stage, from which on there are files.
 OPENING = 'opening the files'
-# Simulated time of which the picture leaves room, at the pace of the clock [s].
+# The picture leaves room for this much simulated time, at the pace of the clock [s].
 _SEEN = 30.0
 # Wall time between two samples beyond which a pace is taken for a mistake [s].
 _LONGEST_WAIT = 1e6
@@ -44,9 +44,9 @@ class Prepared(NamedTuple):
     Parameters
     ----------
     scene : Scene
-        What is simulated, resolved.
+        The scene to simulate, resolved.
     chosen : Chosen or None
-        What the integrator auto chose, if the scene has it.
+        The choice of the integrator auto, if the scene has it.
     simulation : Simulation
         Made of it, compiled, in its initial state; see ``rescue_ready``.
     box : tuple of np.ndarray, shape (d, 2) each
@@ -56,7 +56,7 @@ class Prepared(NamedTuple):
     recording : Recording
         The open files.
     log_lines : list of LogLine
-        What is to be reported.
+        Lines to report.
     origin : int
         Stamp of step 0 [ns].
     members : Members or None
@@ -91,13 +91,13 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     settings : Settings
         The node's parameters.
     topics : BagTopics
-        What the bag holds.
+        Topics in the bag.
     discovery : Discovery
-        What the first step waits for.
+        The first step waits for it.
     logger : Logger
-        Told of what is done.
+        It logs progress.
     begin : callable
-        Told of each stage, in a few words.
+        Called with a short name for each stage.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def _compile(scene: Scene, logger: Logger) -> Simulation:
         warnings.simplefilter('always')
         simulation = build(scene)
         seconds = simulation.compile()
-        # Of messages of states, and what is drawn.
+        # Compile what messages of states and the picture call.
         simulation.hamiltonian.energy(simulation.q, simulation.p)
         simulation.hamiltonian.gradient(simulation.q, simulation.p)
     for warning in caught:

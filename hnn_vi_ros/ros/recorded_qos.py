@@ -44,7 +44,7 @@ def recorded_qos(text: str) -> QoSProfile:
 
 
 def _policy(policies: type, value: object, default: Any) -> Any:
-    """Return a policy by its name or number, the default if it is none that can be offered."""
+    """Return a policy from its name or number, the default if none such can be offered."""
     offered = {policy.short_key: policy for policy in policies
                if policy.name not in ('SYSTEM_DEFAULT', 'UNKNOWN', 'BEST_AVAILABLE')}
     if isinstance(value, int):
@@ -53,7 +53,7 @@ def _policy(policies: type, value: object, default: Any) -> Any:
 
 
 def _duration(value: object) -> Duration:
-    """Return a time; zero, which stands for none, for one that is endless or not given."""
+    """Return a time; zero, which means none, for one that is endless or not given."""
     if not isinstance(value, dict):
         return Duration()
     seconds, nanoseconds = value.get('sec', 0), value.get('nsec', 0)

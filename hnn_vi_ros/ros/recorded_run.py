@@ -37,11 +37,11 @@ _BACK = (10**9, 10**11, 2**64)
 @dataclass(frozen=True)
 class Resumption:
     """
-    From where a simulator goes on that is to continue a log.
+    The point from which a simulator continues a log.
 
     Of the run before, the log keeps the state (q, p) and the time. It keeps no solver memory, so
-    that an implicit method's next steps differ from those of an unbroken run by round-off; nor
-    the work so far, the random numbers drawn, or the last command.
+    that an implicit method's next steps differ by round-off from the steps of an unbroken run;
+    nor the work so far, the random numbers drawn, or the last command.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Resumption:
     origin : int
         Stamp of its step 0 [ns].
     damage : str
-        What is to be reported of parts of the log that could not be read; else empty.
+        Report on the parts of the log that could not be read; else empty.
 
     """
 
@@ -73,8 +73,8 @@ class RecordedRun:
     """
     A run of the simulator, read from its own bag or from that of another recorder.
 
-    Others stamp messages with the time at which they came; what is told of time is then in the
-    headers, and at which step a command acted is not told.
+    Others stamp messages with the time at which they came; then only the headers hold simulated
+    time, and nothing says at which step a command acted.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ class RecordedRun:
     node : str
         Full name of the simulator.
     scene : Scene
-        What was simulated, without the integrator auto.
+        The simulated scene, without the integrator auto.
     described : dict
-        The scene as it was recorded, with where its model came from.
+        The recorded scene, with where its model came from.
     origin, first_step : int
         Stamp of step 0 [ns], and the step at the scene's initial state.
 
@@ -131,7 +131,7 @@ class RecordedRun:
                     'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
                     'H': np.array([state.energy]), 'work': np.array([state.work])}
             return
-        # A bag of before ~/state: those of one log time belong together.
+        # A bag of before ~/state: messages of one log time belong together.
         names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
         stamp, found = -1, {}
         for message in self.reader.messages(names, first):
@@ -171,7 +171,7 @@ class RecordedRun:
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[Recorded, State | None]]:
         """
-        Yield messages from a log time on, and the samples of those of ~/state.
+        Yield messages from a log time on, and the samples in messages of ~/state.
 
         RecordingError where these go back in time: then several runs are in the bag.
         """
@@ -189,7 +189,7 @@ class RecordedRun:
 
     @property
     def stamped(self) -> bool:
-        """Return whether log times are stamps of the simulator, as they are in its own bags."""
+        """Return whether log times are stamps of the simulator, as in its own bags."""
         return all(self.state(message).stamp == message.time
                    for message in self.reader.messages(self.states))
 
@@ -243,7 +243,7 @@ class RecordedRun:
                 if spacing < _LONGEST:
                     return spacing
         except (OverflowError, ZeroDivisionError):
-            # No number tells how many steps of almost no time lie between two samples.
+            # No float can count the steps of almost no time between two samples.
             pass
         raise RecordingError(f'{where}: publish_rate is no rate')
 
@@ -262,7 +262,7 @@ class RecordedRun:
         return step
 
     def resumption(self) -> Resumption:
-        """Return what goes on from the last state; RecordingError if there is none."""
+        """Return the resumption from the last state; RecordingError if there is none."""
         last = None
         for back in _BACK:
             for last in self.samples(max(0, self.reader.last - back)):  # noqa: B007

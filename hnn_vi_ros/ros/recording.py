@@ -26,7 +26,7 @@ class Recording:
     """
     Sinks of the samples of a run besides ROS, such as a bag and a picture.
 
-    A sink that fails is given up with an error in the log; the simulation goes on, and
+    A sink that fails is given up with an error in the log; the simulation continues, and
     ``close`` says that something is missing.
 
     Parameters
@@ -34,13 +34,13 @@ class Recording:
     logger : Logger
         The node's.
     scene : Scene
-        What is simulated.
+        The simulated scene.
     simulation : Simulation
         In its initial state.
     settings : Settings
         The node's parameters.
     topics : BagTopics
-        What the bag holds.
+        Topics in the bag.
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p that the picture leaves room for.
     report : dict
@@ -80,12 +80,12 @@ class Recording:
 
     def renew(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
         """
-        Close the files and go on in new ones, beside them; nothing is ever overwritten.
+        Close the files and continue in new ones next to them; nothing is ever overwritten.
 
         Parameters
         ----------
         scene : Scene
-            With the initial state from which the simulation goes on.
+            With the initial state from which the simulation continues.
         report : dict
             What ~/scene tells from now on.
         sampler : Sampler
@@ -131,7 +131,7 @@ class Recording:
         self._each(lambda sink: sink.write_other(topic, stamp, payload))
 
     def event(self, text: str, level: str, at: tuple[int, int] | None = None) -> None:
-        """Show a line beside the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
+        """Show a line with the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
         self._each(lambda sink: sink.event(text, level, at))
 
     def timing(self, figures: Figures) -> None:

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-# Of what ~/scene and the bag tell.
+# ~/scene and the bag hold the remapping under this key.
 KEY = 'remapped'
 _STRING = 'std_msgs/msg/String'
 
@@ -27,7 +27,7 @@ def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
     node : Node
         That was given rules of remapping, or none.
     topics : iterable of str
-        As they stand in its code, ``'~/state'``.
+        Names in its code, such as ``'~/state'``.
 
     """
     names = {expand_topic_name(topic, node.get_name(), node.get_namespace()):
@@ -51,7 +51,7 @@ def own_topics(reader: BagReader) -> dict[str, int]:
         try:
             remapped = parse_mapping(text, reader.path, RecordingError)[0].get(KEY)
         except RecordingError:
-            # Whoever needs the scene says what is wrong with it.
+            # The code that needs the scene reports its faults.
             continue
         for own, called in (remapped if isinstance(remapped, dict) else {}).items():
             if isinstance(called, str) and called in topics:

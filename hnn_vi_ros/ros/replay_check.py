@@ -25,8 +25,8 @@ _SHAKE, _NONE = 2.0**-26, -0.0
 # implicit equation is solved to some of them, and a network sums up hundreds of terms.
 _PLACES = 64.0
 _EPSILON = np.finfo(np.float64).eps
-# What is simulated for a bag: so many steps a sample, which of 1 to 3 us each are as many as run
-# in real time at a sample a second; and so many for samples of before another recorder began.
+# A bag may ask for so many steps a sample: at 1 to 3 us each, as many as run in real time at a
+# sample a second; and for so many before another recorder's first sample.
 _MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
 
 
@@ -47,7 +47,7 @@ class Difference(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """The largest difference, what round-off explains there, the stamp [ns], and of what it is."""
+    """The largest difference, what round-off explains there, the stamp [ns], and the quantity."""
 
     difference: float
     explained: float
@@ -59,7 +59,7 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
     """
     Simulate the run of a bag again, from its scene and first state, and compare each sample.
 
-    Of a sample that is all that ~/state holds, or q and p of a bag from before ~/state.
+    A sample is compared in all that ~/state holds, or in q and p for a bag from before ~/state.
 
     Parts of the bag that cannot be read, and samples that are missing from the even grid on which
     they come, are reported, and then the log is not confirmed.
@@ -159,7 +159,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
                 f'{run.reader.path}: to verify its sample {number} takes {step - run.first_step} '
                 f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
                 f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
-        # The state of a step is told before what it then hears, which acts on the steps after it.
+        # A step publishes its state before it hears commands, which act on the steps after it.
         while command is not None and command[0] < step:
             for simulation in simulations:
                 _advance(run, simulation, command[0])
@@ -209,7 +209,7 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
     for stamp, values in _simulated(run, simulation):
         own = _values(simulation)
         for kind, recorded in values.items():
-            # By their bits: -0.0 is not 0.0.
+            # Compare the bits: -0.0 is not 0.0.
             simulated = np.ascontiguousarray(own[kind])
             different = np.flatnonzero(recorded.view(np.uint64) != simulated.view(np.uint64))
             if different.size:

@@ -39,11 +39,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 _QUEUE = QoSProfile(depth=1000)
-# Ticks of which not all messages are there yet.
+# Ticks that may still wait for messages.
 _MOST_OPEN = 1000
-# What showing may take that is held when it ends [s].
+# At the end, held samples may take this long to show [s].
 _LONGEST_END = 3.0
-# By the last part of their names: the topics that tell of a sample in parts, and all their types.
+# Topics that hold parts of a sample, keyed by the last part of their names, and all their types.
 _TICK = {name.rpartition('/')[2]: name for name, _ in (*TICK_TOPICS[1:], ACCURACY_TOPIC)}
 _KINDS = {name.rpartition('/')[2]: kind
           for name, kind in (*TICK_TOPICS[1:], ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
@@ -89,7 +89,7 @@ class RerunBridge(RobustNode):
         self._tick_subscriptions: list[Subscription] = []
 
     def listen(self) -> None:
-        """Subscribe to the scene, the state, and the topics of samples where there is no state."""
+        """Subscribe to the scene, the state, and, for want of a state, the topics of samples."""
         ticks = {topic.replace('~', self._settings.simulator) for topic in _TICK.values()}
         for topic, (kind, callback, qos, raw) in self._topics.items():
             subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
@@ -176,7 +176,7 @@ class RerunBridge(RobustNode):
         try:
             scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
         except RecordingError as problem:
-            # Anybody may have sent it: what is shown goes on.
+            # Anybody may have sent it: the picture continues.
             self.get_logger().error(str(problem))
             return
         with self._end_if_lost():
@@ -207,7 +207,7 @@ class RerunBridge(RobustNode):
                 f'~/state is no state: {problem}', throttle_duration_sec=1.0)
 
     def _keeper(self, name: str) -> Callable:
-        """Return what takes the messages of a topic, where there is no ~/state."""
+        """Return the callback for messages of a topic when ~/state is missing."""
         state = f'{self._settings.simulator}/state'
 
         def keep(message: Any, info: dict) -> None:

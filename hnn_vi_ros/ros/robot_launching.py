@@ -14,12 +14,12 @@ _ARGUMENTS = (
     ('robot', 'six_joint_arm.urdf', 'its URDF, with a block for ros2_control'),
     ('controllers', 'six_joint_arm.controllers.yaml', 'parameters of controller_manager'))
 _RATE = ('rate', '250.0', 'how often joint states are published [Hz]')
-# What is launched beside the simulator, where it is installed: packages, and what they do here.
+# Packages to launch along with the simulator, where installed, and what they do here.
 _STATE_PUBLISHER = ('robot_state_publisher',)
 _CONTROL = ('controller_manager', 'joint_state_topic_hardware_interface',
             'joint_state_broadcaster', 'joint_trajectory_controller')
 _VIEWER = ('rviz2',)
-# By which the interface of ros2_control and the simulator find each other.
+# These remappings connect the interface of ros2_control to the simulator.
 _REMAPPED = [('joint_states', '/robot_joint_states'),
              ('~/joint_commands', '/robot_joint_commands')]
 
@@ -28,7 +28,7 @@ def describe_robot() -> Any:
     """
     Return the launch description of a robot that ros2_control drives.
 
-    What is not installed is left out and said; without ros2_control, the simulator's own joint
+    Missing packages are left out and named; without ros2_control, the simulator's own joint
     states move the picture.
     """
     # Imported here: only launch files need them.

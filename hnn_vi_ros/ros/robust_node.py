@@ -12,7 +12,7 @@ from rosgraph_msgs.msg import Clock
 
 
 class RobustNode(Node):
-    """A node that ignores times on /clock that cannot be, and says so."""
+    """A node that ignores impossible times on /clock, and logs that."""
 
     def create_subscription(self, kind: type, topic: str, callback: Callable[..., None],
                             *args: Any, **more: Any) -> Subscription:

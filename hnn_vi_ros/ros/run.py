@@ -40,14 +40,14 @@ from rclpy.node import Node
 
 class Run:
     """
-    Run of a scene and its sinks; when it goes on is up to Control.
+    Run of a scene and its sinks; Control decides when it advances.
 
     Parameters
     ----------
     node : Node
         The simulator.
     topics : Topics
-        What it publishes.
+        Its publishers.
     prepared : Prepared
         The scene and its parts.
     settings : Settings
@@ -118,7 +118,7 @@ class Run:
             f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
             *(effect.kind for effect in scene.effects),
             'conservative' if self.simulation.conservative else 'not conservative']), 'INFO')
-        # Of the newest sample.
+        # These belong to the newest sample.
         self._stamp = self.sampler.stamp
         self._health = Health(
             self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
@@ -139,7 +139,7 @@ class Run:
                 *[BoxGuard.kind] * self._settings.stop_outside_box]
 
     def tell(self, text: str, level: str, show: bool = True) -> None:
-        """Log a line, and show it beside the samples; level is INFO, WARN or ERROR."""
+        """Log a line, and show it with the samples; level is INFO, WARN or ERROR."""
         log(self._node, text, level)
         if show:
             self.recording.event(text, level)
@@ -238,7 +238,7 @@ class Run:
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
     def _sample(self) -> Sample:
-        """Return a sample of the state, with the spread where there are members."""
+        """Return a sample of the state, with the spread if there are members."""
         sample = self.sampler.sample()
         return sample if self._members is None else replace(sample, spread=self._members.spread)
 
@@ -263,12 +263,12 @@ class Run:
 
     def reset(self, time_too: bool) -> None:
         """
-        Begin anew, in new files; the steps are those that any run from that state takes.
+        Restart in new files; the steps equal any run's from that state.
 
         Parameters
         ----------
         time_too : bool
-            Whether the stamps begin anew as well; else they go on.
+            Whether the stamps restart as well; else they continue.
 
         Raises
         ------

@@ -21,13 +21,13 @@ class RunStatus:
     Parameters
     ----------
     scene : Scene
-        What is simulated, resolved.
+        The simulated scene, resolved.
     simulation : Simulation
         Made of it.
     sampler : Sampler
         Of its samples and their stamps.
     monitor : Monitor
-        What is measured.
+        Its measurements.
     recording : Recording
         The files.
     health : Health

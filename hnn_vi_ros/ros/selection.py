@@ -13,7 +13,7 @@ from hnn_vi_ros.scene.choices import AutoChoice
 
 
 class LogLine(NamedTuple):
-    """A line to log and to show beside the samples; level is INFO, WARN or ERROR."""
+    """A line to log and to show with the samples; level is INFO, WARN or ERROR."""
 
     text: str
     level: str

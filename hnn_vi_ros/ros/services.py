@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The services of the simulator beside those of its lifecycle and parameters."""
+"""The services of the simulator, apart from its lifecycle and parameters."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 def offer_services(node: Node, simulator: Simulator) -> None:
     """
-    Create the services; those of simulation_interfaces where it is installed.
+    Create the services, with simulation_interfaces where it is installed.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def offer_services(node: Node, simulator: Simulator) -> None:
 
     """
     services = Services(simulator)
-    # Of a group of their own: a call of ~/step that takes long keeps no other waiting.
+    # They have a group of their own: a long call of ~/step keeps no other waiting.
     group = ReentrantCallbackGroup()
     for name, kind, handler in (
             ('~/set_pause', SetBool, services.set_pause),
@@ -63,13 +63,13 @@ class Services:
             response, control.set_paused(request.data) if control else self._refusal)
 
     def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin anew at the initial state."""
+        """Restart at the initial state."""
         control, time_too = self._simulator.control, self._simulator.settings.reset_time
         return _fill(response, control.reset(time_too) if control else self._refusal)
 
     async def step(self, request: Trigger.Request, response: Trigger.Response
                    ) -> Trigger.Response:
-        """Take as many steps as ``step_count`` says now; the answer says how many they were."""
+        """Take ``step_count`` steps, by its current value; the answer gives their number."""
         control = self._simulator.control
         if control is None:
             return _fill(response, self._refusal)

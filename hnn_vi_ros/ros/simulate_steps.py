@@ -36,7 +36,7 @@ class SimulateSteps:
     codes : type
         ``simulation_interfaces.msg.Result``.
     simulator : Simulator
-        What it acts on.
+        The simulator to step.
     group : CallbackGroup
         Which it belongs to.
 

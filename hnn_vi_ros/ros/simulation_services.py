@@ -42,7 +42,7 @@ def service_name(interface: str) -> str:
 
 def offer_simulation_interfaces(node: Node, simulator: Simulator, group: CallbackGroup) -> bool:
     """
-    Create the services if simulation_interfaces can be imported; tell whether it can.
+    Create the services if simulation_interfaces can be imported; return whether it can.
 
     Its versions differ: what the installed one does not have is neither served nor reported.
 
@@ -108,7 +108,7 @@ class SimulationServices:
         return response
 
     def get_simulation_state(self, request: Any, response: Any) -> Any:
-        """Return whether simulated time goes on, and whether there is a world at all."""
+        """Return whether simulated time advances, and whether there is a world at all."""
         response.state.state = self._now()
         return self._fill(response, self._result.RESULT_OK)
 

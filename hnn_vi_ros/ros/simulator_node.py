@@ -38,7 +38,7 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 # Wall time between two lines about a configuration that takes long [s].
 _PROGRESS = 5.0
-# What the end waits for files that are being opened [s].
+# The end waits this long for files that are being opened [s].
 _OPENING_TIME = 5.0
 
 
@@ -54,11 +54,11 @@ class SimulatorNode(ManagedNode):
     Attributes
     ----------
     exit_status : int or None
-        None while the node goes on; then what the process is to return.
+        None while the node runs; then the exit status of the process.
     run, control : Run, Control or None
-        What is simulated and when it goes on; None while the node is not configured.
+        The simulation and its control; None while the node is not configured.
     topics : Topics or None
-        What the node publishes and hears.
+        The node's publishers and subscriptions.
 
     Raises
     ------
@@ -128,7 +128,7 @@ class SimulatorNode(ManagedNode):
         return SUCCESS
 
     async def _compile_rest(self, simulation: Simulation) -> None:
-        """Compile beside the run what it may need later."""
+        """Compile, during the run, functions that it may need later."""
         logger = self.get_logger()
         with announced(lambda line: logger.info(f'{line}, beside the run')):
             await self.in_thread(lambda: compile_rest(simulation))
@@ -146,7 +146,7 @@ class SimulatorNode(ManagedNode):
         return SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the files and forget the run; the exit status tells what is missing in them."""
+        """Close the files and forget the run; the exit status reflects what they lack."""
         self._close_run()
         self._forget()
         return SUCCESS

@@ -59,7 +59,7 @@ def init_ros(argv: Sequence[str]) -> None:
 @contextmanager
 def plain_ros_errors(what: str) -> Iterator[None]:
     """Turn what ROS refuses into a ParameterError of one line."""
-    # What it says of them besides would be further lines.
+    # Its own log of the same error would add further lines.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         with warnings.catch_warnings(action='ignore', category=RuntimeWarning):

@@ -29,7 +29,7 @@ class StateTopic:
     node : Node
         The simulator.
     topics : Topics
-        What it publishes and hears.
+        Its publishers and subscriptions.
     run : Run
         What begins at the states.
     reset : callable

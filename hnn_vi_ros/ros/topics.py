@@ -39,9 +39,9 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, String
 
-# Of what is heard [bytes].
+# Longer messages are not heard [bytes].
 LARGEST_MESSAGE = 1 << 20
-# Of what is told of a message that is ignored: the names of twelve joints, and what to do.
+# The reason for ignoring a message has room for the names of twelve joints, and a remedy.
 LONGEST_REASON = 500
 SCENE_TOPIC: tuple[str, type] = ('~/scene', String)
 # As a robot's state publisher calls it.
@@ -114,9 +114,9 @@ class Topics:
         simulation : Simulation
             In its initial state.
         monitor : Monitor
-            What is measured of it.
+            Its measurements.
         mechanism : str or None
-            What is drawn as markers.
+            The mechanism drawn as markers.
         box : tuple of np.ndarray, shape (d, 2) each
             Lowest and highest q and p that the drawing leaves room for.
         frame_id : str
@@ -170,7 +170,7 @@ class Topics:
         return self._publisher(*STATE_SET_TOPIC, _ALARMS)
 
     def follow(self, monitor: Monitor) -> None:
-        """Take the accuracy from what is measured of a run, in its initial state."""
+        """Take the accuracy from the monitor of a run, in its initial state."""
         if len(self._publishers) > len(TICK_TOPICS):
             self._accuracy = AccuracyEncoder(self._simulation, monitor)
 
@@ -186,7 +186,7 @@ class Topics:
         message_type : type
             Of its messages.
         take : callable
-            Uses a message, or raises ValueError and leaves all as it was.
+            Uses a message, or raises ValueError and changes nothing.
         qos : QoSProfile
             By default the newest message counts.
 
@@ -223,7 +223,7 @@ class Topics:
         self._scene.publish(serialize(String(data=text)))
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
-        """Publish a sample; return the messages as they were sent, as the log takes them."""
+        """Publish a sample; return the serialised messages for the log."""
         if self._clock is not None:
             self._clock.publish(sample.stamp)
         payloads = self._encoder.encode(sample)
@@ -280,6 +280,6 @@ class Topics:
         self._record(self._heard[one.topic], serialize(message))
 
     def _on_wrench(self, message: WrenchStamped) -> None:
-        # What is recorded is the command that it is, by which the run is simulated again.
+        # The bag records the equivalent command, from which the run can be simulated again.
         self._take(INPUTS[0], Float64MultiArray(data=command_of(
             message, self._body or '', self._simulation.command_names)))

@@ -32,7 +32,7 @@ class TrajectoryFeedback:
             JointTrajectoryPoint(positions=zeros, velocities=zeros)]))
 
     def encode(self, sample: Sample, aim: Aim) -> bytes:
-        """Return the message of a sample, and of what a servo follows there."""
+        """Return the message of a sample, with the servo's aim there."""
         position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
         effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
         for numbers, values in zip(self._template.numbers, (

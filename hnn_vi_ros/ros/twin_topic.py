@@ -26,7 +26,7 @@ class TwinTopic:
     """
     Publish the prediction error of each observation, as a companion of the simulation.
 
-    The positions of ~/prediction_error are, by their names: observed less simulated coordinates;
+    The named positions of ~/prediction_error are: observed less simulated coordinates;
     observed less predicted ones; and the scalars of the prediction. It is stamped with the time
     of the observation.
 
@@ -64,7 +64,7 @@ class TwinTopic:
         self._twin.advance(n)
 
     def set_command(self, command: Command) -> None:
-        """See Companion; an observation is told of."""
+        """See Companion; publish the errors that an observation shows."""
         self._twin.set_command(command)
         if isinstance(command, Observation) and self._twin.newest is not None:
             self._publish(self._twin.newest)

@@ -52,7 +52,7 @@ class WorldServices:
         if self._simulator.run is None:
             return self._fill(response, 'NO_WORLD_LOADED', self._simulator.refusal)
         world = world_of(self._simulator.run.scene)
-        # What a bag holds cannot be had by a URI.
+        # No URI leads to the scene in a bag.
         response.world = self._resource(
             world._replace(uri='') if self._simulator.settings.resume else world)
         return self._fill(response, 'RESULT_OK')

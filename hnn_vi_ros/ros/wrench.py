@@ -19,7 +19,7 @@ def body_of(coordinates: Sequence[Coordinate], names: Sequence[str]) -> str | No
     coordinates : sequence of Coordinate
         Of the system.
     names : sequence of str
-        What the numbers of a command are for; see ExternalForce.
+        Meanings of the numbers of a command; see ExternalForce.
 
     """
     for coordinate in coordinates:
@@ -41,7 +41,7 @@ def command_of(message: WrenchStamped, body: str, names: Sequence[str]) -> list[
     body : str
         What ``body_of`` returned.
     names : sequence of str
-        What the numbers of the command are for.
+        Meanings of the numbers of the command.
 
     Raises
     ------

@@ -57,7 +57,7 @@ class ActingEffects:
 
     def set_commands(self, commands: np.ndarray | None, every: int) -> None:
         """
-        Take the commands of a run, each of which holds for so many steps.
+        Take the commands of a run; each holds for so many steps.
 
         Parameters
         ----------
@@ -199,5 +199,5 @@ def names_of(are: Any) -> Iterator[str]:
 
 
 def kind_of(effect: Effect) -> str:
-    """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
+    """Return the name of an effect in a scene; the user's own effects take their class's name."""
     return next(names_of(lambda kind: type(effect) is kind), type(effect).__name__)

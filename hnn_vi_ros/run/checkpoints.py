@@ -12,7 +12,7 @@ Snapshot = dict[str, np.ndarray]
 
 class Checkpoints:
     """
-    Snapshots at the starts of pieces of a run, of which at most so many are kept at a time.
+    Snapshots at the starts of pieces of a run, at most so many kept at a time.
 
     Pieces whose snapshot is not kept are taken again from the last one that is: of n pieces and s
     snapshots, n <= C(s + t, s) are reached by taking none more than t times (binomial

@@ -22,7 +22,7 @@ class Companion(Protocol):
         """Take a command that the simulation has taken."""
 
     def begin(self, simulation: Simulation) -> None:
-        """Begin anew from the state of the simulation, at its step."""
+        """Restart from the state of the simulation, at its step."""
 
 
 class Accompanied:
@@ -54,13 +54,13 @@ class Accompanied:
         return taken
 
     def set_command(self, command: Command) -> None:
-        """Set a command, or raise ValueError and leave all as it was; see Simulation."""
+        """Set a command, or raise ValueError and change nothing; see Simulation."""
         self._simulation.set_command(command)
         for companion in self._companions:
             companion.set_command(command)
 
     def restart(self, *arguments: Any, **more: Any) -> None:
-        """Begin anew; see Simulation."""
+        """Restart; see Simulation."""
         self._simulation.restart(*arguments, **more)
         self._begin()
 

@@ -69,7 +69,7 @@ def _compile(name: str) -> CompiledScene:
     begin, problem = time.perf_counter(), ''
     try:
         with warnings.catch_warnings():
-            # Of the motion; nothing is simulated here.
+            # They would be about the motion; nothing is simulated here.
             warnings.simplefilter('ignore')
             scene = resolve(load_scene(name))[0]
             simulate(scene, 0.0)

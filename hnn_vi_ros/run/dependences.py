@@ -69,7 +69,7 @@ def on_number(changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]],
     Return the dependence on a number of H, by differences of H' of order 6.
 
     They are one-sided where the number is at an end of its range, such as a rate of zero, and
-    narrower where those of order 4 differ: a frequency turns forces the faster the later it is.
+    narrower where differences of order 4 disagree: a frequency turns forces the faster the later.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def difference(value: float, spacing: float, low: float, high: float
     """
     Return values of a number and their weights, of a difference of order 2 within its range.
 
-    Central where a spacing fits on both sides, else one-sided, to where there is more room.
+    Central where a spacing fits on both sides, else one-sided, to the side with more room.
     """
     below, above = value - low, high - value
     if min(below, above) >= spacing:

@@ -48,8 +48,8 @@ class DifferentiableRun:
     """
     A run of some trajectories, and products of its derivatives with vectors.
 
-    Its states are those of a Simulation, bit by bit, of blocks of trajectories as those of
-    ``simulate_many``. Each step is differentiated as it was taken, by the implicit function
+    Its states equal a Simulation's bit by bit, and with several trajectories they equal the blocks
+    of ``simulate_many``. Each step is differentiated as taken, by the implicit function
     theorem (see stages): what comes out is the derivative of the discrete trajectory, to
     round-off, not an approximation of that of the flow.
 
@@ -101,7 +101,7 @@ class DifferentiableRun:
         """
         Take other numbers of the same H, effects and step size, for runs from now on.
 
-        What is compiled, and as a rule its memory, is that of the runs before.
+        The compiled functions, and as a rule their memory, are shared with the runs before.
 
         Parameters
         ----------
@@ -307,7 +307,7 @@ class DifferentiableRun:
         if self._acting.any:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
-        # In a step H' stands beside h, and nowhere else.
+        # In a step h occurs only as a factor of H'.
         return OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
     def _start(self, block: slice) -> Simulation:
@@ -393,7 +393,7 @@ class DifferentiableRun:
         return self._halves(stages)
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
-        """Return what stands for q, then for p, of all stages one after another: (2, N)."""
+        """Return the q parts, then the p parts, of all stages one after another: (2, N)."""
         s = self._tableau.stages
         return np.ascontiguousarray(
             stages.reshape(-1, 2, s * self._d).swapaxes(0, 1)).reshape(2, -1)

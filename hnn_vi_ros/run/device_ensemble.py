@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many trajectories of a scene on a device, with what the guards say of their steps."""
+"""Many trajectories of a scene on a device, with the guards' alarms about their steps."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -74,7 +74,7 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
 
 @contextmanager
 def _one_thread_each(device: str) -> Iterator[None]:
-    """Let torch take no threads of its own, beside those that call it."""
+    """Keep torch from starting threads besides the calling ones."""
     before = torch.get_num_threads()
     if open_device(device).type == 'cpu':
         torch.set_num_threads(1)
@@ -85,7 +85,7 @@ def _one_thread_each(device: str) -> Iterator[None]:
 
 
 def _noteworthy(one: Simulation, counts: Counts) -> list[int]:
-    """Return the trajectories of which a guard may have something to say."""
+    """Return the trajectories that may raise an alarm of a guard."""
     slow = counts.costliest > one.usual_gradients
     return np.flatnonzero((counts.rescued > 0) | (counts.several_solutions > 0) | slow).tolist()
 

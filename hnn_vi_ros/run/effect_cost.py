@@ -45,7 +45,7 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
     Parameters
     ----------
     scene : Scene
-        What is measured, from its initial state on.
+        The scene to measure, from its initial state on.
     batches : int, optional
         Turns.
     batch_time : float, optional

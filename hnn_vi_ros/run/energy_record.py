@@ -27,18 +27,18 @@ class EnergyRecord:
     tick : float
         Simulated time from sample to sample [s].
     tolerance : Tolerance, optional
-        What the scene allows, if it does so.
+        The scene's tolerance, if it has one.
 
     Attributes
     ----------
     band : float
         Largest abs(H~ - H~0) so far [J]; NaN where no modified energy is known or work is done.
     drift_per_hour : float
-        Slope of the energy error, as last evaluated [1/h] or [J/h]; NaN as long as it is none.
+        Slope of the energy error, as last evaluated [1/h] or [J/h]; NaN until it is known.
     unit : str
         Of the energy error: ``'1'``, or ``'J'`` where H0 is zero.
     tolerance : Tolerance or None
-        What the scene allows.
+        The scene's tolerance.
     largest : float
         The largest error so far, in the measure of the tolerance; see ``_error``.
 

@@ -182,7 +182,7 @@ def _state(state: tuple[Sequence[float], Sequence[float]] | None
 
 def _initial_states(q: ArrayLike, p: ArrayLike,
                     hamiltonian: Hamiltonian) -> list[np.ndarray]:
-    """Return q and p of initial states, of shape (m, d), or say what is wrong with them."""
+    """Return q and p of initial states, of shape (m, d), or raise an error about them."""
     states, d, turning = (
         (check_numbers('q', q), check_numbers('p', p)), hamiltonian.dimension,
         hamiltonian.rotations)
@@ -199,7 +199,7 @@ def _initial_states(q: ArrayLike, p: ArrayLike,
 
 
 def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
-    """Return a sequence of effects as the list that a scene holds, and anything else as it is."""
+    """Return a sequence of effects as the list that a scene holds; leave anything else alone."""
     return list(effects) if isinstance(effects, tuple) else effects
 
 
@@ -235,8 +235,8 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     -------
     Trajectory
         t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
-        (samples + 1, m). What is told of steps, and of energies where work is done, is told of
-        all trajectories that step together.
+        (samples + 1, m). Alarms about steps, and about energies where work is done, go to all
+        trajectories that step together.
 
     Warns
     -----
@@ -335,7 +335,7 @@ def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
         simulation.restart(q_all[0, block], p_all[0, block], stream=first)
         watch = watch_of_block(simulation)
         q_block, p_block = record_samples(simulation, samples, every, watch)
-        # Of a path where no work is done only its steps are left to be told; see show_many.
+        # Without work, only alarms about steps are left to report; see show_many.
         watch.update(look_at_block(simulation))
         for own in alarms[block]:
             own += watch.alarms

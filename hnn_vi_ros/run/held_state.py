@@ -16,8 +16,8 @@ import safetensors.numpy
 # remembers, the random numbers drawn and a command that is held would be lost.
 STATE_FILE = 'state.safetensors'
 
-# Bags of before kept all arrays of one general workspace; what outlives a step stood in some of
-# them: by its name today, the array, and the row of it.
+# Older bags kept all arrays of one general workspace; some of them held the values that outlive
+# a step: today's name, the array, and its row.
 _EARLIER = {
     'slopes': ('increments', 0), 'multipliers': ('newton', ...), 'clock': ('triangle', 0),
     'wanted': ('triangle', 0), 'v_q': ('values', 0), 'v_p': ('values', 1),
@@ -64,8 +64,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
             name: (array.shape, array.dtype) for name, array in own.items()}:
         raise RecordingError(f'{where}: its {STATE_FILE} is that of another simulation; '
                              'was it recorded by another version?')
-    # No number of a file may lead beyond the methods, each of which has memories: `way` is that
-    # of them which is active.
+    # No number in a file may point beyond the methods, each with its memories: `way` is the
+    # number of the active method.
     methods = {name.partition('.')[0] for name in own if name.startswith('memory')}
     if found['steps'] < 0 or f'memory{found["way"]}' not in methods | {'memory0'}:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged')
@@ -76,7 +76,7 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
 
 def _of_today(found: dict[str, np.ndarray], own: Mapping[str, np.ndarray]
               ) -> dict[str, np.ndarray]:
-    """Return a state by the names of today, where it has those of bags of before."""
+    """Return a state under today's names, if it has the names of older bags."""
     general = {name.rpartition('.')[0] for name in found if name.endswith('.triangle')}
     state = {name: array for name, array in found.items()
              if name.rpartition('.')[0] not in general or name in own}

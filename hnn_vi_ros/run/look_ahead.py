@@ -11,7 +11,7 @@ import numpy as np
 
 # Wall time that looking ahead may take, but for the batch of steps that exceeds it [s].
 _LONGEST = 0.1
-# What is left free on each side of the states that were met, as a share of their extent.
+# Margin on each side of the states met, as a share of their extent.
 _MARGIN = 0.1
 
 

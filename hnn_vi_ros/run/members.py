@@ -32,7 +32,7 @@ class Members:
     count : int
         How many members there are.
     factors : np.ndarray, shape (2 d,), or None
-        What the standard deviations of q, then of p are multiplied by; None where the card
+        Factors on the standard deviations of q, then of p; None where the card
         knows none.
     level : float or None
         Share of errors that these bands cover.
@@ -50,10 +50,10 @@ class Members:
         self.factors = None if card.factors is None else np.array(card.factors)
         self.level = card.level if card.factors else None
         with warnings.catch_warnings():
-            # What is to be said of the scene is said of the mean.
+            # The mean has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
             self._simulations = [build(own) for own in member_scenes(scene, self.count)]
-            # Of all: they have one type.
+            # One compiles for all: they have one type.
             self._simulations[0].compile()
             self._simulations[0].compile_rescue()
             self._mean = None if measured_momenta(scene.create_hamiltonian()) else \

@@ -31,7 +31,7 @@ class Monitor:
     tick : float
         Simulated time from sample to sample [s].
     tolerance : Tolerance, optional
-        What the scene allows, if it does so.
+        The scene's tolerance, if it has one.
     warn : callable
         Told when the tolerance is exceeded, now and then while it is: the text, and whether it is
         the first time.
@@ -47,7 +47,7 @@ class Monitor:
     timing : Timing
         What steps and samples cost.
     energy : EnergyRecord
-        What the energy has done.
+        Record of the energy.
     newest : Sample or None
         The newest one.
 

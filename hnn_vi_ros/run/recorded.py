@@ -37,7 +37,7 @@ class Block(NamedTuple):
     kept : Checkpoints
         Snapshots at the starts of segments, before the last segment.
     last : np.ndarray, shape (K + 1, m, 2 d)
-        The states before and after the steps of the last segment; of no step where there is none.
+        The states before and after the steps of the last segment, which may have no step.
 
     """
 

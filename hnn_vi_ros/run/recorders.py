@@ -12,12 +12,12 @@ from hnn_vi_ros.simulation.checks import check_numbers
 from hnn_vi_ros.simulation.dense_step import record_at, whole_steps
 import numpy as np
 
-# Coordinates that the samples of a run may have in all; as many momenta come beside them: 4 GiB.
+# Coordinates that the samples of a run may have in all; with as many momenta: 4 GiB.
 MOST_NUMBERS = 2**28
 # Compiled code counts no further.
 _MOST_STEPS = 2**63 - 1
 
-# What a command is in time: values at a time [s], or at each sample.
+# Commands over time: a function of time [s], or values at each sample.
 Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
 # What takes samples: q and p, shape (k, d) each.
 Recorder = Callable[[], tuple[np.ndarray, np.ndarray]]

@@ -38,7 +38,7 @@ def report_files(lines: Sequence[str]) -> None:
 
 
 def _from_here(path: Path) -> Path:
-    """Return a path as it is called in the working directory, if it lies there."""
+    """Return a path relative to the working directory, if it lies there."""
     try:
         return path.relative_to(Path.cwd())
     except (ValueError, FileNotFoundError):
@@ -47,7 +47,7 @@ def _from_here(path: Path) -> Path:
 
 
 def _rerun() -> Path | str:
-    """Return the viewer that is installed beside this interpreter, or its name on the PATH."""
+    """Return the viewer that is installed with this interpreter, or its name on the PATH."""
     beside = Path(sys.prefix) / 'bin' / 'rerun'
     if not beside.exists():
         return 'rerun'

@@ -13,7 +13,7 @@ from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# Of the gradients that a run of a calibration may take: tenths of a second.
+# Share of the gradients that a run of a calibration may take: tenths of a second.
 _SHARE = 0.1
 
 

@@ -58,7 +58,7 @@ class RunFiles:
         Parameters
         ----------
         asked : str
-            What the user calls it; empty for a default.
+            The user's name for it; empty for a default.
         default : str
             Its name in the run's folder, which is made then.
         scene : str

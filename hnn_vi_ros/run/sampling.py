@@ -17,7 +17,7 @@ _LAST_SECOND = 2**31 - 1
 
 @cache
 def _nanoseconds(step_size: float) -> Fraction:
-    """Return h as it was written, not as it was rounded [ns]."""
+    """Return h in its decimal form, not its rounded binary one [ns]."""
     return Fraction(repr(step_size)) * 10**9
 
 
@@ -64,7 +64,7 @@ class Sampler:
         self._simulation, self._energy0 = simulation, simulation.energy
         self._origin = origin
         h = simulation.step_size
-        # Of a step that is next to nothing the product is zero.
+        # The product underflows to zero for a tiny step.
         exact = 1.0 / (rate * h) if rate * h else math.inf
         if exact > _MOST_STEPS:
             raise ParameterError(
@@ -106,7 +106,7 @@ class Sampler:
 
     @property
     def time(self) -> float:
-        """Return the stamp of the state [s]: the time that is told, in whatever form."""
+        """Return the stamp of the state [s]: the time to report, in whatever form."""
         return self.stamp / 1e9
 
     def stamp_at(self, step: int) -> int:

@@ -20,14 +20,14 @@ def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_
     Parameters
     ----------
     scene : Scene
-        What is simulated.
+        The simulated scene.
     simulation : Simulation
         Made of it.
     origin, first_step : int
         Stamp of step 0 [ns], and the step at the scene's initial state: what else a run needs
         that is to be had again.
     chosen : Chosen or None
-        What the integrator auto chose, if it was asked.
+        The choice of the integrator auto, if it made one.
 
     """
     choice = {} if chosen is None else {
@@ -54,7 +54,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
     Parameters
     ----------
     scene : Scene
-        What is simulated.
+        The simulated scene.
     simulation : Simulation
         Made of it, in its initial state.
     origin : int
@@ -65,7 +65,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         Whether to tell that, and to measure what each effect adds; compiles a kernel for each.
         Without it equal runs tell the same.
     chosen : Chosen or None
-        What the integrator auto chose, if it was asked.
+        The choice of the integrator auto, if it made one.
 
     """
     report = resolved_scene(scene, simulation, origin, simulation.steps, chosen) | {
@@ -81,7 +81,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
 
 
 def _rounded(microseconds: float | None) -> float | None:
-    """Return it to the nanosecond, beyond which all is noise; None where there is none."""
+    """Return it to the nanosecond, beyond which all is noise; None for no measured time."""
     if microseconds is None or math.isnan(microseconds):
         return None
     return round(float(microseconds), 3)

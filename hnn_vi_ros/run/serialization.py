@@ -41,12 +41,12 @@ def serialize(message: Any) -> bytes:
 @final
 class Template:
     """
-    The CDR of a message of which only numbers change, which costs a copy each time.
+    The CDR of a message in which only numbers change, at the cost of a copy each time.
 
     Parameters
     ----------
     message : message
-        Whose strings and lengths are those of all.
+        All messages share its strings and lengths.
 
     Attributes
     ----------

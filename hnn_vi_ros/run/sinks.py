@@ -21,7 +21,7 @@ class Beginning(NamedTuple):
     Parameters
     ----------
     scene : Scene
-        With the initial state from which the simulation goes on.
+        With the initial state from which the simulation continues.
     simulation : Simulation
         In its state of now.
     report : dict
@@ -41,8 +41,8 @@ class Sink(ABC):
     """
     Something that a run is written to or shown by.
 
-    Any method may raise RecordingError, which says what is missing: nothing more is then asked of
-    the sink until it is opened again. Between ``open`` and ``close`` come samples and whatever
+    Any method may raise RecordingError, which names the loss: the sink then gets no calls until
+    it is opened again. Between ``open`` and ``close`` come samples and whatever
     else a sink cares for.
 
     Attributes
@@ -66,7 +66,7 @@ class Sink(ABC):
 
     @abstractmethod
     def open(self, begin: Beginning) -> bool:  # noqa: A003
-        """Begin, again after ``close`` as well; tell whether anything is wanted here."""
+        """Begin, again after ``close`` as well; return whether the sink wants anything."""
 
     @abstractmethod
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
@@ -89,9 +89,9 @@ class Sink(ABC):
         return
 
     def flush(self) -> None:
-        """Hand on what is held back, where no sample follows for a while."""
+        """Pass on samples that are held back, when no sample follows for a while."""
         return
 
     def files(self) -> list[str]:
-        """Return lines that say which files there are since ``open``, and how to open them."""
+        """Return lines that name the files made since ``open``, and how to open them."""
         return []

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The spread of an ensemble: its members simulated beside their mean."""
+"""The spread of an ensemble: its members simulated together with their mean."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ import numpy as np
 @dataclass(frozen=True)
 class SpreadTrajectory:
     """
-    The trajectory of the mean of an ensemble, and those of its members.
+    The trajectories of the mean of an ensemble and of its members.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ class SpreadTrajectory:
         members, times the factors of the card (1 if it was not calibrated), where p is that of
         the mean for a member's q and q'. Infinite from where a member failed.
     level : float or None
-        Share of errors that the bands cover in motions like those of the calibration; None if
-        there was none.
+        Share of errors that the bands cover in motions like the calibration's; None without a
+        calibration.
 
     """
 
@@ -117,7 +117,7 @@ def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndar
     Parameters
     ----------
     of, other : Hamiltonian
-        Of p, and of what is returned.
+        Of p, and of the result.
     q, p : np.ndarray, shape (..., d)
         States.
 
@@ -185,7 +185,7 @@ def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: fl
         duration = min(duration, float(mean.t[-1]))
         options |= {'times': mean.t} if 'times' in options else {}
     with warnings.catch_warnings():
-        # Of the mean all is told; a member that leaves its box is what the band shows.
+        # The mean raises all alarms; the band shows a member that leaves its box.
         warnings.simplefilter('ignore', AlarmWarning)
         members = [_or_failed(partial(simulate, own, duration, **options), mean)
                    for own in scenes]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""One live line that says how a run is doing."""
+"""One live line with the state of a run."""
 
 from collections.abc import Callable
 import sys
@@ -12,7 +12,7 @@ from hnn_vi_ros.simulation.sample import Sample
 
 
 class Logger(Protocol):
-    """Logger as far as it is needed: that of ROS is one."""
+    """The methods needed of a logger: ROS loggers have them."""
 
     def info(self, message: str) -> None:
         """Log a line."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time of steps and samples while a run goes on, and the pace this machine could hold."""
+"""Time of steps and samples during a run, and the pace this machine could hold."""
 
 from collections import deque
 from collections.abc import Callable
@@ -86,7 +86,7 @@ class Timing:
         self._count += 1
 
     def evaluate(self) -> bool:
-        """Renew the figures, if it is time to, between two samples; tell whether it was."""
+        """Renew the figures between two samples, if it is time to; return whether it was."""
         now = self._now()
         if now < self._due or not self._batches:
             return False

@@ -32,7 +32,7 @@ class Lender(Protocol):
         """Lend a run with these values."""
 
     def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
-        """Return the dependence of a run on what has a name in a ``Call``."""
+        """Return the dependence of a run on the tensor with this name in a ``Call``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class Call:
     numbers : Numbers
         The values of tensors that are numbers.
     names : list of str
-        What each further tensor stands for.
+        The name of each further tensor.
     samples, every, checkpoints : int
         Number of samples, steps from one to the next, and most snapshots.
     recorded : list of Recorded
@@ -127,7 +127,7 @@ class _Derivative(_Function):
 
 
 class _Gradient(_Derivative):
-    """The gradient by what a run depends on, as far as it is needed."""
+    """The gradient by the inputs of a run, as far as torch needs it."""
 
     @staticmethod
     def forward(call: Call, needed: Sequence[bool], cotangents: torch.Tensor,
@@ -148,7 +148,7 @@ class _Gradient(_Derivative):
 
 
 class _Tangent(_Derivative):
-    """The change of the states with what a run depends on: its changes, then these tensors."""
+    """The change of the states with the inputs of a run: their changes, then these tensors."""
 
     @staticmethod
     def forward(call: Call, *tensors: torch.Tensor | None) -> torch.Tensor:

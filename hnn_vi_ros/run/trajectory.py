@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(TrajectoryData):
     """
-    The samples of one run, or those of m trajectories that were simulated together.
+    The samples of one run, or of m trajectories that were simulated together.
 
     Parameters
     ----------
@@ -36,9 +36,9 @@ class Trajectory(TrajectoryData):
     alarms : tuple
         What guards found, the first Alarm of each kind; see guards. Of m trajectories, m tuples.
     events : tuple of Event
-        What the scene's ``events`` ask for, in the order of time.
+        Occurrences of the scene's ``events``, in the order of time.
     scene : Scene or None
-        What was simulated, with the method and the step size that were taken.
+        The simulated scene, with the method and the step size that were taken.
 
     """
 

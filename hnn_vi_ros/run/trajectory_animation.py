@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # More pictures than this would take minutes and gigabytes to draw.
 MOST_FRAMES = 10_000
-# Of a picture of a mechanism [inch], and of its lines on paper [points].
+# Side of a picture of a mechanism [inch], and width of its lines on paper [points].
 _SIDE, _LINE_WIDTH = 5.0, 3.0
 # Room around a mechanism, in shares of its extent.
 _MARGIN = 0.06
@@ -77,7 +77,7 @@ def _mechanism(run: TrajectoryData, mechanism: Mechanism) -> tuple['Figure', _Sh
     parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
     bounds = bounds_of(parts)
     moved = bounds_of({name: part for name, part in parts.items() if part.moves})
-    # Of equal ones y, so that x is to the right and z up; see REP 103.
+    # A tie hides y, so that x is to the right and z up; see REP 103.
     extents = np.ptp(moved, axis=0)
     hidden = 1 if extents[1] <= extents.min() * (1.0 + 1e-9) else int(extents.argmin())
     across, up = (axis for axis in range(3) if axis != hidden)
@@ -88,7 +88,7 @@ def _mechanism(run: TrajectoryData, mechanism: Mechanism) -> tuple['Figure', _Sh
     low, high = bounds - _MARGIN * size.max() * np.array([[1.0], [-1.0]])
     axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect='equal',
              xlabel=_AXES[across], ylabel=_AXES[up])
-    # The colours of parts are those of the viewer, on its dark ground.
+    # Parts have the viewer's colours, on its dark ground.
     axes.set_facecolor(_GROUND)
     drawn = [_draw(axes, part, across, up) for part in parts.values()]
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The samples of a run, with what they are called and where they come from."""
+"""The samples of a run, with their names and their origin."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +35,14 @@ class TrajectoryData:
 
     @property
     def units(self) -> dict[str, str]:
-        """Return the unit of each column by its name, that of time ``t`` and of ``H``."""
+        """Return the units of the named columns, of time ``t`` and of ``H``."""
         pairs = zip((*self.names[0], *self.names[1]),
                     (unit for own in column_units(self.coordinates) for unit in own), strict=True)
         return {'t': 's', **dict(pairs), 'H': 'J'}
 
     @property
     def title(self) -> str:
-        """Return the name of the scene, the method and the step size, as far as it is known."""
+        """Return the name of the scene, the method and the step size, as far as known."""
         if self.scene is None:
             return 'trajectory'
         return (f'{self.scene.name}, {self.scene.integrator.kind}, '

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Of a panel [inch], and how many of them stand in a row.
+# Side of a panel [inch], and the most panels in a row.
 _SIDE, _MOST_IN_A_ROW = 3.6, 3
 # Room around the path, in shares of its extent.
 _MARGIN = 0.08

@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Of a panel, and of what is around all of them [inch].
+# Size of a panel, and of the margins around all of them [inch].
 _WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
 
 

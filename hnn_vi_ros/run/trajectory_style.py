@@ -67,7 +67,7 @@ def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray
 
 
 def name_curves(axes: 'Axes') -> None:
-    """Name the marks of a panel in a legend beside it; a single one is named by its axis."""
+    """Name the marks of a panel in a legend to its right; its axis names a single one."""
     if len(axes.get_legend_handles_labels()[1]) > 1:
         axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5), frameon=False,
                     fontsize='small', handlelength=2.6)

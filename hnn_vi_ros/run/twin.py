@@ -63,7 +63,7 @@ class Prediction:
 
 class Twin:
     """
-    Compare a simulation, and predictions beside it, with what is observed; see Companion.
+    Compare a simulation, and predictions made along with it, with observations; see Companion.
 
     A prediction is another simulation of the scene without its observer, under the same commands.
     It begins at an observation, at even times, and ends where its error is no longer valid, or
@@ -80,7 +80,7 @@ class Twin:
     Attributes
     ----------
     names : list of str
-        What is observed.
+        Names of the observed coordinates.
     newest : Report or None
         Of the last observation.
     failed : int
@@ -104,7 +104,7 @@ class Twin:
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
         alone = scene.changed({'effects': free, 'events': [], 'uncertainty': None})
         with warnings.catch_warnings():
-            # What is to be said of the scene is said of the simulation.
+            # The simulation has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
             self._predictions = [Prediction(build(alone)) for _ in range(observer.predictions)]
             first = self._predictions[0].simulation
@@ -166,7 +166,7 @@ class Twin:
                             for unit in units])[:, self._places]
         if not (self._gain and np.isfinite(inverse).all()):
             return ''
-        # Of the lightest motion of what is observed.
+        # The lightest observed motion sets the limit.
         lightest = float(np.linalg.eigvalsh(0.5 * (inverse + inverse.T))[-1])
         most = largest_gain(1.0 / lightest, self._damping, h) if lightest > 0.0 else np.inf
         return '' if self._gain <= most else (
@@ -185,7 +185,7 @@ class Twin:
 
     @property
     def valid_prediction_time(self) -> float:
-        """Return the median of those that ended [s]; NaN before one has."""
+        """Return the median over ended predictions [s]; NaN before one has ended."""
         return float(np.median(self._ended)) if self._ended else np.nan
 
     @property
@@ -243,7 +243,7 @@ class Twin:
         if before is None or not 0.0 < now - before[0] <= self._timeout:
             return velocity
         between = (position - before[1]) / (now - before[0])
-        # Of two observations at almost one time, noise.
+        # Two observations at almost the same time give only noise.
         between[np.abs(between) > self._velocity_limit] = np.nan
         return np.where(np.isnan(velocity), between, velocity)
 
@@ -253,7 +253,7 @@ class Twin:
         return q + delay * v
 
     def _predict(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> None:
-        """Begin a prediction at an observation; what is not observed is as it is simulated."""
+        """Begin a prediction at an observation; take unobserved numbers from the simulation."""
         waiting = [one for one in self._predictions if one.began is None]
         if not waiting:
             return

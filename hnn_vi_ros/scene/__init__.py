@@ -83,20 +83,20 @@ class Scene(StrictModel):
         Parameters
         ----------
         hamiltonian, integrator : str or mapping
-            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; a kind alone by its name. A part
-            of another scene will do as well.
+            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind. A part of
+            another scene will do as well.
         initial_state : tuple of (q, p), or mapping
             Coordinates and momenta, in the order and units of the Hamiltonian.
         step_size : float, optional
             h [s]; needed unless the integrator is auto.
         effects : sequence of str or mapping, optional
-            What acts beside H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+            Effects besides H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
         events, invariants : sequence of mapping, optional
-            What is watched for, and what the motion conserves beside H.
+            Events to watch for, and further invariants of the motion besides H.
         uncertainty : mapping, optional
             Of an ensemble, how the spread of its members is reported.
         on_failure : str, optional
-            What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
+            Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
         mechanism : str, optional
             How it is drawn.
         description : str, optional
@@ -298,7 +298,7 @@ class Scene(StrictModel):
     @contextmanager
     def placed(self, *key: str | int) -> Iterator[None]:
         """
-        Say of errors in what the scene asks for where in its file their cause stands.
+        Add to errors in the scene's requests the place of their cause in its file.
 
         Parameters
         ----------
@@ -308,7 +308,7 @@ class Scene(StrictModel):
         Raises
         ------
         CalibrationError, ModelError, SceneError, UnsupportedSystem
-            In place of what is raised inside.
+            In place of the error raised inside.
 
         """
         try:
@@ -326,7 +326,7 @@ class Scene(StrictModel):
         value: Any = self
         for part in key:
             value = value[part] if isinstance(part, int) else getattr(value, part)
-        # What is wrong is named first, if it is one key.
+        # The message begins with the wrong key, if there is a single one.
         name = message.partition(' ')[0]
         own = name in type(value).model_fields
         kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
@@ -361,6 +361,6 @@ def load_scene(scene: str | Path) -> Scene:
     """
     path = find_yaml('scene', str(scene), SceneError)
     loaded, places = read_yaml(path, Scene, SceneError)
-    # A module beside the scene is found like one that is installed.
+    # A module next to the scene is found like an installed one.
     loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
     return loaded

@@ -119,7 +119,7 @@ def _schema(kind: str, cls: type) -> type[BaseModel]:
     for parameter in signature(cls).parameters.values():
         if parameter.kind is Parameter.POSITIONAL_OR_KEYWORD:
             default = ... if parameter.default is Parameter.empty else parameter.default
-            # A key that is a word of Python, as from, goes by from_ there.
+            # A key that is a keyword of Python, such as from, is from_ there.
             fields[parameter.name.removesuffix('_')] = (parameter.annotation, Field(
                 default, description=texts.get(parameter.name)))
     made = create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)

@@ -24,7 +24,7 @@ _FUNCTIONS: dict[str, Callable[[_Number], _Number]] = {
 _GRAMMAR = ('an equation of numbers, pi, the coordinates c, their momenta p_c and velocities v_c, '
             'and H, with + - * / **, brackets, abs, cos, sin and sqrt')
 
-# What an expression is made into: a function of the values of names.
+# A compiled expression: a function of the values of names.
 Value = Callable[[dict[str, np.ndarray]], _Number]
 
 
@@ -32,7 +32,7 @@ class Condition:
     """
     An equation between numbers and quantities of a system, such as ``angle1 - angle2 = pi / 2``.
 
-    Quantities are the coordinates by their names c, their momenta ``p_c``, their velocities
+    Quantities are the coordinates, each under its name c, their momenta ``p_c``, their velocities
     ``v_c``, which are dH/dp, and the energy ``H``.
 
     Parameters
@@ -43,7 +43,7 @@ class Condition:
     Raises
     ------
     ValueError
-        It is none, or too long; says what is one.
+        It is none, or too long; the message describes a valid one.
 
     """
 
@@ -61,7 +61,7 @@ class Condition:
         self._difference: Value = lambda values: left(values) - right(values)
 
     def check(self, hamiltonian: Hamiltonian) -> None:
-        """Raise ValueError if it names what the system does not have, with what it has."""
+        """Raise ValueError, with the valid names, if it names a quantity the system lacks."""
         names, momenta = columns(hamiltonian.coordinates)
         valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in momenta), 'H']
         unknown = sorted(self._names - set(valid))

@@ -13,7 +13,7 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.scene.origin import Origin
 
-# What is to be done about a bag of several runs.
+# Remedy for a bag of several runs.
 ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the simulator begins a '
            'bag at each reset')
 
@@ -21,11 +21,11 @@ ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the si
 def described_scene(text: bytes | str, where: str, trust_code: bool = False
                     ) -> tuple[Scene, dict[str, Any]]:
     """
-    Return the scene that a log or ~/scene describes, and all that stands beside it.
+    Return the scene that a log or ~/scene describes, and the rest of the description.
 
-    Whoever wrote it chooses none of what is run, or opened, here: code that it names is refused
-    unless it is trusted, and then comes from the path of Python's modules alone; model files are
-    those that the digests beside it belong to.
+    Whoever wrote it cannot choose the code to run, or the files to open, here: code that it names
+    is refused unless trusted, and then comes from the path of Python's modules alone; model files
+    must match the digests given with it.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
     scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
     if isinstance(scene.integrator, AutoChoice):
         raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
-    # Where models beside the scene are found again.
+    # Models next to the scene are found again from here.
     source = str(described.get('source', 'scene'))
     files = described.get('model_files', {})
     digests = [described.get('model_sha256'), *(files.values() if isinstance(files, dict) else ())]

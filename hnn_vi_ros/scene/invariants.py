@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Invariants of a motion beside H: the known ones of a system, and the user's own functions."""
+"""Invariants of a motion besides H: the known ones of a system, and the user's own functions."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -16,7 +16,7 @@ from pydantic import Field, StringConstraints
 
 
 class InvariantChoice(StrictModel):
-    """Something that the motion conserves beside H."""
+    """Something that the motion conserves besides H."""
 
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=100, description=(
         'what it is called; without a function, a known one of the system'))
@@ -66,11 +66,11 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
     Parameters
     ----------
     choices : sequence of InvariantChoice
-        What the scene lists.
+        The scene's invariants.
     hamiltonian : Hamiltonian
         H, whose known invariants count where nothing else acts.
     alone : bool
-        Whether no effect acts beside it.
+        Whether no effect acts on the system.
     state : tuple of np.ndarray, shape (d,)
         The initial q and p, with which each function is tried.
     place : callable

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Origin of a scene, and what it finds by it: its models, and Python code beside it."""
+"""Origin of a scene, which locates its models, and the Python code next to it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,10 +33,10 @@ class Origin:
     places : KeyPlaces or None
         Where its keys stand.
     replaced : frozenset of str
-        Keys whose values are no more those that stand there.
+        Keys whose values no longer equal the file's.
     code_folder : str or None
-        Where Python code is found beside the installed; None for the scene of a bag or a topic,
-        which must not choose it.
+        Where Python code may be, apart from installed code; None for the scene of a bag or a
+        topic, which must not choose it.
     digests : frozenset of str or None
         Of the scene of a bag or a topic: SHA-256 of its model files. It may name any path, and
         has no other file opened as a model. None for a file that the user names.
@@ -56,7 +56,7 @@ class Origin:
         return f'{self.path}: {".".join(map(str, key))}'
 
     def find_code(self, arguments: Mapping[str, Any]) -> None:
-        """Let the Python code that arguments of the scene name be found beside it too."""
+        """Also look next to the scene for the Python code that its arguments name."""
         if arguments.get('factory') or arguments.get('discrete_lagrangian'):
             find_beside(self.code_folder)
 

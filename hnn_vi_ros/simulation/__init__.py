@@ -37,12 +37,12 @@ class Simulation(Stepping):
     step_size : float
         h > 0 [s].
     q, p : sequence of float, shape (d,) or (m, d)
-        Initial state, or those of m trajectories that step together; of p and all that belongs to
-        it one column less for each rotation.
+        Initial state, or m initial states of trajectories that step together; p and all that
+        belongs to it have one column less for each rotation.
     effects : sequence of Effect
-        What acts on the system beside H.
+        Effects on the system in addition to H.
     on_failure : str
-        What is done about a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
+        Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
         Rescue.
 
     Attributes
@@ -52,7 +52,7 @@ class Simulation(Stepping):
     conservative, takes_commands : bool
         Whether no effect does work, and whether one takes commands that are plain numbers.
     command_size, command_names : int, sequence of str
-        How many numbers such a command has, and what each is for, as far as that has a name.
+        How many numbers such a command has, and the names of the numbers, if they have names.
     motors : Motors
         The effects that take commands.
     steps : int
@@ -68,7 +68,7 @@ class Simulation(Stepping):
         Relative residual of the last implicit step [1].
     gradients, usual_gradients : int
         Gradients and Hessian-vector products evaluated in steps since the initial state, and how
-        many a step takes at most as a rule, 0 where there is none.
+        many a step takes at most as a rule, 0 without a rule.
     costliest : tuple of (int, int)
         How many the costliest step took, and the number of steps at its end.
 
@@ -108,7 +108,7 @@ class Simulation(Stepping):
 
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
                 held: dict[str, np.ndarray] | None = None) -> None:
-        """Begin anew at a step, or raise as the constructor; commands of a snapshot are held."""
+        """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
         q, p = self._system.check_state(q, p)
         self._system.effect_state.reset(stream, step * self.step_size, held)
         self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
@@ -153,7 +153,7 @@ class Simulation(Stepping):
 
     @property
     def energy(self) -> float:
-        """Return H(q, p) [J], the sum of those of several trajectories."""
+        """Return H(q, p) [J], summed over several trajectories."""
         return sum(self._system.energies(self._z))
 
     @property

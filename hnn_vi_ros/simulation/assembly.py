@@ -66,7 +66,7 @@ class Loop:
 
     def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
                  memory: tuple[Any, ...], *others: Any) -> Any:
-        """Run it; the arguments are those of the loop, without step, kernel and options."""
+        """Run it; it takes the arguments of the loop, without step, kernel and options."""
         if self._entry is None:
             self.compile(h, first, second, z, z1, memory, *others)
         assert self._entry is not None

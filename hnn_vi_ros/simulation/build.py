@@ -9,7 +9,7 @@ from hnn_vi_ros.simulation import Simulation
 
 def build(scene: Scene) -> Simulation:
     """
-    Return a simulation of what a scene describes, in its initial state.
+    Return a simulation of a scene, in its initial state.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ def check_seconds(name: str, value: float) -> None:
     name : str
         Of the argument.
     value : float
-        What the caller gave [s].
+        The caller's value [s].
 
     Raises
     ------
@@ -41,7 +41,7 @@ def check_count(name: str, value: int) -> None:
     name : str
         Of the argument.
     value : int
-        What the caller gave.
+        The caller's argument.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def check_numbers(name: str, values: Any) -> np.ndarray:
     name : str
         Of the argument.
     values : sequence of float, of any depth
-        What the caller gave.
+        The caller's argument.
 
     Raises
     ------

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 _STAGES = 5
 # Where in a part of a step its polynomial is looked at, in shares of it.
 _PLACES = np.linspace(0.0, 1.0, 9)
-# Of a step, and roundings of a count of steps: what is nearer to a step's end is at its end, as
-# 0.3 / 0.1 is.
+# Share of a step, and roundings of a count of steps: a time nearer to a step's end is at its end,
+# such as 0.3 / 0.1.
 _SHARE, _ROUNDINGS = 1e-9, 4.0 * float(np.finfo(np.float64).eps)
 
 
@@ -41,9 +41,9 @@ class DenseStep:
     Two continuous extensions of the step are at hand. ``polynomial`` costs next to nothing:
     cubic Hermite for methods of order up to 3, for rotations and wherever forces or effects act,
     quintic Hermite for the others, and the collocation polynomial for Gauss methods of 5 stages
-    and more (with fewer its order, s, is below 5). Its ends are those of the step; of a step of
-    the clock that ``time_transformed`` fills with steps of its own it is one polynomial for each
-    of these. ``state`` is as accurate as the method: by the polynomial where that is of the
+    and more (with fewer its order, s, is below 5). It meets both ends of the step; a step of the
+    clock that ``time_transformed`` fills with steps of its own has one polynomial for each of
+    these. ``state`` is as accurate as the method: by the polynomial where that is of the
     method's order and nothing else acts on the state, else by a step of the method from the same
     start, of a share of h, with all effects and the same random numbers; so rods keep their
     lengths, quaternions their norms, and walls are met. Where steps are a method's own, they are
@@ -54,9 +54,9 @@ class DenseStep:
     simulation : Simulation
         Which takes the step.
     plain : bool
-        Whether its steps are those of the method and of H alone, in scalar coordinates.
+        Whether its steps involve the method and H alone, in scalar coordinates.
     cuts : callable
-        Returns how often steps have been cut so far, as they are at walls.
+        Returns how often steps have been cut so far, for example at walls.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class DenseStep:
 
     @property
     def _takes_state(self) -> bool:
-        """Return whether the step goes on from the state at its start."""
+        """Return whether the step continues from the state at its start."""
         return self._simulation.integrator.requirements.from_state
 
     @property

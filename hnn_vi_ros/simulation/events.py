@@ -56,7 +56,7 @@ class WatchedSimulation:
     of the clock), for changes of sign and for extrema that come close to zero; what is found
     there is found again, to round-off, on states that are as accurate as the method (see
     DenseStep). So an event that comes and goes within a step is found as well, as long as the
-    polynomial shows it. The steps are those of the simulation, bit by bit; an event at the
+    polynomial shows it. The steps equal the simulation's, bit by bit; an event at the
     initial state is none.
 
     Parameters
@@ -64,7 +64,7 @@ class WatchedSimulation:
     simulation : Simulation
         Of one trajectory; all that is not listed below is its own.
     functions : sequence of EventFunction
-        What is watched for.
+        Functions whose zeros are the events.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class WatchedSimulation:
         return events
 
     def restart(self, *arguments: Any, **more: Any) -> None:
-        """Begin anew, without events; see Simulation."""
+        """Restart, without events; see Simulation."""
         self._simulation.restart(*arguments, **more)
         self.events.clear()
 
@@ -176,7 +176,7 @@ class WatchedSimulation:
 
 def watched(simulation: Simulation, scene: Scene) -> 'Simulation | WatchedSimulation':
     """
-    Return a simulation that watches for the events of its scene; itself where there are none.
+    Return a simulation that watches for the events of its scene; itself if it has none.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _brackets(at: np.ndarray, values: np.ndarray, seen: Callable,
         for k in range(1, len(part)):
             places += _dips(thetas, part, k, seen, value)
             last = k == len(part) - 1
-            # What the polynomial shows inside the step is only near to what is there.
+            # Inside the step, the polynomial is only near to the true values.
             crosses = part[k - 1] * part[k] <= 0.0
             if last or crosses or part[k] * places[-1][1] <= 0.0:
                 theta = float(thetas[k])

@@ -17,7 +17,7 @@ _ROUNDING = 1e-9
 
 class Motors:
     """
-    Motors that drive a system as it is commanded.
+    Motors that drive a system by commands.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Motors:
     Attributes
     ----------
     takes : frozenset of str
-        What a command may hold; see ``contents``.
+        Possible contents of a command; see ``contents``.
     size : int
         How many numbers a command of plain ones has; 0 where none is taken.
     names : sequence of str
@@ -105,6 +105,6 @@ class Motors:
 
     @property
     def aim(self) -> Aim | None:
-        """Return what a servo follows now; None where there is none."""
+        """Return the current aim of a servo; None without one."""
         aims = (effect.aim(own) for effect, own in self._effects)
         return next((aim for aim in aims if aim is not None), None)

@@ -26,8 +26,8 @@ import numpy as np
 # take what twice as many take as a rule: those in fewer parts that came before end early.
 _HALVINGS = 6
 _MOST_PARTS = 2 * 2 ** _HALVINGS
-# An explicit method comes back when h omega has been below this share of its limit for long: the
-# changes of method, at each of which the energy may change, become ever fewer.
+# An explicit method comes back when h omega has been below this share of its limit for long:
+# changes of method, each a chance for the energy to change, become ever fewer.
 _BACK, _CALM = 0.9, 16.0
 # Frequencies times h at which the stability of a method is looked at.
 _FREQUENCIES = np.arange(0.05, 8.0, 0.05)
@@ -104,7 +104,7 @@ class Rescue:
 
     def take_step(self, active: int, h: float, z: Point, z1: Point, memory: tuple) -> 'Taken':
         """
-        Take the step from z that has failed; z is as it was if none can.
+        Take the step from z that has failed; z is unchanged if none can.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class Rescue:
 
 class Taken(NamedTuple):
     """
-    Result of a step that was taken anew.
+    Result of a step that was taken again.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ class StabilityWatch:
     @staticmethod
     @cache
     def wrap(step: Callable, keeps_gradient: bool) -> Callable:
-        """Return the step with its watch; its options are those of the step and the interval."""
+        """Return the step with its watch; its options are the step's and the interval."""
         @inlined
         def watched(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
                     memory: tuple) -> tuple[int, float, int]:

@@ -63,14 +63,14 @@ class Acting(NamedTuple):
     Parameters
     ----------
     clock, command : np.ndarray
-        Those of the kernel's EffectState, which each step finds as they were.
+        Arrays of the kernel's EffectState, restored for each step.
     times : np.ndarray, shape (K,)
         At the starts of the steps [s].
     commands : np.ndarray, shape (K, size of command)
         In the steps.
     flow : np.ndarray, shape (2 d,)
-        By which friction multiplies a state before a step, and after it; 0 for channels, which
-        begin anew.
+        Factors of friction on a state before a step, and after it; 0 for channels, which start
+        over.
 
     """
 

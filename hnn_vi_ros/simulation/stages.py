@@ -75,7 +75,7 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
     stages : np.ndarray, shape (K, m, 2 s d)
         Filled.
     work : StageWork
-        Filled anew.
+        Filled again.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
 
 @inlined
 def _enter(acting: Acting, n: int) -> None:
-    """Let forces find time and command as they were in a step."""
+    """Restore the time and command of a step for the forces."""
     acting.clock[0], acting.clock[1] = acting.times[n], 0.0
     for i in range(acting.command.size):
         acting.command[i] = acting.commands[n, i]
@@ -191,14 +191,14 @@ def _enter(acting: Acting, n: int) -> None:
 @inlined
 def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, z1: np.ndarray,
           x: np.ndarray, work: StageWork) -> bool:
-    """Fill the stages of a step from z to z1; False where there are none."""
+    """Fill the stages of a step from z to z1; False if none are found."""
     s, d = tableau.q_weights.size, kernel.dimension
     scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
     for k in range(2 * d):
         work.change[k] = (z1[k] - z[k]) / h
     problem = _Problem(kernel, h, tableau, z, work.product_q, work.product_p)
     outcome = NO_CONVERGENCE
-    # Newton's method takes a matrix more: it is for what the other does not solve.
+    # Newton's method takes a matrix more, so it comes second, after a failure of the other.
     for attempt in range(2):
         for i in range(s):
             a, b = i * d, (s + i) * d

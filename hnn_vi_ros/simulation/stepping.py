@@ -55,7 +55,7 @@ class Stepping(ABC):
     def __init__(self, system: System, step_size: float, on_failure: str):
         self._system, self._kernel, self.step_size = system, system.kernel, step_size
         self._rescue, self.rescue_ready = Rescue(system, on_failure), True
-        # By the method that is active: what may never be needed is not compiled before it is.
+        # Keyed by the active method: a loop that may never be needed is compiled on first use.
         self._loops = {0: self._loop(0)}
         # Steps at a stretch.
         self._most = 1
@@ -91,7 +91,7 @@ class Stepping(ABC):
         whole : bool, optional
             Compile effects and method into one loop, which takes longer, and which later
             simulations of them find: their steps are the same, and take less time. False for a
-            loop that calls them by address, as they are otherwise; see assembly.
+            loop that calls them by address, the default; see assembly.
 
         """
         start = time.perf_counter()

@@ -49,7 +49,7 @@ class JoinedHamiltonian(Hamiltonian):
     @property
     def invariants(  # type: ignore[override]  # a scene sets those of the base
             self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
-        """Return what is watched of the motion."""
+        """Return the functions to watch along the motion."""
         return self.base.invariants
 
     @property
@@ -115,9 +115,9 @@ class System:
     kernel : Kernel
         That of H, with the forces.
     method, integrator : Integrator
-        The method, by itself and with what acts around its steps.
+        The method, by itself and wrapped in the effects around its steps.
     effect_state : EffectState
-        What the effects keep from step to step.
+        Values that the effects keep from step to step.
     labels : list of str
         A name for each effect: its kind, with its place where that stands more than once.
     conservative : bool
@@ -171,7 +171,7 @@ class System:
         Parameters
         ----------
         hamiltonian, effects
-            Of the same kinds as those of the system.
+            Of the same kinds as the system's.
 
         Returns
         -------
@@ -221,7 +221,7 @@ class System:
             Constraints depend on each other there, or a gradient is not that of its function.
         StateError
             It is not finite, behind a wall or off its rods, has another shape, or is of several
-            trajectories, of which an effect takes one.
+            trajectories while an effect takes one.
 
         """
         try:
@@ -364,7 +364,7 @@ class System:
 
 
 def _kind(effect: Effect) -> str:
-    """Return the name of an effect in a scene; one of the user's own goes by that of its class."""
+    """Return the name of an effect in a scene; the user's own effects take their class's name."""
     return _KINDS.get(type(effect), type(effect).__name__)
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of ``sweep``; import nothing of what it works with."""
+"""The command line of ``sweep``; import none of the modules that do its work."""
 
 from pathlib import Path
 

@@ -18,7 +18,7 @@ from hnn_vi_ros.sweeps.definition import (
 from hnn_vi_ros.sweeps.posterior import read_posterior
 import numpy as np
 
-# What is drawn for so many places has one seed: as many random states as places take long.
+# So many places share a seed: a random state for each place would take long.
 _DRAWN = 32
 _LARGEST_FILE = 2**28
 # Values of a key.
@@ -43,7 +43,7 @@ class Axis(ABC):
 
     @property
     def types(self) -> list[type]:
-        """Return the type of the values of each key; str for what is of several, as JSON."""
+        """Return the type of the values of each key; str, for JSON, if they have several types."""
         return [float] * len(self.keys)
 
     @abstractmethod
@@ -157,7 +157,7 @@ class SobolAxis(Axis):
         parts = []
         for run in np.split(wanted, np.flatnonzero(np.diff(wanted) > 1) + 1):
             seeds = np.random.SeedSequence(self._entropy, spawn_key=(self._number,))
-            # Of 2^30 points; named as in all versions of scipy.
+            # It has 2^30 points; all versions of scipy accept the argument `seed`.
             points = qmc.Sobol(len(self.keys), scramble=True, seed=np.random.default_rng(seeds))
             if run[0]:
                 points.fast_forward(int(run[0]))

@@ -13,7 +13,7 @@ from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from pydantic import Field, model_validator
 
-# Of one axis, and of a whole sweep: what Sobol's sequence has, of which no point comes twice.
+# Most points of an axis, and of a sweep: the length of Sobol's sequence, which repeats no point.
 MOST = 2**30
 
 Key = Annotated[str, Field(min_length=1, max_length=256, description=(

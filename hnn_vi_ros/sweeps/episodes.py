@@ -18,7 +18,7 @@ from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.sweeps.plan import SweepPlan
 
-# What an episode may fail by, as a trajectory of a sweep.
+# Errors that count as the failure of an episode, as for a trajectory of a sweep.
 _FAILURES = HnnViRosError, ValueError, ArithmeticError
 
 
@@ -98,7 +98,7 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
             range(index, index + 1))), strict=True))
         try:
             with warnings.catch_warnings():
-                # What is to be said of the scene was said when the sweep began.
+                # The start of the sweep raised the warnings about the scene.
                 warnings.simplefilter('ignore')
                 scene = plan.scene_of(dict(zip(plan.parts, values.values(), strict=True)))
                 simulation = build(scene)

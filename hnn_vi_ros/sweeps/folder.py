@@ -54,7 +54,7 @@ class SweepFolder:
 
     def record(self) -> dict[str, Any] | None:
         """
-        Return what ``sweep.json`` holds; None where there is none.
+        Return the content of ``sweep.json``; None if the file is missing.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class SweepFolder:
             part.unlink(missing_ok=True)
             raise RecordingError(f'{self.path / name}: {one_line(problem)}; what is whole stays: '
                                  'mend that, and give the same command again') from problem
-        # Of processes that were killed while they wrote it: it is whole now.
+        # Processes killed while writing it left these files; it is whole now.
         for left in self.path.glob(f'.{name}.*'):
             left.unlink(missing_ok=True)
 

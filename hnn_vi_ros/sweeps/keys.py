@@ -21,9 +21,9 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
     scene : Scene
         Of which it is a key.
     key : str
-        With dots. In the initial state a coordinate may be given by its name.
+        With dots. In the initial state the name of a coordinate is a key as well.
     names : mapping of sequence of str
-        Those of the columns of q and of p, under these two.
+        Names of the columns of q and of p, under these two.
     place : str
         Where the key stands, for errors.
 

@@ -22,7 +22,7 @@ _VERSION = 'v3.0'
 _CHUNK, _MEGABYTES = 1000, 100
 _FILE = 'chunk-{chunk_index:03d}/file-{file_index:03d}.parquet'
 _STATE, _ENERGY = 'observation.state', 'observation.energy'
-# What each frame has beside its observations.
+# Columns of each frame besides its observations.
 _COUNTS = ('frame_index', 'episode_index', 'index', 'task_index')
 _Stats = dict[str, np.ndarray]
 

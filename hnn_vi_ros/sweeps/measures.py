@@ -100,7 +100,7 @@ class Reducer:
     reduction : Reduction
         Which.
     folder : str
-        Where its module is found beside the installed.
+        Where its module may be, apart from the installed ones.
 
     Raises
     ------
@@ -115,7 +115,7 @@ class Reducer:
 
     def __call__(self, trajectory: Trajectory) -> dict[str, float]:
         """
-        Return its numbers, by column; it may read the arrays, of what is kept, and not write.
+        Return its numbers, by column; it may read the kept arrays, and not write them.
 
         Raises
         ------

@@ -20,11 +20,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
-# A shard is sealed: beside its number stands the SHA-256 of its file, in which these digits are
-# zeros. A checksum of pages would not cover the footer, which tells where columns are.
+# A shard is sealed: its number comes with the SHA-256 of its file, computed with these digits as
+# zeros. A checksum of pages would not cover the footer, which locates the columns.
 _SEALED = re.compile(rb'(\d+) sha256:([0-9a-f]{64})')
 _OPEN = b'0' * 64
-# Of a footer: the scene and its files' digests are in it.
+# A footer holds the scene and its files' digests.
 _LARGEST_FOOTER = 2**26
 _BLOCK = 2**20
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}

@@ -89,7 +89,7 @@ class SweepPlan:
 
     @property
     def steps(self) -> int:
-        """Return how many steps a trajectory of the scene as it is has."""
+        """Return how many steps a trajectory of the unchanged scene has."""
         return max(whole_steps(self.sweep.duration, self.scene.known_step_size)[0], 1)
 
     @property
@@ -176,14 +176,14 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     definition : str, Path or mapping
         See ``load_sweep``.
     chosen : mapping, optional
-        What the integrator auto chose where the sweep was begun: "step_size" and "integrator".
+        The integrator auto's choice at the sweep's first start: "step_size" and "integrator".
     device : str, optional
         See ``simulate_many``.
 
     Returns
     -------
     SweepPlan
-        The integrator auto is resolved, for the scene as it is.
+        The integrator auto is resolved, for the unchanged scene.
 
     Raises
     ------

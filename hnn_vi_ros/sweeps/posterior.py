@@ -74,7 +74,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     place : str
         Where it is asked for, for errors.
     keys : mapping of str to str, optional
-        The key of a scene for each name that is wanted; without it, all names as they are.
+        The key of a scene for each name that is wanted; without it, all names unchanged.
 
     Raises
     ------
@@ -122,6 +122,6 @@ def _root(covariance: np.ndarray, where: str) -> np.ndarray:
     squares, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     if not squares[0] >= -_ROUNDING * len(squares):
         raise DataError(f'{where}: covariance: the matrix is not positive semidefinite; {_REMEDY}')
-    # Of either sign eigenvectors are as good: so that draws are the same everywhere.
+    # Eigenvectors are determined up to sign; fixing it makes draws the same everywhere.
     signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(len(squares))])
     return units[:, None] * vectors * signs * np.sqrt(np.maximum(squares, 0.0))

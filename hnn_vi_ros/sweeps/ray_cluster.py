@@ -19,7 +19,7 @@ from ray.exceptions import RayError
 
 # Shards that an actor has at a time: one to make, and one so that it need not wait for another.
 _AHEAD = 2
-# How often a shard is begun anew whose actor was lost with its process or its machine.
+# How often a shard is restarted whose actor was lost with its process or its machine.
 _RETRIES = 3
 
 

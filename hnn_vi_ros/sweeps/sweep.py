@@ -32,7 +32,7 @@ _TERMINAL, _ELSEWHERE = 0.2, 10.0
 
 def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     """
-    Make the shards, or the episodes, that the command line asks for; say what came of it.
+    Make the shards, or the episodes, that the command line asks for; report the outcome.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def _processes(device: str | None) -> int:
 
 
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
-    """Write the trajectories that the command line selects, and say how many there are."""
+    """Write the trajectories that the command line selects, and print their number."""
     if options.ray or options.jobs is not None or options.shard != '0/1' or options.device:
         raise ParameterError('--episodes writes one after another: leave --jobs, --ray, --device '
                              'and --shard out; give each of several processes a --select and '
@@ -205,7 +205,7 @@ class _Progress:
         self._show()
 
     def shard(self, count: int) -> None:
-        """Count those of one that is made."""
+        """Count the trajectories of a finished shard."""
         self._made, self._ahead = self._made + count, 0
         self._show()
 

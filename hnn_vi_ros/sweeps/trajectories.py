@@ -25,9 +25,9 @@ import numpy as np
 if TYPE_CHECKING:
     from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
 
-# What a trajectory may fail by; anything else is a fault of this package, and ends the sweep.
+# Failures of a trajectory; any other error is a fault of this package, and ends the sweep.
 _FAILURES = HnnViRosError, ValueError, ArithmeticError
-# Scenes that are kept made: those of the last parameters.
+# Number of scenes kept ready, made with the last parameters.
 _KEPT = 4
 _State = tuple[np.ndarray, np.ndarray]
 
@@ -126,12 +126,12 @@ class Runner:
             rows = list(zip(*(column[part] for column in columns), strict=True)) if columns else \
                 [()] * len(indices[part])
             with warnings.catch_warnings():
-                # What is to be said of the scene was said when the sweep began.
+                # The start of the sweep raised the warnings about the scene.
                 warnings.simplefilter('ignore')
                 yield self._block(indices[part], rows)
 
     def _block(self, indices: range, rows: Sequence[tuple[Any, ...]]) -> list[Rows]:
-        """Return what becomes of neighbours: those of one scene step together."""
+        """Return the rows of neighbours; the ones that share a scene step together."""
         groups: dict[str, list[int]] = {}
         for k, row in enumerate(rows):
             groups.setdefault(self._scene_key(row), []).append(k)
@@ -139,7 +139,7 @@ class Runner:
             key, [indices[k] for k in members], [rows[k] for k in members])]
 
     def _scene_key(self, row: tuple[Any, ...]) -> str:
-        """Return the key of a scene: all values but those of the initial state."""
+        """Return the key of a scene: all values except the initial state's."""
         return repr([row[k] for k in self._of_scene]) if self._of_scene else ''
 
     def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Rows]:
@@ -161,7 +161,7 @@ class Runner:
             try:
                 return self._together(made, indices, rows)
             except _FAILURES:
-                # Of whichever of them: each by itself.
+                # Any of them may have failed: try each by itself.
                 made.forget()
         found = []
         for index, row in zip(indices, rows, strict=True):
@@ -276,7 +276,7 @@ class _Made:
         return state['q'], state['p']
 
     def forget(self) -> None:
-        """Drop simulations, of which one broke off."""
+        """Drop the simulations after one broke off."""
         self._simulations.clear()
 
     def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> _Path:
@@ -291,7 +291,7 @@ class _Made:
         watch.update(look_at_block(simulation))
         q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
         alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
-        # Of one, whose energy is looked at in place of all.
+        # A simulation of one trajectory serves to evaluate the energy of all.
         one = self._begin('first', q[:1], p[:1], indices[0])
         energy = show_many(one, t / simulation.step_size, q_all, p_all, alarms)
         return _Path(t, q_all, p_all, energy, alarms)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shards made by this process, or by several of this machine of which any may be killed."""
+"""Shards made by this process, or by several of this machine; any of them may be killed."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -12,7 +12,7 @@ import numpy as np
 GRID, LEVELS = 81, 12
 # Shares of a scale: for the lowest energy, and to where energy ends, which is passed by 2 %.
 _SHARES, _LENGTHS = np.linspace(-1.0, 1.0, 41), 1e-6 * 1.02 ** np.arange(1396)
-# Of an energy, what may be rounding.
+# Share of an energy that may be rounding.
 _LEAST = 1e-12
 
 
@@ -104,7 +104,7 @@ def fitted(frame: Frame, path: np.ndarray, boxed: bool) -> Frame:
 def _fitted(interval: tuple[float, float], low: float, high: float, boxed: bool
             ) -> tuple[float, float]:
     width = interval[1] - interval[0]
-    # What stays as it is, but for rounding or an error of the method, keeps its scale.
+    # A quantity that only rounding or an error of the method changes keeps its scale.
     if boxed or high - low < 1e-3 * width:
         margin = 0.05 * width
         return (interval[0] if interval[0] <= low else low - margin,
@@ -179,7 +179,7 @@ def _along(hamiltonian: Hamiltonian, q0: np.ndarray, axis: int, places: np.ndarr
     """Return H at rest where one coordinate has these places and the others stay."""
     q = np.tile(q0, (places.size, 1)).astype(np.float64)
     q[:, axis] = places
-    # Of an attitude there is a momentum less.
+    # An attitude has a momentum less.
     still = np.zeros((places.size, len(columns(hamiltonian.coordinates)[1])))
     return np.asarray(hamiltonian.energy(q, still))
 

@@ -20,15 +20,15 @@ TRAIL_SAMPLES = 300
 COLUMN, BAR, MARGINS = (588.0, 830.0), 28.0, (58.0, 18.0, 46.0, 60.0)
 # The viewer's vertical angle of view.
 VIEW_ANGLE = np.radians(55.0)
-# What is plotted together.
+# Series in one plot.
 ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
-# Of the time axis, what is left free at its end for a legend, and for the last label alone.
+# Shares of the time axis left free at its end for a legend, and for the last label alone.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
-# Width of a plot, of a letter of a legend and of what is beside them, height of a line of a legend
-# and of what else a plot has below its bar, and the least of a view, in points.
+# Widths of a plot, a letter of a legend and the legend's edges, heights of a line of a legend and
+# of the rest of a plot below its bar, and the least height of a view, in points.
 _PLOT, _LETTER, _LEGEND_EDGES, _LINE, _MARGIN, _LEAST_HEIGHT = 775.0, 7.6, 42.0, 23.0, 40.0, 120.0
-# Of a run whose end is known, the least that a trail shows.
+# Least share of a run with a known end that a trail shows.
 _TRAIL_SHARE = 0.2
 # Gaps between ticks of the height of a plot.
 _MOST_GAPS = 5.0
@@ -61,7 +61,7 @@ class Arrangement:
     portraits : int
         Number of phase portraits.
     bounds : np.ndarray, shape (2, 3), or None
-        Lowest and highest corner of what the mechanism can reach [m]; None if there is none.
+        Lowest and highest corner of the mechanism's reach [m]; None without a mechanism.
     hidden : str, optional
         The entity of the mechanism below which nothing is shown.
 
@@ -78,14 +78,14 @@ class Arrangement:
 
     @property
     def columns(self) -> int:
-        """Portraits beside each other."""
+        """Return the number of portraits in a row."""
         if self.tabbed or self.portraits <= 1:
             return 1
         return 1 if self.portraits == 2 and self.bounds is None else 2
 
     @property
     def quarters(self) -> bool:
-        """Return whether the mechanism is beside the first of three portraits."""
+        """Return whether the mechanism shares a row with the first of three portraits."""
         return self.bounds is not None and self.portraits == 3
 
     @property
@@ -93,7 +93,7 @@ class Arrangement:
         """Share of the height that the mechanism has to itself."""
         if self.bounds is None or self.quarters:
             return 0.0
-        # Two portraits beside each other are half as high as one; four are in two rows of such.
+        # Two portraits in a row are half as high as one; four fill two such rows.
         return {0: 1.0, 1: 0.32, 2: 0.55, 4: 0.25}.get(self.portraits, 0.5)
 
     @property
@@ -104,7 +104,7 @@ class Arrangement:
 
     @property
     def side(self) -> float:
-        """Return width and height of a portrait's frame, in points; 0 where there is none."""
+        """Return width and height of a portrait's frame, in points; 0 without portraits."""
         if not self.portraits:
             return 0.0
         rows = 1 if self.tabbed else -(-self.portraits // self.columns)
@@ -136,7 +136,7 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
     trails : sequence of str, optional
         Parts of the mechanism that leave a trail of that length as well.
     extent : Extent, optional
-        What the series hold, where that is known: else the viewer fits its axes to the data, and
+        Times and values of the series, if known: else the viewer fits its axes to the data, and
         a legend lies on them.
 
     """
@@ -169,7 +169,7 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
 
 def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement: Arrangement
                  ) -> rrb.Container | rrb.View | None:
-    """Put mechanism and portraits where there are such, with no place for what there is not."""
+    """Put the mechanism and portraits that exist into a column, without empty places."""
     if not views:
         return world
     if arrangement.quarters:
@@ -231,11 +231,11 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     Return a range that holds the values, a margin, and two ticks with their labels.
 
     The viewer labels the multiples of a power of ten that are at least some 25 points apart: in a
-    plot of 130 points, those of the least power of ten of which the range holds at most
-    _MOST_GAPS.
+    plot of 130 points, the multiples of the least power of ten that fits into the range at most
+    _MOST_GAPS times.
     """
     if high - low <= 1e-9 * max(abs(low), abs(high)):
-        # A constant: beside zero, or beside one of its digits.
+        # A constant: show it with zero, or with one of its digits.
         low, high = min(low, 0.0), max(high, 0.0)
     if high == low:
         return -1.0, 1.0

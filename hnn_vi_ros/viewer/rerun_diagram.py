@@ -43,7 +43,7 @@ class Diagram:
     floor : float
         A horizontal line; NaN for none.
     notes : str
-        Markdown to read beside it.
+        Markdown to read with it.
 
     """
 

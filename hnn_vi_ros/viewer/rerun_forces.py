@@ -19,8 +19,8 @@ import rerun as rr
 DRAWN = ('gravity', 'spring', 'magnetic_field', 'soft_wall', 'damping', 'dry_friction',
          'quadratic_drag', 'periodic_drive')
 MOTORS = 'motors'
-# Of half of what the mechanism fills: the arrow of the largest force of the first samples at most,
-# and the radius of one.
+# Shares of half the mechanism's extent: the arrow of the largest force of the first samples at
+# most, and the radius of an arrow.
 _SHARE, _RADIUS = 1.0, 0.03
 # What q is varied by, relative to its range, for the derivatives of places.
 _STEP = 1e-6
@@ -34,7 +34,7 @@ class ForceArrows:
     The generalised force of each effect, as forces on the bodies that a mechanism draws.
 
     Of all forces F on the bodies that make the generalised force f, J^T F = f with the Jacobian J
-    of their places, those of the least sum of squares are drawn: in Cartesian coordinates the
+    of their places, the ones with the least sum of squares are drawn: in Cartesian coordinates the
     force itself, of a pendulum the torque over the drawn length of its rod, across the rod.
 
     Parameters
@@ -44,11 +44,11 @@ class ForceArrows:
     hamiltonian : Hamiltonian
         H, whose coordinates the effects name.
     mechanism : callable
-        What is drawn; see :mod:`hnn_vi_ros.mechanisms`.
+        The mechanism to draw; see :mod:`hnn_vi_ros.mechanisms`.
     step_size : float
         h [s]: effects count the time from step 0 on.
     reach, size : float
-        The reach of the mechanism, and half of what it fills [m].
+        The reach of the mechanism, and half of its extent [m].
 
     Attributes
     ----------

@@ -96,7 +96,7 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
              '/timing/microseconds_per_step': 3, '/timing/real_time_factor': 6}
     for path, names in labels.items():
         start = first.get(path, 0)
-        # The ends of a band are thin lines in the colours of what it is around.
+        # The ends of a band are thin lines in the colours of the curve inside it.
         thin = path in BANDS
         count = len(names) // 2 if thin else len(names)
         colors = [PALETTE[(start + i % count) % len(PALETTE)] for i in range(len(names))]
@@ -149,7 +149,7 @@ def _frame_lines(frame: Frame) -> rr.LineStrips2D:
 
 
 def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Points2D:
-    """Place the labels; the viewer writes each just below its point, so those of p are raised."""
+    """Place the labels; the viewer writes each just below its point, so p's labels are raised."""
     (left, right), (low, high) = frame.q, frame.p
     # One point, in the units of each axis.
     dq, dp = (right - left) / side, (high - low) / side

@@ -26,7 +26,7 @@ class PredictedRun(NamedTuple):
     t : np.ndarray, shape (N,)
         Times [s].
     q : np.ndarray, shape (N, d)
-        What was measured.
+        Measured coordinates.
     predicted : sequence of (np.ndarray of shape (m,), np.ndarray of shape (m, d))
         Times and coordinates of each prediction, all of them finite.
 

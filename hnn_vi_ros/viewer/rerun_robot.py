@@ -13,7 +13,7 @@ import rerun as rr
 from rerun.urdf import UrdfTree
 from scipy.spatial.transform import Rotation
 
-# The entity whose frame the root of the robot stands in, and those that its joints move by.
+# The entity whose frame holds the root of the robot, and the entities that move its joints.
 _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
 # Below the world, which the view of the mechanism shows.
 _EFFORTS = '/world/efforts'
@@ -77,9 +77,9 @@ class RobotPicture:
         q : np.ndarray, shape (n, d)
             Coordinates [rad], [m].
         efforts : np.ndarray, shape (n, d), optional
-            What motors apply [N m], [N]: an arrow along each joint's axis, by the right-hand
-            rule, as long and as red as it is near to the joint's limit. A joint without a limit
-            has that of the robot's weight at its reach, or its weight.
+            Efforts of motors [N m], [N]: an arrow along each joint's axis, by the right-hand
+            rule, longer and redder the nearer the effort is to the joint's limit. A joint without
+            a limit takes the robot's weight at its reach, or its weight.
 
         """
         for joint, path, column, held in self._joints:
@@ -114,7 +114,7 @@ def collisions_of(robot: Robot) -> str:
 
 def bounds_of_robot(robot: Robot) -> np.ndarray:
     """
-    Return two corners of what a view of a robot has to show, shape (2, 3) [m].
+    Return two corners of the space that a view of a robot has to show, shape (2, 3) [m].
 
     It is the cube within the sphere that the robot stays in whatever its joints do: from the
     distance from which all corners of it are seen, the sphere is.
@@ -125,7 +125,7 @@ def bounds_of_robot(robot: Robot) -> np.ndarray:
 
 def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> np.ndarray:
     """
-    Return two corners of what a robot fills on a path, shape (2, 3) [m].
+    Return two corners of the space that a robot fills on a path, shape (2, 3) [m].
 
     They hold the origins of its links and, twice as far from that as its centre of mass, about
     where one without joints ends, and a twentieth of the largest edge on each side: links are not

@@ -96,7 +96,7 @@ class RerunSink:
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
-        # Of a body that turns no coordinate has a plane of its own with its momentum.
+        # In a body that turns, no coordinate has a plane of its own with its momentum.
         self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
         self._robot, self._picture = hamiltonian.robot, None
@@ -109,7 +109,7 @@ class RerunSink:
         self._newest: Sample | None = None
         self._kept: Sample | None = None
         self._reach = 0.0
-        # Of effects: all, h, the arrows, and which of them have been styled.
+        # Effects, h, their arrows, and which arrows have been styled.
         self._effects, self._step_size = effects, step_size
         self._forces: ForceArrows | None = None
         self._arrows: set[str] = set()
@@ -117,7 +117,7 @@ class RerunSink:
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
         self._events: list[tuple[int, int, str, str]] = []
-        # What was sent: first and last stamp [ns], least and greatest values by entity.
+        # Extent of the sent data: first and last stamp [ns], least and greatest values by entity.
         self._times_shown: tuple[int, int] | None = None
         self._values_shown: dict[str, tuple[float, float]] = {}
         # Around all that was drawn [m].
@@ -146,7 +146,7 @@ class RerunSink:
             self._send_if_due()
 
     def event(self, text: str, level: str = 'INFO', at: tuple[int, int] | None = None) -> None:
-        """Show a line at a stamp [ns] and step, by default those of the newest sample."""
+        """Show a line at a stamp [ns] and step, by default at the newest sample's."""
         if self._closed:
             raise RecordingError('the rerun recording is closed; open a new one')
         newest = (self._newest.stamp, self._newest.step) if self._newest else self._begin
@@ -185,7 +185,7 @@ class RerunSink:
         try:
             self._send()
             if not self._stream.live and self._times_shown is not None:
-                # Whoever opens the file finds frames, axes and the eye fitted to what is in it.
+                # Whoever opens the file finds frames, axes and the eye fitted to its content.
                 self._portraits.fit()
                 self._stream.send_blueprint(self._blueprint(
                     self._arrangement if self._bounds_shown is None else
@@ -233,7 +233,7 @@ class RerunSink:
             self._picture = self._draw_robot(self._robot)
 
     def _draw_robot(self, robot: Robot) -> RobotPicture | None:
-        """Draw the robot; where the SDK cannot, say so, and show the rest."""
+        """Draw the robot; if the SDK cannot, report that, and show the rest."""
         names = [coordinate.name for coordinate in self._coordinates]
         try:
             return RobotPicture(robot, names, self._stream.recording)
@@ -312,7 +312,7 @@ class RerunSink:
                                         max(high, float(finite.max())))
 
     def _show(self, bounds: np.ndarray) -> None:
-        """Widen what is known of what was drawn; a run that ends in no number ends nowhere."""
+        """Widen the known bounds of the picture; a run that ends in NaN ends nowhere."""
         if np.isfinite(bounds).all():
             self._bounds_shown = _around(bounds, self._bounds_shown)
 

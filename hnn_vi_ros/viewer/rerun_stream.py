@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stream of the rerun SDK to one target, which says what fails and leaves nothing behind."""
+"""A stream of the rerun SDK to one target, which reports failures and leaves nothing behind."""
 
 from pathlib import Path
 import socket
@@ -162,8 +162,8 @@ def _open(application: str, target: Target) -> rr.RecordingStream:
 
 
 def _connect(application: str, target: Target) -> rr.RecordingStream:
-    # The SDK keeps every closed recording, with two threads and half a megabyte, until it is told
-    # to clean up (rerun issue 2116), as by its own rr.init; that waits for all of them.
+    # The SDK keeps every closed recording, with two threads and half a megabyte, until a clean-up
+    # call (rerun issue 2116), such as in its own rr.init; that waits for all of them.
     if not any(thread.is_alive() for thread in _waiting):
         bindings.flush_and_cleanup_orphaned_recordings()
     stream = rr.RecordingStream(application)

@@ -12,7 +12,7 @@ import numpy as np
 # Joints with one coordinate, and those without.
 TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
-# Of the largest moment of inertia, and [kg m2]: what digits of a file leave of the rules.
+# Slack for a file's rounded digits: relative to the largest moment of inertia, and [kg m2].
 _ROUNDING, _NOTHING = 1e-6, 1e-12
 
 
@@ -27,7 +27,7 @@ class Units(NamedTuple):
 
     @classmethod
     def of(cls, kind: str) -> 'Units':
-        """Return those of a kind of joint."""
+        """Return the units of a kind of joint."""
         return cls('m', 'kg m/s', 'N', 'N s/m', 'kg') if kind == SLIDING else \
             cls('rad', 'kg m2/s', 'N m', 'N m s/rad', 'kg m2')
 
@@ -114,7 +114,7 @@ class Joint:
     axis : np.ndarray, shape (3,)
         A unit vector in the child's frame.
     limits : Limits
-        They act where a scene lists an effect that says so, as do the next two.
+        They act only through an effect that a scene lists, as do the next two.
     damping : float
         Of the force -damping q' [N m s/rad] or [N s/m].
     friction : float
@@ -153,7 +153,7 @@ class Joint:
         lower, upper = self.limits.lower, self.limits.upper
         if self.kind == 'continuous' or (lower is None and upper is None):
             return None, None
-        # One that is missing beside the other is 0, as the format has it.
+        # A single missing one is 0, by the format.
         return lower or 0.0, upper or 0.0
 
 
@@ -195,7 +195,7 @@ class Robot:
     root : str
         The link that no joint carries.
     where, text : str
-        The file, and what stands in it.
+        The file, and its text.
     locked : mapping of str to float
         Joints that do not move, and where they are held [rad], [m].
 
@@ -217,7 +217,7 @@ class JointCoordinate(Coordinate):
     Parameters
     ----------
     joint : Joint
-        What the URDF says of it.
+        Its description in the URDF.
 
     """
 

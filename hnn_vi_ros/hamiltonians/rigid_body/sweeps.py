@@ -89,7 +89,7 @@ class Work(NamedTuple):
     first_v : np.ndarray, shape (d + 1, 4)
         The change of the first moment of all behind a joint, from place 1.
     mass : np.ndarray, shape (d, d)
-        M, of which the lower triangle is used, and then its Cholesky factor.
+        M, in its lower triangle, and then its Cholesky factor.
     rates, rates_v : np.ndarray, shape (d,)
         The velocities of the joints in the order of the bodies.
 
@@ -228,7 +228,7 @@ def force_of(bodies: Bodies, work: Work, i: int) -> float:
 
 @inlined
 def displace(bodies: Bodies, work: Work, v_q: np.ndarray, start: int) -> None:
-    """Fill the changes along v_q while the rates stay as they are; after ``move``."""
+    """Fill the changes along v_q at fixed rates; after ``move``."""
     shift, axis, axis_v = work.shift, work.axis, work.axis_v
     velocity_v, momentum_v, first_v, spare = (
         work.velocity_v, work.momentum_v, work.first_v, work.spare)

@@ -151,7 +151,7 @@ class _Body:
         self._links: list[Inertial] = []
 
     def add(self, link: Inertial, rotation: np.ndarray, origin: np.ndarray) -> None:
-        """Add a link whose frame stands there in the frame of the body."""
+        """Add a link by the place of its frame in the frame of the body."""
         centre = origin + rotation @ link.centre
         self._links.append(Inertial(link.mass, centre, rotation @ link.moments @ rotation.T))
         self.mass += link.mass
@@ -161,7 +161,7 @@ class _Body:
 
     @property
     def fault(self) -> str:
-        """Return why no body moves as it does, whose moments matter if it turns; or nothing."""
+        """Return why no body can have its mass and, if it turns, its moments; else nothing."""
         centre = self.first / self.mass if self.mass > 0.0 else np.zeros(3)
         moments = np.zeros((3, 3))
         for link in self._links if self.turns else ():
@@ -183,7 +183,7 @@ class _Builder:
         self.met: dict[str, Joint] = {}
         self._mimics: list[Joint] = []
         # Joints that are still to be passed, with the body that they are on and where the frame
-        # of the link that they are on stands in its own.
+        # of the link that they are on lies in its own.
         self._waiting: list[tuple[Joint, int, np.ndarray, np.ndarray]] = []
         self._reach(base, 0, np.eye(3), np.zeros(3))
         while self._waiting:

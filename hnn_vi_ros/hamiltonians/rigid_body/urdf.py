@@ -24,9 +24,9 @@ import numpy as np
 # Without a way back: the time that it takes is proportional to the length.
 _NUMBER = re.compile(r'[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?\Z')
 _LONGEST_NAME = 200
-# Ten times those of the largest published humanoids.
+# Ten times as many links as the largest published humanoids.
 _MOST_LINKS = 2000
-# In SI units; larger ones, of which products overflow, are mistakes. Limits may be any number.
+# In SI units; larger ones, whose products overflow, are mistakes. Limits may be any number.
 _LARGEST = 1e12
 _MOMENTS = ('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
 # The first has no quaternions; the last asks for both limits of a joint, or for none.
@@ -46,8 +46,8 @@ _ELEMENTS: dict[str, tuple[str, ...]] = {
     'robot': ('link', 'joint'), 'link': ('inertial',), 'inertial': ('origin', 'mass', 'inertia'),
     'joint': ('origin', 'parent', 'child', 'axis', 'limit', 'dynamics', 'mimic', 'calibration',
               'safety_controller')}
-# Attributes that published robots have beside these, for Gazebo, Bullet, Drake and drivers: none
-# of them is of the format.
+# Further attributes of published robots, for Gazebo, Bullet, Drake and drivers: the format has
+# none of them.
 _FOREIGN: dict[str, tuple[str, ...]] = {
     'link': ('concave',), 'joint': ('dont_collapse',), 'inertia': ('iyx', 'izx', 'izy'),
     'axis': ('rpy',), 'limit': ('command_effort', 'current', 'gear_velocity', 'twist'),

@@ -3,9 +3,9 @@
 """
 The two implicit equations of the methods on a group: for the momenta inside a step, and for turns.
 
-Both stand for scalar coordinates as well, where they are those of the symplectic Euler method and
-of its adjoint. Arrays are laid out as Kernel says: the momentum of a rotation is three columns
-where its quaternion is four, and what remains before the channels stays zero.
+Both cover scalar coordinates as well, for which they reduce to the equations of the symplectic
+Euler method and of its adjoint. Kernel describes the layout of arrays: the momentum of a rotation
+takes three columns, its quaternion four, and the rest before the channels stays zero.
 """
 
 from collections.abc import Callable
@@ -61,8 +61,8 @@ class GroupWork(NamedTuple):
     x : np.ndarray
         The changes of coordinates over the step, of rotations the vectors that tau takes.
     momenta, change : np.ndarray
-        The momenta inside the step; and what changes the momenta beside forces: of their equation
-        what does not depend on them, then all of it.
+        The momenta inside the step; and the change of the momenta apart from forces: the
+        part of their equation that does not depend on them, then all of it.
     ahead, behind : np.ndarray
         Points of differences.
 
@@ -118,9 +118,9 @@ def solve_momenta_inside(kernel: Kernel, h: float, options: LieOptions, g: np.nd
     g : np.ndarray, shape (n,)
         The coordinates, that of z or others.
     z : Point
-        The momenta pi, and the gradient at z.q as far as it is known, for the first start.
+        The momenta pi, and an estimate of the gradient at z.q, for the first start.
     z1 : Point
-        Of it the gradient at (g, mu) is filled.
+        Its gradient is filled, at (g, mu).
     work : GroupWork
         Its ``change`` is added to the right-hand side. It is left with mu in ``momenta``, with
         x = h xi, and with g^* H_g in ``slope``.
@@ -159,7 +159,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
     kernel, h, options
         See Integrator.
     z : Point
-        g and pi, and H_mu as far as it is known, for the first start.
+        g and pi, and an estimate of H_mu, for the first start.
     z1 : Point
         Filled: q, and the gradient at (q, mu).
     work : GroupWork
@@ -231,7 +231,7 @@ def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: in
 
 @called
 def move(kernel: Kernel, retraction: Callable, z: Point, x: np.ndarray, z1: Point) -> None:
-    """Fill z1.q with what is x beyond z.q: g tau(x) of a rotation, a sum of all else."""
+    """Fill z1.q with z.q moved by x: g tau(x) for a rotation, a sum for all else."""
     d = kernel.dimension
     for start in range(0, x.size, d):
         i, passed, end = 0, 0, d - kernel.channels
@@ -320,7 +320,7 @@ def set_turn_scale(kernel: Kernel, h: float, z: Point, x: np.ndarray, scale: np.
     for i in range(x.size):
         own_scale[i] = max(abs(x[i]), abs(h) * kernel.gradient_scale[1])
     for start in range(0, x.size, d):
-        # Of a unit quaternion the largest column says little less.
+        # The largest column of a unit quaternion would say little less.
         size, end = 1.0, start + d - kernel.channels
         for i in range(start, end):
             size = max(size, abs(z.q[i]))

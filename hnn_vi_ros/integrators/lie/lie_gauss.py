@@ -28,9 +28,9 @@ class GaussSlopes(NamedTuple):
     Parameters
     ----------
     count : np.ndarray, shape (1,)
-        1 where there was a step before, else 0.
+        1 if a step came before, else 0.
     slopes : np.ndarray, shape (2 s n,)
-        Rates of x at the stages one after another, then those of P.
+        Rates of x at the stages one after another, then rates of P.
     end : np.ndarray, shape (n,)
         x at the end of that step.
 
@@ -97,8 +97,8 @@ class LieGauss(Collocation):
     """
     Gauss collocation of s stages in the Cayley chart around the attitude of each step, order 2 s.
 
-    In the chart g = g_k cay(x), with the momentum P = dcay_(-x)^* mu beside x and
-    K(x, P) = H(g_k cay(x), (dcay^-1_(-x))^* P), the stages are those of Gauss from x = 0 to x_1:
+    In the chart g = g_k cay(x), with the momentum P = dcay_(-x)^* mu conjugate to x and
+    K(x, P) = H(g_k cay(x), (dcay^-1_(-x))^* P), the stages are Gauss stages from x = 0 to x_1:
 
         X_i = h sum_j a_ij K_P(X_j, P_j),  P_i = P_1 + h sum_j (b_j - a_ij) K_x(X_j, P_j)
         (dcay^-1_(x_1))^* P_1 = pi_k - h sum_j b_j cay(X_j) g_j^* H_g(g_j, mu_j)
@@ -284,7 +284,7 @@ def _fill_slopes(problem: _Problem, x: np.ndarray) -> None:
 
 @inlined
 def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    """Fill value with what the stages are by their slopes; and x and P at the end."""
+    """Fill value with the stages that their slopes give; and x and P at the end."""
     z, work, h, s = problem.z, problem.work, problem.h, problem.matrix.shape[0]
     n, slopes, end = z.q.size, work.kept.slopes, work.end
     _fill_slopes(problem, x)
@@ -336,7 +336,7 @@ def _carry_momenta(kernel: Kernel, h: float, z: Point, work: LieGaussWork) -> No
 @inlined
 def _turned_less(x: np.ndarray, m: np.ndarray, at: int,
                  side: float) -> tuple[float, float, float]:
-    """Return cay(side x) m - m for what stands in both at one place."""
+    """Return cay(side x) m - m for the vectors at one place of both arrays."""
     own = 1.0 / (1.0 + 0.25 * dot(x, x, at))
     a, b, c = cross(x, m, at)
     first = side * a + 0.5 * (x[at + 1] * c - x[at + 2] * b)

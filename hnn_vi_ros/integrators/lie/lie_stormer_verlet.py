@@ -48,9 +48,9 @@ class LieStormerVerlet(Integrator):
         p_(n+1) = p_free - (h/2) g_(n+1)^* V_g
 
     A body with two equal moments of inertia moves by T exactly: it turns about its spatial
-    angular momentum and its axis. Of three different ones the motion is that of the middle one
-    for all axes, which commutes with all else, and of what the other two differ from it, in three
-    turns: one of half a step, one of a step, one of half a step.
+    angular momentum and its axis. Three different ones split the motion into one with the middle
+    moment for all axes, which commutes with all else, and the differences of the other two from
+    it, in three turns: one of half a step, one of a step, one of half a step.
 
     Symplectic, symmetric, order 2, explicit; spatial momentum is kept where V does not depend on
     the attitude. A body that would turn by 3 rad or more in a step fails it.
@@ -133,7 +133,7 @@ def _has_principal_axes(hamiltonian: Hamiltonian, columns: slice) -> bool:
 @called
 def _kick(kernel: Kernel, h: float, q: np.ndarray, dH_dq: np.ndarray, z: Point, z1: Point,
           forces: np.ndarray) -> None:
-    """Fill the momenta of z1 with those of z less h g^* H_g."""
+    """Fill the momenta of z1 with the momenta of z less h g^* H_g."""
     fill_forces(kernel, q, dH_dq, forces)
     for i in range(forces.size):
         z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * forces[i])

@@ -10,7 +10,7 @@ import numpy as np
 
 @inlined
 def cross(x: np.ndarray, m: np.ndarray, at: int) -> tuple[float, float, float]:
-    """Return x cross m for what stands in both at one place."""
+    """Return x cross m for the vectors at one place of both arrays."""
     return (x[at + 1] * m[at + 2] - x[at + 2] * m[at + 1],
             x[at + 2] * m[at] - x[at] * m[at + 2],
             x[at] * m[at + 1] - x[at + 1] * m[at])
@@ -18,7 +18,7 @@ def cross(x: np.ndarray, m: np.ndarray, at: int) -> tuple[float, float, float]:
 
 @inlined
 def dot(x: np.ndarray, m: np.ndarray, at: int) -> float:
-    """Return x . m for what stands in both at one place."""
+    """Return x . m for the vectors at one place of both arrays."""
     return x[at] * m[at] + x[at + 1] * m[at + 1] + x[at + 2] * m[at + 2]
 
 
@@ -43,9 +43,9 @@ def turn(q: np.ndarray, carry: np.ndarray, at: int, x: np.ndarray, place: int,
     """
     Fill q1 with q tau(x), for the quaternion at one place and the rotation vector at another.
 
-    What is added is small where the turn is, so that compensated summation keeps what is rounded
-    off. The product of unit quaternions is one; that only rounding makes its norm wrong is why
-    one Newton step to norm 1, less than the last digits, is all that is needed to keep it.
+    A small turn adds little, so that compensated summation keeps the part that is rounded off. The
+    product of unit quaternions is one; only rounding makes its norm wrong, so that one Newton step
+    to norm 1, less than the last digits, is enough to keep it.
     """
     a, b, c = (tau.vector * x[place], tau.vector * x[place + 1], tau.vector * x[place + 2])
     d = tau.less_one

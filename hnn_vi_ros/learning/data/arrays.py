@@ -203,7 +203,7 @@ class Archive:
 
 
 def keys_of(path: Path) -> set[str]:
-    """Return the keys of an .npz file without those of its runs; none of one that is none."""
+    """Return the keys of an .npz file without its runs' prefixes; none if it is no such file."""
     try:
         return {key.rpartition('/')[2] for key in array_names(path, MAX_BYTES)}
     except (OSError, ValueError):

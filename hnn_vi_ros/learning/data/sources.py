@@ -133,7 +133,7 @@ def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> P
 
 
 def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
-    """Return the given bags, or else those of a configuration; DataError if there are none."""
+    """Return the given bags, or else a configuration's; DataError if there are none."""
     if not (given or paths):
         raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
     return [Path(path) for path in given] or [_beside(source, path) for path in paths]

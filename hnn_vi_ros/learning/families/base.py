@@ -71,7 +71,7 @@ class Scales:
 
 
 class Trainable(torch.nn.Module, ABC):
-    """A model that is trained; its losses call the methods below and those of a subclass."""
+    """A model to train; its losses call the methods below and a subclass's."""
 
     @abstractmethod
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:

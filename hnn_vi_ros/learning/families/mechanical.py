@@ -24,7 +24,7 @@ _FLOOR = 1e-3
 # beside a prior count as large at this share of its inertias, and of the forces they make.
 _ADDED, _LARGE = 0.1, 0.05
 
-# Maps the entries of a symmetric 2 x 2 matrix, one after another, to those of its adjugate.
+# Maps the entries of a symmetric 2 x 2 matrix, one after another, to its adjugate's entries.
 _ADJUGATE = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0],
                       [1.0, 0.0, 0.0, 0.0]])
 

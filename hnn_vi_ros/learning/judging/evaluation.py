@@ -322,7 +322,7 @@ def verdict(scores: dict[str, Scores]) -> str:
 
 
 def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
-    """Return the content of ``--json``: the model's numbers, and those of its baselines."""
+    """Return the content of ``--json``: the model's numbers, and its baselines' numbers."""
     model, *others = (numbers(found) for found in scores.values())
     return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
 

@@ -98,7 +98,7 @@ class MachineTask(Task):
         return combined(members, name)
 
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
-        """Return the model with its prediction errors, and those of baselines; see Task."""
+        """Return the model with its prediction errors, and the baselines' errors; see Task."""
         checkpoint = with_energy_error(checkpoint, self._test)
         if self._ensemble:
             checkpoint = calibrated(checkpoint, lambda: machine_calibration(
