@@ -13,6 +13,7 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
 import pickle
@@ -340,8 +341,14 @@ class _Cache(_LoopCache):
 
 
 def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
-    """Let numba know a function by a name, in place of a number that is new in each process."""
-    dispatcher._set_uuid(identity)
+    """
+    Let numba know a function by a name, in place of a number that is new in each process.
+
+    Another thread may just be compiling a caller of the function, for which numba has numbered it:
+    then its code is right all the same, but later processes do not find it on disk.
+    """
+    with suppress(AssertionError):
+        dispatcher._set_uuid(identity)
 
 
 def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:

@@ -242,3 +242,11 @@ def test_functions_by_address_take_arrays_that_are_read_only_and_none_that_have_
     kernel = by_address(pendulum.kernel)
     with pytest.raises(ValueError, match='contiguous'):
         kernel.gradient(kernel.parameters, *np.zeros((4, 6))[:, ::2])
+
+
+def test_function_that_numba_has_numbered_meanwhile_can_be_named():
+    function = numba.njit(lambda x: 3.0 * x)
+    # As where another thread compiles a caller of the function.
+    numbered = function._uuid
+    assert identify(function)
+    assert (function._uuid, function(2.0)) == (numbered, 6.0)
