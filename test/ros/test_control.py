@@ -8,12 +8,13 @@ import math
 from types import SimpleNamespace
 from unittest.mock import Mock
 
-from hnn_vi_ros.ros.control import Control
+from hnn_vi_ros.ros.control import Answer, Control
 from hnn_vi_ros.ros.graph import Discovery
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 import numpy as np
 import pytest
+from rclpy.task import Future
 
 
 class Steps:
@@ -97,6 +98,13 @@ def control() -> Control:
     return made
 
 
+def answered(control: Control, future: Future) -> Answer:
+    """Return the answer to a request, after as many turns as a busy machine takes."""
+    while not future.done():
+        control.turn()
+    return future.result()
+
+
 def figures(message: str) -> dict:
     """Return the JSON object that a message ends in."""
     return json.loads(message[message.index('{'):])
@@ -106,8 +114,7 @@ def test_answer_to_a_request_for_steps_says_how_many_it_took_and_where_the_run_s
     answers = []
     for count in (5, 2):
         future = control.request_steps(count)
-        control.turn()
-        answers.append(future.result())
+        answers.append(answered(control, future))
     assert [answer.success for answer in answers] == [True, True]
     assert [json.loads(answer.message) for answer in answers] == [
         {'steps': 5, 'step': 5, 'time': 1.25, 'stamp': 1_250_000_000},
@@ -125,8 +132,7 @@ def test_request_for_steps_that_is_ended_says_how_many_it_took_until_then(contro
             assert left == 44
             end(control, future)
     future = control.request_steps(50, end_after_six)
-    control.turn()
-    success, message = future.result()
+    success, message = answered(control, future)
     assert not success and message.startswith(f'{reason}: ')
     assert (figures(message)['steps'], figures(message)['step']) == (6, 6)
     # Nobody waits any more: the next request is taken.
@@ -137,8 +143,7 @@ def test_request_for_steps_that_is_ended_says_how_many_it_took_until_then(contro
 
 def test_request_for_steps_that_fails_says_how_many_were_good(control):
     future = control.request_steps(1000)
-    control.turn()
-    success, message = future.result()
+    success, message = answered(control, future)
     assert not success and message.startswith('a step failed')
     assert figures(message)['steps'] == 100
 
@@ -195,9 +200,7 @@ def test_request_for_steps_goes_on_after_a_step_that_waits(control):
     control.turn()
     assert not future.done()
     control.run.waits = False
-    while not future.done():
-        control.turn()
-    assert figures(future.result().message)['steps'] == 5
+    assert figures(answered(control, future).message)['steps'] == 5
 
 
 def test_run_goes_on_after_a_step_that_waits(control):
