@@ -212,7 +212,9 @@ def measure_costs(problem: InitialValueProblem, horizon: float, seconds: float,
                 study.unreached = [other.kind for other in methods[k:]]
                 break
             show((1 + k) / (2 + len(methods)), str(method))
-            study.costs += _ladder(study, method, left / (len(methods) - k), end)
+            # However little time there is, one method has results: others may be compiled then.
+            last = end if k > 0 else math.inf
+            study.costs += _ladder(study, method, left / (len(methods) - k), last)
         if error is not None:
             show(1.0, f'more steps near {error:g}')
             _try_between(study, error)

@@ -91,6 +91,13 @@ def test_error_that_nothing_holds_is_one_line_with_the_nearest(capsys):
     assert '--error 1e-15: nothing that was measured holds it; the nearest is ' in err
 
 
+def test_first_method_has_results_however_little_time_there_is(capsys):
+    assert cost.main(['exact_pendulum', '--seconds', '1e-6']) == 0
+    out = capsys.readouterr().out
+    assert re.search(r'^gauss8 +[0-9.]+  [0-9.]+\*', out, re.M), out
+    assert 'no time for: stormer_verlet, rk4; repeat it' in out
+
+
 def test_scene_with_auto_effects_and_events_is_measured(tmp_path, capsys):
     path = tmp_path / 'mine.yaml'
     path.write_text(
