@@ -6,13 +6,13 @@ from argparse import Namespace
 from collections.abc import Sequence
 import json
 import math
-import os
 from pathlib import Path
 import shlex
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
+from hnn_vi_ros.files.new_file import check_new
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
@@ -98,23 +98,8 @@ def _check_options(arguments: Namespace) -> None:
         raise ParameterError(f'--out {arguments.out} is a folder, and --json a file of its own; '
                              'name another')
     for option in ('out', 'json'):
-        _check_free(option, getattr(arguments, option))
-
-
-def _check_free(option: str, path: Path | None) -> None:
-    """Refuse, before the work, an output that is there already or cannot be written."""
-    if path is None:
-        return
-    if os.path.lexists(path):
-        raise ParameterError(f'--{option} {path} exists already and is not overwritten; name '
-                             'another')
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-        path.unlink()
-    except OSError as problem:
-        raise ParameterError(f'--{option} {path}: cannot be written ({problem.strerror}); name '
-                             'another') from problem
+        if (path := getattr(arguments, option)) is not None:
+            check_new(f'--{option}', path)
 
 
 def _write(arguments: Namespace, scores: dict[str, Scores], text: str, fans: Sequence[Fan],

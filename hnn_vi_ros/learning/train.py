@@ -17,6 +17,7 @@ import shlex
 import time
 
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.new_file import check_new
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
@@ -113,19 +114,10 @@ def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:
     state = out.with_suffix('.training')
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
+    # Found out now, not after the training.
     for path in outputs:
-        if os.path.lexists(path):
-            raise ParameterError(f'{path} exists already and is not overwritten; '
-                                 'name another file with --out FILE')
+        check_new('--out', path)
     if os.path.lexists(state) and not resume:
         raise ParameterError(f'{state} is a run that was interrupted; go on with it with '
                              '--resume, or remove it')
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        # Found out now, not after the training.
-        out.touch()
-        out.unlink()
-    except OSError as problem:
-        raise ParameterError(f'--out {out}: cannot be written ({problem.strerror}); name another '
-                             'file') from problem
     return state

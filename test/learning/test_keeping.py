@@ -106,7 +106,7 @@ def test_members_trained_before_one_that_fails_are_kept(
     assert load_checkpoint(file).card.name == 'm, member 1'
     assert f'members that were trained: {file}\n' in capsys.readouterr().out
     # Not found out after the next training.
-    with pytest.raises(HnnViRosError, match='m.member1.safetensors exists already'):
+    with pytest.raises(HnnViRosError, match='m.member1.safetensors: exists already'):
         main([*words, '--ensemble', '3'])
 
 

@@ -188,7 +188,7 @@ def test_existing_files_are_never_overwritten(tmp_path):
     for name in ('m.safetensors', 'm.loss.png', 'm.loss.rrd', 'm.field.png', 'm.report.md'):
         existing = tmp_path / name
         existing.write_text('precious')
-        with pytest.raises(ParameterError, match='exists already.*--out FILE'):
+        with pytest.raises(ParameterError, match=f'--out .*/{name}: exists already'):
             main(['--config', config, '--out', str(tmp_path / 'm.safetensors')])
         assert existing.read_text() == 'precious'
         existing.unlink()
