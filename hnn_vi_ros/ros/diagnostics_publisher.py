@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of a run on /diagnostics, for the tools that every robot has."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from hnn_vi_ros.ros.messages import describe_topic
 from hnn_vi_ros.run.serialization import serialize
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
-DIAGNOSTICS_TOPIC: tuple[str, type] = ('/diagnostics', DiagnosticArray)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -46,27 +43,20 @@ class DiagnosticsPublisher:
     ----------
     node : Node
         The simulator, whose full name each status begins with.
-    publisher : Publisher
-        Of diagnostic_msgs/DiagnosticArray.
+    send : callable
+        Publishes a message, and records it with its stamp [ns] unless that is None.
     hardware_id : str
         What the statuses are about: the scene.
 
-    Attributes
-    ----------
-    topic : Topic
-        What the log says of the topic.
-
     """
 
-    def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
-        self._publisher, self._hardware_id = publisher, hardware_id
+    def __init__(self, node: Node, send: Callable[[bytes, int | None], None], hardware_id: str):
+        self._send, self._hardware_id = send, hardware_id
         # With its namespace: /diagnostics is one topic for all simulators.
         self._name = node.get_fully_qualified_name()[1:]
-        self.topic = describe_topic(
-            publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
-    def publish(self, statuses: Iterable[Status], stamp: int) -> bytes:
-        """Publish all the statuses as of a stamp [ns] in one message; return it as it was sent."""
+    def publish(self, statuses: Iterable[Status], stamp: int, record: bool = True) -> None:
+        """Publish and record all the statuses as of a stamp [ns] in one message."""
         message = DiagnosticArray()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.status = [DiagnosticStatus(
@@ -75,9 +65,7 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=_shown(value))
                     for key, value in status.values.items()])
             for status in statuses]
-        payload = serialize(message)
-        self._publisher.publish(payload)
-        return payload
+        self._send(serialize(message), stamp if record else None)
 
 
 def _shown(value: object) -> str:

@@ -107,7 +107,7 @@ class SimulatorNode(ManagedNode):
             clock=Clock(clock_type=ClockType.STEADY_TIME))
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
-            self.topics = Topics(self, settings.publish_accuracy, settings.publish_clock)
+            self.topics = Topics(self, settings)
             topics, discovery = self.topics.descriptions, Discovery(
                 self.topics.count_subscribers, settings.discovery_time)
             await self.in_thread(lambda: self._prepare(settings, topics, discovery))

@@ -3,11 +3,13 @@
 """States to begin at, which others publish on ~/initial_state, and the answers on ~/state_set."""
 
 from collections.abc import Callable
+from functools import partial
 
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.control import Answer
 from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status
 from hnn_vi_ros.ros.initial_state import initial_state
+from hnn_vi_ros.ros.outputs import STATE_SET
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.topics import Topics
 from rclpy.node import Node
@@ -41,7 +43,8 @@ class StateTopic:
         self._node, self._run, self._reset = node, run, reset
         names, momenta = columns(run.simulation.hamiltonian.coordinates)
         self._names = [*names, *(f'p_{name}' for name in momenta)]
-        self._answers = DiagnosticsPublisher(node, topics.open_answers(), run.scene.name)
+        self._answers = DiagnosticsPublisher(
+            node, partial(topics.send, STATE_SET), run.scene.name)
         topics.hear('~/initial_state', JointState, self._take)
 
     def _take(self, message: JointState) -> None:

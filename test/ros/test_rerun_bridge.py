@@ -16,7 +16,7 @@ from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.bridge_picture import target_of
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.ros.topics import LATCHED
+from hnn_vi_ros.ros.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 import numpy as np
