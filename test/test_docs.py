@@ -13,7 +13,7 @@ import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.ros.health import STEP_FAILED
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.outputs import OUTPUTS
@@ -121,8 +121,9 @@ def test_alarms_that_guards_raise_are_explained(generate):
 
 def test_parameters_of_all_nodes_are_listed(generate):
     page = generate.parameter_page()
-    for table in (parameters, replay_parameters, bridge_parameters):
-        assert parameters.markdown_table(table.PARAMETERS) in page
+    for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS,
+                  parameters.BRIDGE_PARAMETERS):
+        assert parameters.markdown_table(table) in page
 
 
 def test_every_command_is_listed(generate):

@@ -20,7 +20,7 @@ class ClockEncoder:
         self._last = 0
 
     def encode(self, sample: Sample) -> list[bytes]:
-        """Return the message of a sample, if it is time to; a stamp before the last begins anew."""
+        """Return the message of a sample, if it is due; one before the last begins anew."""
         if 0 <= sample.stamp - self._last < CLOCK_PERIOD:
             return []
         self._last = sample.stamp

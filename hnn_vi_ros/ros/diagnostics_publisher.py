@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of a run on /diagnostics, for the tools that every robot has."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.run.serialization import serialize
+import numpy as np
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -66,6 +68,14 @@ class DiagnosticsPublisher:
                     for key, value in status.values.items()])
             for status in statuses]
         self._send(serialize(message), stamp if record else None)
+
+
+def state_values(coordinates: Sequence[Coordinate], q: np.ndarray, p: np.ndarray
+                 ) -> dict[str, str]:
+    """Return q and p as values of a status, by their names and with all digits."""
+    names, momenta = columns(coordinates)
+    return {name: repr(value) for name, value in zip(
+        [*names, *(f'p_{name}' for name in momenta)], [*q.tolist(), *p.tolist()], strict=True)}
 
 
 def _shown(value: object) -> str:

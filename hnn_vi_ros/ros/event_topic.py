@@ -4,9 +4,8 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, Status
-from hnn_vi_ros.ros.log import log
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, state_values, Status
+from hnn_vi_ros.ros.rclpy_internals import log
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
@@ -39,8 +38,6 @@ class EventTopic:
     def __init__(self, node: Node, send: Callable[[bytes, int | None], None], scene: str,
                  simulation: Simulation | WatchedSimulation):
         self._node, self._simulation = node, simulation
-        names, momenta = columns(simulation.hamiltonian.coordinates)
-        self._names = [*names, *(f'p_{name}' for name in momenta)]
         self._publisher = DiagnosticsPublisher(node, send, scene)
 
     def hand_out(self, sampler: Sampler, recording: Recording) -> None:
@@ -49,10 +46,9 @@ class EventTopic:
             return
         for event in self._simulation.take_events():
             (stamp, step), text = sampler.place_of(event.t), str(event)
-            values = dict(zip(self._names, [*event.q.tolist(), *event.p.tolist()], strict=True))
             self._publisher.publish([Status(COMPONENT, OK, text, {
                 'when': event.when, 'direction': event.direction, 't [s]': repr(stamp / 1e9)}
-                | {name: repr(value) for name, value in values.items()}
+                | state_values(self._simulation.hamiltonian.coordinates, event.q, event.p)
                 | {'H [J]': repr(event.energy)})], stamp)
             recording.event(text, 'INFO', (stamp, step))
             log(self._node, text, 'INFO')

@@ -35,7 +35,7 @@ def encode_state(coordinates: Sequence[Coordinate]) -> Encode:
     """Return the encoder of ~/state: q, p, dp/dt, H and the work, by their names."""
     names, momenta = columns(coordinates)
     labels, turning = state_names(names, momenta), rotations(coordinates)
-    template = Template(JointState(name=labels, position=array('d', [0.0] * len(labels))))
+    template = named_numbers(labels)
     q, p, dp_dt, scalars = np.split(
         template.numbers[0], [len(names), len(labels) - 2 - len(momenta), len(labels) - 2])
 
@@ -109,6 +109,11 @@ def encode_tick(coordinates: Sequence[Coordinate]) -> Encode:
     """Return the encoder of a sample, one message for each of TICK_TOPICS."""
     encoders = [make(coordinates) for _, _, make in TICK_TOPICS]
     return lambda sample: [payload for encode in encoders for payload in encode(sample)]
+
+
+def named_numbers(labels: Sequence[str]) -> Template:
+    """Return the template of a list of numbers with names and a stamp, as joint states."""
+    return Template(JointState(name=list(labels), position=array('d', [0.0] * len(labels))))
 
 
 def array_message(names: Sequence[str]) -> Float64MultiArray:

@@ -19,12 +19,11 @@ from hnn_vi_ros.ros.graph import (
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import type_hash
 from hnn_vi_ros.ros.node_parameters import declare_parameters
-from hnn_vi_ros.ros.parameters import Value
+from hnn_vi_ros.ros.parameters import REPLAY_PARAMETERS, ReplaySettings, Value
 from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
-from hnn_vi_ros.ros.replay_parameters import PARAMETERS, ReplaySettings
 from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
@@ -72,7 +71,7 @@ class ReplayNode(RobustNode):
         settings = declare_parameters(self, ReplaySettings)
         self._reader = BagReader(bag)
         topics = {CLOCK_TOPIC, *(found.topic for found in self._reader.channels.values())}
-        refuse_unknown(self, PARAMETERS, [
+        refuse_unknown(self, REPLAY_PARAMETERS, [
             Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
         self._publishers_of = self._open(settings)
         first = self._reader.first + round(settings.start_offset * 1e9)
@@ -237,7 +236,7 @@ def main(argv: list[str]) -> int:
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)
-    given = {item.name: item.check(value) for item in PARAMETERS
+    given = {item.name: item.check(value) for item in REPLAY_PARAMETERS
              if (value := getattr(options, item.name)) is not None}
     if options.trust_code and not options.verify:
         parser.error('--trust-code: only --verify runs code')

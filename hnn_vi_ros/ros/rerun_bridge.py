@@ -12,12 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.bridge_parameters import BridgeSettings, PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
-from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.graph import take_once
 from hnn_vi_ros.ros.node_parameters import declare_parameters
 from hnn_vi_ros.ros.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
+from hnn_vi_ros.ros.parameters import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.robust_node import RobustNode
@@ -75,7 +75,7 @@ class RerunBridge(RobustNode):
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
         self._settings = declare_parameters(self, BridgeSettings)
         self._topics = self._find_topics()
-        refuse_unknown(self, PARAMETERS, [
+        refuse_unknown(self, BRIDGE_PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._settings)
         self.problem: HnnViRosError | None = None
@@ -102,6 +102,7 @@ class RerunBridge(RobustNode):
         except InvalidTopicNameException as problem:
             raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
                                  'of a node, such as /hnn_simulator') from problem
+
         def tell(message: DiagnosticArray) -> None:
             self._tell(message, simulator)
 

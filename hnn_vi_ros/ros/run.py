@@ -19,10 +19,10 @@ from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.inputs import OBSERVATIONS
-from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
+from hnn_vi_ros.ros.rclpy_internals import log
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.spread_topic import SpreadTopic
 from hnn_vi_ros.ros.topics import Topics

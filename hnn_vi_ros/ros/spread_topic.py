@@ -2,17 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spread of an ensemble on ~/uncertainty, in the bag and in /diagnostics."""
 
-from array import array
-
 from hnn_vi_ros.bags.state_message import MOMENTUM
 from hnn_vi_ros.guards.spread import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
+from hnn_vi_ros.ros.messages import named_numbers
 from hnn_vi_ros.run.members import Members
-from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation.sample import Sample
-from sensor_msgs.msg import JointState
 
 
 class SpreadTopic:
@@ -38,8 +35,7 @@ class SpreadTopic:
         names, momenta = columns(hamiltonian.coordinates)
         labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
         self._labels = labels
-        self._template = Template(JointState(
-            name=labels, position=array('d', [0.0] * len(labels))))
+        self._template = named_numbers(labels)
         assert hamiltonian.box is not None, 'of a learned Hamiltonian there is one'
         self._box, self._limit = hamiltonian.box, limit
         self.guard = self.make_guard()

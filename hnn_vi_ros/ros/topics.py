@@ -189,7 +189,7 @@ class Topics:
         return [output for output in self._outputs if output.recorded == 'tick']
 
     def _create(self, material: Material | None) -> None:
-        """Create the publishers that are called for and not there yet, in the order of the rows."""
+        """Create the publishers that are called for and not there yet."""
         self._outputs = [one for one in OUTPUTS if one.when(self._settings, material)]
         for output in self._outputs:
             if output.topic not in self._publishers:

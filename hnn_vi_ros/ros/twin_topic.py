@@ -2,16 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topic ~/prediction_error of a twin, with its part in the bag and in /diagnostics."""
 
-from array import array
 from collections.abc import Callable
 import math
 
 from hnn_vi_ros.effects.commands import Command, Observation
 from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
-from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.ros.messages import named_numbers
 from hnn_vi_ros.run.twin import Report, Twin
 from hnn_vi_ros.simulation import Simulation
-from sensor_msgs.msg import JointState
 
 # Behind the names of the coordinates, and of their predictions.
 PREDICTED = 'prediction_'
@@ -43,8 +41,7 @@ class TwinTopic:
                  ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int]):
         self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
-        self._template = Template(JointState(
-            name=labels, position=array('d', [0.0] * len(labels))))
+        self._template = named_numbers(labels)
 
     def begin(self, simulation: Simulation) -> None:
         """See Companion."""
