@@ -16,7 +16,7 @@ from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
 from hnn_vi_ros.guards.band import BandGuard
 from hnn_vi_ros.guards.base import Guard
-from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.run.pacing import OverrunGuard
 
 # Beside this file, and in no commit.
@@ -54,12 +54,13 @@ def parameter_page() -> str:
         'Written from the declarations in `hnn_vi_ros/ros`. A parameter that can be set *always* '
         'takes effect between two steps. Set them with `--ros-args -p NAME:=VALUE`, in a '
         'parameter file, as an argument of a launch file, or with `ros2 param set`.'), '']
-    for node, table in (('simulator', parameters), ('replay', replay_parameters),
-                        ('rerun_bridge', bridge_parameters)):
+    for node, table in (('simulator', parameters.PARAMETERS),
+                        ('replay', parameters.REPLAY_PARAMETERS),
+                        ('rerun_bridge', parameters.BRIDGE_PARAMETERS)):
         changes = ' can be set |' if node == 'simulator' else ''
         text += [f'## {node}', '', f'| parameter | default | unit |{changes} meaning |',
                  '|---|---|---|---|' + '---|' * bool(changes),
-                 parameters.markdown_table(table.PARAMETERS), '']
+                 parameters.markdown_table(table), '']
     return '\n'.join(text)
 
 

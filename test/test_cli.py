@@ -14,7 +14,7 @@ from hnn_vi_ros import cli
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.networks.activations import ACTIVATIONS
-from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.version import __version__
 import pytest
 from urdf_robots import chain
@@ -200,8 +200,8 @@ def test_help_tells_every_option(executable):
 
 
 @pytest.mark.parametrize('executable, table', [
-    ('simulator', parameters.PARAMETERS), ('replay', replay_parameters.PARAMETERS),
-    ('rerun_bridge', bridge_parameters.PARAMETERS)])
+    ('simulator', parameters.PARAMETERS), ('replay', parameters.REPLAY_PARAMETERS),
+    ('rerun_bridge', parameters.BRIDGE_PARAMETERS)])
 def test_help_tells_every_parameter_with_unit_values_and_default(executable, table):
     entries = parser(executable).format_help().split('NAME:=VALUE):\n')[1]
     for item in table:

@@ -13,10 +13,10 @@ import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros import bridge_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import parameters
 from hnn_vi_ros.ros.health import STEP_FAILED
 from hnn_vi_ros.ros.inputs import INPUTS
-from hnn_vi_ros.ros.messages import TICK_TOPICS
+from hnn_vi_ros.ros.outputs import OUTPUTS
 from hnn_vi_ros.ros.topics import ENDPOINTS
 import pytest
 
@@ -121,8 +121,9 @@ def test_alarms_that_guards_raise_are_explained(generate):
 
 def test_parameters_of_all_nodes_are_listed(generate):
     page = generate.parameter_page()
-    for table in (parameters, replay_parameters, bridge_parameters):
-        assert parameters.markdown_table(table.PARAMETERS) in page
+    for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS,
+                  parameters.BRIDGE_PARAMETERS):
+        assert parameters.markdown_table(table) in page
 
 
 def test_every_command_is_listed(generate):
@@ -141,9 +142,10 @@ def test_every_key_of_a_scene_is_listed(generate):
 def test_every_topic_is_listed_with_its_type():
     page = text('reference/topics.md')
     assert not {one.topic for one in ENDPOINTS if f'`{one.topic}`' not in page}
-    for name, kind in (*TICK_TOPICS, *((one.topic, one.message_type) for one in INPUTS)):
+    for one in (*OUTPUTS, *INPUTS):
+        kind = one.message_type
         shown = f'{kind.__module__.partition(".")[0]}/{kind.__name__}'
-        assert re.search(rf'^\|.*`{name}`.*\| `{shown}` \|', page, re.MULTILINE), name
+        assert re.search(rf'^\|.*`{one.topic}`.*\| `{shown}` \|', page, re.MULTILINE), one.topic
 
 
 def test_effects_table_is_that_of_the_package():

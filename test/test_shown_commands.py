@@ -8,16 +8,15 @@ import shlex
 
 from hnn_vi_ros.commands.table import COMMANDS as KNOWN, parser_of
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.ros import bridge_parameters, hover_parameters, parameters, replay_parameters
+from hnn_vi_ros.ros import parameters
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md')),
          *sorted((ROOT / 'docs').glob('[!_]*/*.md'))]
-TABLES = {'simulator': parameters, 'replay': replay_parameters, 'hover': hover_parameters,
-          'rerun_bridge': bridge_parameters}
-PARAMETERS = {name: {item.name: item for item in table.PARAMETERS}
-              for name, table in TABLES.items()}
+TABLES = {'simulator': parameters.PARAMETERS, 'replay': parameters.REPLAY_PARAMETERS,
+          'hover': parameters.HOVER_PARAMETERS, 'rerun_bridge': parameters.BRIDGE_PARAMETERS}
+PARAMETERS = {name: {item.name: item for item in table} for name, table in TABLES.items()}
 # What stands for something of the reader's.
 READERS = re.compile(r'my_|^\./|\.npz$|\.yaml$')
 

@@ -10,9 +10,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
-from std_msgs.msg import Float64MultiArray
 
-ACCURACY_TOPIC: tuple[str, type] = ('~/accuracy', Float64MultiArray)
 # The entries of its message.
 ENTRIES = (
     'H', 'modified_H', 'energy_error', 'work', 'energy_balance', 'residual', 'iterations',
@@ -51,7 +49,7 @@ class AccuracyEncoder:
         self._invariants = simulation.hamiltonian.invariants
         self._message = Template(array_message((*ENTRIES, *self._invariants)))
 
-    def encode(self, sample: Sample) -> bytes:
+    def encode(self, sample: Sample) -> list[bytes]:
         """Return the serialised message that belongs to a sample, the newest one."""
         steps, gradients = self._simulation.steps, self._simulation.gradients
         if self._samples % _ESTIMATED == 0:
@@ -68,4 +66,4 @@ class AccuracyEncoder:
             figures.gradients_per_step, figures.largest_real_time_factor,
             self._monitor.energy_scale, self._local_error,
             *(function(sample.q, sample.p) for function in self._invariants.values()))
-        return self._message.serialized()
+        return [self._message.serialized()]

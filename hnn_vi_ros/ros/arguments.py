@@ -7,9 +7,8 @@ from pathlib import Path
 from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.ros import (
-    bridge_parameters, hover_parameters, parameters, replay_parameters)
-from hnn_vi_ros.ros.parameters import help_of, Specification
+from hnn_vi_ros.ros.parameters import (
+    BRIDGE_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
 from hnn_vi_ros.sweeps import arguments as sweeps
 
 _SIMULATOR = """\
@@ -40,7 +39,7 @@ def simulator() -> Parser:
             'ros2 run hnn_vi_ros simulator --ros-args --params-file my.yaml -r __ns:=/arm',
             'ros2 run hnn_vi_ros simulator --ros-args '
             '-p qos_overrides./hnn_simulator/q.publisher.reliability:=best_effort'],
-        _details(_SIMULATOR, parameters.PARAMETERS))
+        _details(_SIMULATOR, PARAMETERS))
 
 
 def replay() -> Parser:
@@ -51,14 +50,14 @@ def replay() -> Parser:
             'ros2 run hnn_vi_ros replay runs/pendulum-20260101T120000Z/bag --rate 2 --loop',
             'ros2 run hnn_vi_ros replay BAG --verify',
             'ros2 run hnn_vi_ros replay BAG --ros-args -p publish_clock:=true'],
-        _details(_REPLAY, replay_parameters.PARAMETERS))
+        _details(_REPLAY, REPLAY_PARAMETERS))
     parser.add_argument('bag', type=Path, metavar='BAG', help=(
         'folder of a bag, or its .mcap file; one that was cut off will do'))
     parser.add_argument('--verify', action='store_true', help=(
         'simulate the bag again, from its own scene, and compare bit by bit'))
     parser.add_argument('--trust-code', action='store_true', help=(
         'with --verify: run Python code that the scene in the bag names'))
-    for item in replay_parameters.PARAMETERS:
+    for item in REPLAY_PARAMETERS:
         kind = {'action': 'store_true', 'default': None} if isinstance(item.default, bool) \
             else {'type': type(item.default)}
         parser.add_argument(f'--{item.name.replace("_", "-")}', help=item.description, **kind)
@@ -73,7 +72,7 @@ def rerun_bridge() -> Parser:
             'ros2 run hnn_vi_ros rerun_bridge',
             'ros2 run hnn_vi_ros rerun_bridge BAG --ros-args -p rerun_sink:=file '
             '-p rerun_path:=bag.rrd'],
-        _details(_BRIDGE, bridge_parameters.PARAMETERS))
+        _details(_BRIDGE, BRIDGE_PARAMETERS))
     parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
         'folder of a bag, or its .mcap file, to show in place of a running simulator'))
     parser.add_argument('--trust-code', action='store_true', help=(
@@ -91,7 +90,7 @@ def hover() -> Parser:
     return Parser('hover', 'Fly the scene quadrotor to a place, and hold it there.', [
         'ros2 run hnn_vi_ros hover',
         'ros2 run hnn_vi_ros hover --ros-args -p x:=0.0 -p y:=0.0 -p z:=5.0'],
-        _details(_HOVER, hover_parameters.PARAMETERS))
+        _details(_HOVER, HOVER_PARAMETERS))
 
 
 def listener() -> Parser:

@@ -13,9 +13,9 @@ from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros.accuracy import ENTRIES
-from hnn_vi_ros.ros.bridge_parameters import BridgeSettings
 from hnn_vi_ros.ros.diagnostics_publisher import ERROR
 from hnn_vi_ros.ros.event_topic import COMPONENT
+from hnn_vi_ros.ros.parameters import BridgeSettings
 from hnn_vi_ros.ros.picture_output import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene

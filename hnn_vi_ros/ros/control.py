@@ -2,19 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control of when a run advances: start, halt, pause, steps by number, reset."""
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 import gc
 import json
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.run.pacing import LONGEST_CALL
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.timer import Timer
 
@@ -262,3 +264,17 @@ class Control:
         run = self._run
         return json.dumps(figures | {'step': run.simulation.steps, 'time': run.sampler.time,
                                      'stamp': run.sampler.stamp})
+
+
+class Simulator(Protocol):
+    """Node as the services need it; the refusal says why there is no run."""
+
+    run: Run | None
+    control: Control | None
+    settings: Settings
+    state: int
+    stop: Callable[[int, str], None]
+    change_state: Callable[[int], Awaitable[bool]]
+    in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
+    set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
+    refusal: str

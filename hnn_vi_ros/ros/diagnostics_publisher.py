@@ -2,16 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of a run on /diagnostics, for the tools that every robot has."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from hnn_vi_ros.ros.messages import describe_topic
+from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.run.serialization import serialize
+import numpy as np
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
-DIAGNOSTICS_TOPIC: tuple[str, type] = ('/diagnostics', DiagnosticArray)
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -46,27 +45,20 @@ class DiagnosticsPublisher:
     ----------
     node : Node
         The simulator, whose full name each status begins with.
-    publisher : Publisher
-        Of diagnostic_msgs/DiagnosticArray.
+    send : callable
+        Publishes a message, and records it with its stamp [ns] unless that is None.
     hardware_id : str
         Subject of the statuses: the scene.
 
-    Attributes
-    ----------
-    topic : Topic
-        Description of the topic for the log.
-
     """
 
-    def __init__(self, node: Node, publisher: Publisher, hardware_id: str):
-        self._publisher, self._hardware_id = publisher, hardware_id
+    def __init__(self, node: Node, send: Callable[[bytes, int | None], None], hardware_id: str):
+        self._send, self._hardware_id = send, hardware_id
         # With its namespace: /diagnostics is one topic for all simulators.
         self._name = node.get_fully_qualified_name()[1:]
-        self.topic = describe_topic(
-            publisher.topic_name, DiagnosticArray, publisher.qos_profile)
 
-    def publish(self, statuses: Iterable[Status], stamp: int) -> bytes:
-        """Publish all the statuses as of a stamp [ns] in one message; return the bytes sent."""
+    def publish(self, statuses: Iterable[Status], stamp: int, record: bool = True) -> None:
+        """Publish and record all the statuses as of a stamp [ns] in one message."""
         message = DiagnosticArray()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.status = [DiagnosticStatus(
@@ -75,9 +67,15 @@ class DiagnosticsPublisher:
             values=[KeyValue(key=key, value=_shown(value))
                     for key, value in status.values.items()])
             for status in statuses]
-        payload = serialize(message)
-        self._publisher.publish(payload)
-        return payload
+        self._send(serialize(message), stamp if record else None)
+
+
+def state_values(coordinates: Sequence[Coordinate], q: np.ndarray, p: np.ndarray
+                 ) -> dict[str, str]:
+    """Return q and p as values of a status, by their names and with all digits."""
+    names, momenta = columns(coordinates)
+    return {name: repr(value) for name, value in zip(
+        [*names, *(f'p_{name}' for name in momenta)], [*q.tolist(), *p.tolist()], strict=True)}
 
 
 def _shown(value: object) -> str:

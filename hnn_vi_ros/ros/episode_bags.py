@@ -8,8 +8,8 @@ from pathlib import Path
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
-from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC, TICKS
+from hnn_vi_ros.ros.messages import describe_topic, encode_tick, TICK_TOPICS
+from hnn_vi_ros.ros.outputs import SCENE, TICKS
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.run.serialization import serialize
@@ -50,7 +50,7 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
         A bag exists already, or cannot be written.
 
     """
-    topics = [_topic(name, kind, TICKS) for name, kind in TICK_TOPICS]
+    topics = [_topic(name, kind, TICKS) for name, kind, _ in TICK_TOPICS]
     for episode in episodes:
         _, values, scene, simulation, sampler, _ = episode
         report = dump_yaml(scene_report(scene, simulation))
@@ -61,11 +61,11 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
                 **plan.record['sweep'], 'index': episode.number, 'values': values}).encode(),
             # Its noise is not that of a run of the scene by itself.
             STATE_FILE: state_file(simulation)})
-        sink.write_other(_topic(*SCENE_TOPIC, LATCHED), sampler.stamp,
+        sink.write_other(_topic(*SCENE[:3]), sampler.stamp,
                          serialize(String(data=report)))
-        encoder = MessageEncoder(simulation.hamiltonian.coordinates)
+        encode = encode_tick(simulation.hamiltonian.coordinates)
         for sample in episode.samples():
-            sink.write(sample.stamp, encoder.encode(sample))
+            sink.write(sample.stamp, encode(sample))
         sink.close()
 
 

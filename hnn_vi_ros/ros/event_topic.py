@@ -4,18 +4,14 @@
 
 from collections.abc import Callable
 
-from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, Status
-from hnn_vi_ros.ros.log import log
+from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, OK, state_values, Status
+from hnn_vi_ros.ros.rclpy_internals import log
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import WatchedSimulation
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
-EVENTS_TOPIC: tuple[str, type] = ('~/events', DiagnosticArray)
 COMPONENT = 'event'
 
 
@@ -30,8 +26,8 @@ class EventTopic:
     ----------
     node : Node
         The simulator.
-    publisher : callable
-        Makes that of the topic, where the scene has events.
+    send : callable
+        Publishes and records a message: the bytes, and its stamp in the bag [ns].
     scene : str
         Name of the scene.
     simulation : Simulation or WatchedSimulation
@@ -39,25 +35,20 @@ class EventTopic:
 
     """
 
-    def __init__(self, node: Node, publisher: Callable[[], Publisher], scene: str,
+    def __init__(self, node: Node, send: Callable[[bytes, int | None], None], scene: str,
                  simulation: Simulation | WatchedSimulation):
         self._node, self._simulation = node, simulation
-        names, momenta = columns(simulation.hamiltonian.coordinates)
-        self._names = [*names, *(f'p_{name}' for name in momenta)]
-        self._publisher = DiagnosticsPublisher(node, publisher(), scene) \
-            if isinstance(simulation, WatchedSimulation) else None
+        self._publisher = DiagnosticsPublisher(node, send, scene)
 
     def hand_out(self, sampler: Sampler, recording: Recording) -> None:
         """Publish, record, show and log the events since the last call."""
-        if self._publisher is None:
+        if not isinstance(self._simulation, WatchedSimulation):
             return
         for event in self._simulation.take_events():
             (stamp, step), text = sampler.place_of(event.t), str(event)
-            values = dict(zip(self._names, [*event.q.tolist(), *event.p.tolist()], strict=True))
-            payload = self._publisher.publish([Status(COMPONENT, OK, text, {
+            self._publisher.publish([Status(COMPONENT, OK, text, {
                 'when': event.when, 'direction': event.direction, 't [s]': repr(stamp / 1e9)}
-                | {name: repr(value) for name, value in values.items()}
+                | state_values(self._simulation.hamiltonian.coordinates, event.q, event.p)
                 | {'H [J]': repr(event.energy)})], stamp)
-            recording.write_other(self._publisher.topic, stamp, payload)
             recording.event(text, 'INFO', (stamp, step))
             log(self._node, text, 'INFO')

@@ -1,12 +1,14 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joining the graph: subscribers that are there already, and what reaches them."""
+"""Joining the graph and leaving it: subscribers, and messages that are under way by then."""
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 import gc
 import time
 
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.publisher import Publisher
 
 # How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
@@ -87,3 +89,29 @@ def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) 
                 late.append(publisher.topic_name)
                 break
     return ', '.join(late)
+
+
+def take_once(executor: SingleThreadedExecutor) -> bool:
+    """
+    Handle a message of each topic that has one, and go on with each handler that waited.
+
+    Parameters
+    ----------
+    executor : SingleThreadedExecutor
+        That nobody spins.
+
+    Returns
+    -------
+    bool
+        Whether there was anything to do.
+
+    """
+    taken = False
+    with suppress(TimeoutException):
+        while True:
+            handler, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
+            handler()
+            # Raises what its callback has raised.
+            handler.result()
+            taken = True
+    return taken

@@ -61,9 +61,8 @@ class Health:
         self._raised[alarm.kind] = alarm.step
         self._counts[alarm.kind] += 1
         level = self._level(alarm)
-        payload = self._diagnostics.publish([Status('health', level, alarm.message, {
+        self._diagnostics.publish([Status('health', level, alarm.message, {
             'alarm': alarm.kind, **self._figures(alarm)})], stamp)
-        self._recording.write_other(self._diagnostics.topic, stamp, payload)
         word = 'ERROR' if level == ERROR else 'WARN'
         self._recording.event(f'{alarm.kind}: {alarm.message}', word)
         if time.monotonic() >= self._due.get(alarm.kind, -math.inf):

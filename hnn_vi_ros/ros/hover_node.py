@@ -5,8 +5,8 @@
 from geometry_msgs.msg import Quaternion, Vector3
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.hover_parameters import HoverSettings, PARAMETERS
 from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters import HOVER_PARAMETERS, HoverSettings
 from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 from nav_msgs.msg import Odometry
@@ -86,7 +86,7 @@ def main(argv: list[str]) -> None:
     try:
         with plain_ros_errors('ROS'):
             node = Hover()
-        refuse_unknown(node, PARAMETERS, (), argv)
+        refuse_unknown(node, HOVER_PARAMETERS, (), argv)
         while not received:
             rclpy.spin_once(node, timeout_sec=0.1)
     finally:

@@ -2,33 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mechanism of a scene as markers, for RViz and whoever else shows them."""
 
+from collections.abc import Callable
 import time
 
 from geometry_msgs.msg import Point
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
-from rclpy.publisher import Publisher
 from visualization_msgs.msg import Marker, MarkerArray
 
-MARKERS_TOPIC: tuple[str, type] = ('~/markers', MarkerArray)
 # Wall time from one message to the next [s].
 _PERIOD = 1.0 / 30.0
 # Points of a trail.
 _LONGEST = 1000
 
 
-class MarkerPublisher:
+class MarkerEncoder:
     """
-    Publish the parts of a mechanism while somebody subscribes; otherwise build nothing.
+    Make markers of a mechanism while somebody subscribes; otherwise build nothing.
 
     Each part is one marker whose namespace is its name: a line strip, a cube or a sphere. A trail
     is the line of the places at which it was published.
 
     Parameters
     ----------
-    publisher : Publisher
-        Of visualization_msgs/MarkerArray.
+    subscribers : callable
+        Returns their number.
     mechanism : callable
         What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
     reach : float
@@ -38,20 +37,20 @@ class MarkerPublisher:
 
     """
 
-    def __init__(self, publisher: Publisher, mechanism: Mechanism, reach: float, frame_id: str):
-        self._publisher, self._mechanism, self._reach = publisher, mechanism, reach
+    def __init__(self, subscribers: Callable[[], int], mechanism: Mechanism, reach: float,
+                 frame_id: str):
+        self._subscribers, self._mechanism, self._reach = subscribers, mechanism, reach
         self._frame_id = frame_id
         self._due, self._newest = 0.0, 0
         self._markers: dict[str, Marker] = {}
 
-    def publish(self, sample: Sample) -> None:
-        """Publish a sample, if it is time to and somebody listens."""
+    def encode(self, sample: Sample) -> list[MarkerArray]:
+        """Return the message of a sample, if it is time to and somebody listens."""
         now = time.monotonic()
         if now < self._due:
-            return
+            return []
         self._due = now + _PERIOD
-        if self._publisher.get_subscription_count():
-            self._publisher.publish(self._message(sample))
+        return [self._message(sample)] if self._subscribers() else []
 
     def _message(self, sample: Sample) -> MarkerArray:
         parts = self._mechanism(sample.q[None], self._reach)

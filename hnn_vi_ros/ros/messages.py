@@ -3,10 +3,10 @@
 """Turn samples into serialised ROS messages, and describe the topics that carry them."""
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import json
 import re
-from typing import Any, final
+from typing import Any
 
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.state_message import state_names
@@ -22,15 +22,8 @@ from rclpy.qos import LivelinessPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-# The topics of a tick, in the order in which `MessageEncoder.encode` returns their messages.
-TICK_TOPICS: tuple[tuple[str, type], ...] = (
-    ('~/state', JointState),
-    ('~/q', Float64MultiArray),
-    ('~/p', Float64MultiArray),
-    ('~/energy', Float64),
-    ('joint_states', JointState),
-)
-
+# Makes the messages of a sample on one topic, serialised: usually one.
+Encode = Callable[[Sample], Sequence[Any]]
 _SEPARATOR = '=' * 80
 _FIELD = re.compile(r'\s*([A-Za-z][A-Za-z0-9_/]*)[^\s#]*\s+[A-Za-z]')
 _PRIMITIVE_TYPES = frozenset((
@@ -38,62 +31,89 @@ _PRIMITIVE_TYPES = frozenset((
     'uint32', 'int64', 'uint64', 'string', 'wstring'))
 
 
-@final
-class MessageEncoder:
+def encode_state(coordinates: Sequence[Coordinate]) -> Encode:
+    """Return the encoder of ~/state: q, p, dp/dt, H and the work, by their names."""
+    names, momenta = columns(coordinates)
+    labels, turning = state_names(names, momenta), rotations(coordinates)
+    template = named_numbers(labels)
+    q, p, dp_dt, scalars = np.split(
+        template.numbers[0], [len(names), len(labels) - 2 - len(momenta), len(labels) - 2])
+
+    def encode(sample: Sample) -> list[bytes]:
+        q[:], p[:] = sample.q, sample.p
+        dp_dt[:] = momentum_rates(turning, sample.q, sample.p, sample.dH_dq, sample.dH_dp)
+        scalars[0], scalars[1] = sample.energy, sample.work
+        template.set_stamp(sample.stamp)
+        return [template.serialized()]
+    return encode
+
+
+def encode_array(names: Sequence[str], values: Callable[[Sample], np.ndarray]) -> Encode:
+    """Return the encoder of an array, whose label names its entries."""
+    template = Template(array_message(names))
+
+    def encode(sample: Sample) -> list[bytes]:
+        template.numbers[0][:] = values(sample)
+        return [template.serialized()]
+    return encode
+
+
+def encode_energy(coordinates: Sequence[Coordinate]) -> Encode:
+    """Return the encoder of ~/energy."""
+    template = Template(Float64())
+
+    def encode(sample: Sample) -> list[bytes]:
+        template.numbers[0][0] = sample.energy
+        return [template.serialized()]
+    return encode
+
+
+def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
     """
-    Serialise the messages of a tick, once for publishers and log alike.
+    Return the encoder of joint_states, as a robot publishes them.
 
-    Parameters
-    ----------
-    coordinates : sequence of Coordinate
-        In the order of q. A quaternion takes four columns in q, and three in p. Joint states
-        cover scalar coordinates alone: no joint turns by a quaternion.
-
+    Position is q, velocity is q', and effort is what motors make of commands. Only scalar
+    coordinates are among them: no joint turns by a quaternion.
     """
+    scalar = [c.name for c in coordinates if c.kind == 'scalar']
+    # A slice is faster than a list of columns.
+    of_q, of_p = (slice(None) if len(scalar) == len(coordinates) else [
+        own.index(name) for name in scalar] for own in columns(coordinates))
+    zeros = array('d', [0.0] * len(scalar))
+    template = Template(JointState(name=scalar, position=zeros, velocity=zeros, effort=zeros))
 
-    def __init__(self, coordinates: Sequence[Coordinate]):
-        (names, momenta), scalar = columns(coordinates), [
-            c.name for c in coordinates if c.kind == 'scalar']
-        self._turning, all_scalar = rotations(coordinates), len(scalar) == len(coordinates)
-        # Whose columns of q, and of p, joint states have.
-        self._of_q, self._of_p = (slice(None) if all_scalar else [
-            own.index(name) for name in scalar] for own in (names, momenta))
-        labels, zeros = state_names(names, momenta), array('d', [0.0] * len(scalar))
-        self._state = Template(JointState(
-            name=labels, position=array('d', [0.0] * len(labels))))
-        self._q, self._p = Template(array_message(names)), Template(array_message(momenta))
-        self._energy = Template(Float64())
-        self._joints = Template(JointState(
-            name=scalar, position=zeros, velocity=zeros, effort=zeros))
-        state, = self._state.numbers
-        # Where q, p and dp/dt go, each a slice; behind them are H and the work.
-        self._parts = np.split(state, [len(names), len(labels) - 2 - len(momenta),
-                                       len(labels) - 2])
-        self._scalars = self._parts.pop()
+    def encode(sample: Sample) -> list[bytes]:
+        # A message without joints has no numbers.
+        if scalar:
+            position, velocity, effort = template.numbers
+            position[:], velocity[:] = sample.q[of_q], sample.dH_dp[of_p]
+            effort[:] = 0.0 if sample.motors is None else sample.motors[of_p]
+        template.set_stamp(sample.stamp)
+        return [template.serialized()]
+    return encode
 
-    def encode(self, sample: Sample) -> tuple[bytes, ...]:
-        """
-        Return the serialised messages of a sample, in the order of `TICK_TOPICS`.
 
-        The joint states' position is q, their velocity q', and their effort what motors make
-        of commands, as on a robot.
-        """
-        q, p, dp_dt = self._parts
-        q[:] = self._q.numbers[0][:] = sample.q
-        p[:] = self._p.numbers[0][:] = sample.p
-        dp_dt[:] = momentum_rates(
-            self._turning, sample.q, sample.p, sample.dH_dq, sample.dH_dp)
-        if self._joints.numbers:
-            # There are none of a message without joints.
-            position, velocity, effort = self._joints.numbers
-            position[:], velocity[:] = sample.q[self._of_q], sample.dH_dp[self._of_p]
-            effort[:] = 0.0 if sample.motors is None else sample.motors[self._of_p]
-        self._scalars[0] = self._energy.numbers[0][0] = sample.energy
-        self._scalars[1] = sample.work
-        self._state.set_stamp(sample.stamp)
-        self._joints.set_stamp(sample.stamp)
-        return (self._state.serialized(), self._q.serialized(), self._p.serialized(),
-                self._energy.serialized(), self._joints.serialized())
+# The topics of every sample: name, type, and the encoder for the coordinates of a system.
+TICK_TOPICS: tuple[tuple[str, type, Callable[[Sequence[Coordinate]], Encode]], ...] = (
+    ('~/state', JointState, encode_state),
+    ('~/q', Float64MultiArray, lambda coordinates: encode_array(
+        columns(coordinates)[0], lambda sample: sample.q)),
+    ('~/p', Float64MultiArray, lambda coordinates: encode_array(
+        columns(coordinates)[1], lambda sample: sample.p)),
+    ('~/energy', Float64, encode_energy),
+    ('joint_states', JointState, encode_joints),
+)
+
+
+def encode_tick(coordinates: Sequence[Coordinate]) -> Encode:
+    """Return the encoder of a sample, one message for each of TICK_TOPICS."""
+    encoders = [make(coordinates) for _, _, make in TICK_TOPICS]
+    return lambda sample: [payload for encode in encoders for payload in encode(sample)]
+
+
+def named_numbers(labels: Sequence[str]) -> Template:
+    """Return the template of a list of numbers with names and a stamp, as joint states."""
+    return Template(JointState(name=list(labels), position=array('d', [0.0] * len(labels))))
 
 
 def array_message(names: Sequence[str]) -> Float64MultiArray:

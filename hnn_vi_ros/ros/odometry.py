@@ -10,8 +10,6 @@ from hnn_vi_ros.simulation.sample import Sample
 from nav_msgs.msg import Odometry
 import numpy as np
 
-ODOMETRY_TOPIC: tuple[str, type] = ('~/odometry', Odometry)
-
 
 class OdometryEncoder:
     """

@@ -1,13 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters of the simulator node: one class that declares, checks and documents them.
+The parameters of the nodes: a class for each node declares, checks and documents them.
 
 Imports nothing of ROS: help is written from it as well.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 import math
 from typing import Any
 
@@ -158,7 +158,56 @@ class Settings:
     frame_id: str = parameter('world', 'frame that `~/markers` are drawn in')
 
 
+@dataclass(frozen=True)
+class BridgeSettings:
+    """The parameters of the rerun bridge."""
+
+    simulator: str = parameter('/hnn_simulator', 'full name of the simulator node')
+    rerun_sink: str = parameter(
+        'connect', 'where the picture goes: to a file, to a running viewer, to viewers that '
+        'connect', choices=('file', 'connect', 'serve'))
+    rerun_path: str = parameter(
+        '', 'file: the .rrd file, which must not exist. connect: URL of the viewer; empty takes '
+        'the local one. serve: the port; empty takes 9876')
+    trust_code: bool = parameter(
+        False, 'run Python code that the scene on `~/scene` or in the bag names; `--trust-code` '
+        'sets it')
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """The parameters of the replay node."""
+
+    rate: float = parameter(1.0, 'seconds of the bag per second of wall time', '1', 1e-3, 1e3)
+    loop: bool = parameter(False, 'begin again at the end')
+    start_offset: float = parameter(
+        0.0, 'time of the bag that is left out at its start', 's', 0.0, 1e9)
+    duration: float = parameter(
+        0.0, 'time of the bag that is played; 0 plays to its end', 's', 0.0, 1e9)
+    topics: str = parameter(
+        '', 'names of the topics to publish, separated by commas; empty publishes all but the '
+        'commands that a simulator heard')
+    publish_clock: bool = parameter(False, "publish the bag's time on `/clock`, each 10 ms of it")
+    start_paused: bool = parameter(False, 'begin paused')
+    discovery_time: float = parameter(
+        2.0, 'the first message waits at most this long for subscribers that are there already, '
+        'so that they miss none', 's', 0.0, 60.0)
+
+
+@dataclass(frozen=True)
+class HoverSettings:
+    """Point where the quadrotor is to be held."""
+
+    x: float = parameter(1.0, 'of the place that it is led to', 'm', -1e3, 1e3)
+    y: float = parameter(-1.0, 'the same', 'm', -1e3, 1e3)
+    z: float = parameter(12.0, 'the same; upwards', 'm', -1e3, 1e3)
+
+
 PARAMETERS = specifications(Settings)
+# The other nodes take theirs when they start.
+BRIDGE_PARAMETERS, REPLAY_PARAMETERS, HOVER_PARAMETERS = (
+    tuple(replace(item, changes=START) for item in specifications(settings))
+    for settings in (BridgeSettings, ReplaySettings, HoverSettings))
 
 
 def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:

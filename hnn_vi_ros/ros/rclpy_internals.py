@@ -15,6 +15,7 @@ from typing import Any, TYPE_CHECKING
 from hnn_vi_ros.errors import printable
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
 
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNodeMixin
@@ -44,3 +45,14 @@ def answer_changes(node: 'LifecycleNodeMixin', callback: Callable[..., Any]) -> 
 def state_machine(node: 'LifecycleNodeMixin') -> Any:
     """Return the state machine of a node: its state, and what it can be asked for."""
     return node._state_machine
+
+
+def log(node: Node, text: str, level: str) -> None:
+    """Log a line; level is INFO, WARN or ERROR."""
+    # On lines of their own: rclpy ties the line of a call to one severity.
+    if level == 'INFO':
+        node.get_logger().info(text)
+    elif level == 'WARN':
+        node.get_logger().warning(text)
+    else:
+        node.get_logger().error(text)

@@ -12,19 +12,18 @@ from ament_index_python.resources import has_resource
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockPublisher
+from hnn_vi_ros.ros.clock_publisher import clock_message, CLOCK_QOS, CLOCK_TOPIC
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
 from hnn_vi_ros.ros.inputs import INPUTS
 from hnn_vi_ros.ros.messages import type_hash
 from hnn_vi_ros.ros.node_parameters import declare_parameters
-from hnn_vi_ros.ros.parameters import Value
+from hnn_vi_ros.ros.parameters import REPLAY_PARAMETERS, ReplaySettings, Value
 from hnn_vi_ros.ros.player import Player, read_ahead
 from hnn_vi_ros.ros.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.recorded_qos import recorded_qos
 from hnn_vi_ros.ros.remapped_topics import own_topics
-from hnn_vi_ros.ros.replay_parameters import PARAMETERS, ReplaySettings
 from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
 import rclpy
@@ -35,6 +34,7 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
+from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 
@@ -70,8 +70,8 @@ class ReplayNode(RobustNode):
                 automatically_declare_parameters_from_overrides=True)
         settings = declare_parameters(self, ReplaySettings)
         self._reader = BagReader(bag)
-        topics = {CLOCK_TOPIC[0], *(found.topic for found in self._reader.channels.values())}
-        refuse_unknown(self, PARAMETERS, [
+        topics = {CLOCK_TOPIC, *(found.topic for found in self._reader.channels.values())}
+        refuse_unknown(self, REPLAY_PARAMETERS, [
             Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
         self._publishers_of = self._open(settings)
         first = self._reader.first + round(settings.start_offset * 1e9)
@@ -82,15 +82,13 @@ class ReplayNode(RobustNode):
                 f'{(last - self._reader.first) * 1e-9:g} s long')
         if settings.duration:
             last = min(last, first + round(settings.duration * 1e9))
-        if settings.publish_clock:
-            self._clock_publisher = ClockPublisher(
-                create_publisher(self, *reversed(CLOCK_TOPIC), CLOCK_QOS))
+        clock = create_publisher(
+            self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS) if settings.publish_clock else None
         self.player = Player(
             lambda: read_ahead(chain(
                 self._latched(first), self._reader.messages(self._publishers_of, first, last))),
-            self._publish, self._clock_publisher.tell if settings.publish_clock else None,
-            first, last,
-            settings.rate, settings.loop, settings.start_paused)
+            self._publish, clock and (lambda stamp: clock.publish(clock_message(stamp))),
+            first, last, settings.rate, settings.loop, settings.start_paused)
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
         self._discovery = Discovery(self._count_subscribers, settings.discovery_time)
@@ -128,7 +126,7 @@ class ReplayNode(RobustNode):
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
                                  f'{listed(known) or "none"}')
-        left_out = {CLOCK_TOPIC[0]} if settings.publish_clock else set()
+        left_out = {CLOCK_TOPIC} if settings.publish_clock else set()
         if not wanted:
             left_out |= self._heard()
         topics: dict[str, Publisher] = {}
@@ -238,7 +236,7 @@ def main(argv: list[str]) -> int:
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)
-    given = {item.name: item.check(value) for item in PARAMETERS
+    given = {item.name: item.check(value) for item in REPLAY_PARAMETERS
              if (value := getattr(options, item.name)) is not None}
     if options.trust_code and not options.verify:
         parser.error('--trust-code: only --verify runs code')

@@ -12,20 +12,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.accuracy import ACCURACY_TOPIC
-from hnn_vi_ros.ros.bridge_parameters import BridgeSettings, PARAMETERS
 from hnn_vi_ros.ros.bridge_picture import BridgePicture, NEEDED, target_of
-from hnn_vi_ros.ros.diagnostics_publisher import DIAGNOSTICS_TOPIC
-from hnn_vi_ros.ros.event_topic import EVENTS_TOPIC
-from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.messages import TICK_TOPICS
+from hnn_vi_ros.ros.graph import take_once
 from hnn_vi_ros.ros.node_parameters import declare_parameters
+from hnn_vi_ros.ros.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
+from hnn_vi_ros.ros.parameters import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.recorded_run import RecordedRun
 from hnn_vi_ros.ros.robust_node import RobustNode
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments, plain_ros_errors
-from hnn_vi_ros.ros.topics import EVENTS_QOS, LATCHED
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.viewer.rerun_stream import Target
 import rclpy
@@ -44,9 +40,10 @@ _MOST_OPEN = 1000
 # At the end, held samples may take this long to show [s].
 _LONGEST_END = 3.0
 # Topics that hold parts of a sample, keyed by the last part of their names, and all their types.
-_TICK = {name.rpartition('/')[2]: name for name, _ in (*TICK_TOPICS[1:], ACCURACY_TOPIC)}
-_KINDS = {name.rpartition('/')[2]: kind
-          for name, kind in (*TICK_TOPICS[1:], ACCURACY_TOPIC, DIAGNOSTICS_TOPIC)}
+_TICK = {output.topic.rpartition('/')[2]: output.topic for output in OUTPUTS
+         if output.recorded == 'tick' and output.topic != '~/state'}
+_KINDS = {output.topic.rpartition('/')[2]: output.message_type for output in OUTPUTS
+          if output.topic in _TICK.values() or output is DIAGNOSTICS}
 
 
 class RerunBridge(RobustNode):
@@ -78,7 +75,7 @@ class RerunBridge(RobustNode):
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
         self._settings = declare_parameters(self, BridgeSettings)
         self._topics = self._find_topics()
-        refuse_unknown(self, PARAMETERS, [
+        refuse_unknown(self, BRIDGE_PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._settings)
         self.problem: HnnViRosError | None = None
@@ -105,8 +102,6 @@ class RerunBridge(RobustNode):
         except InvalidTopicNameException as problem:
             raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
                                  'of a node, such as /hnn_simulator') from problem
-        name, kind = DIAGNOSTICS_TOPIC
-        events = EVENTS_TOPIC[0].replace('~', simulator)
 
         def tell(message: DiagnosticArray) -> None:
             self._tell(message, simulator)
@@ -116,7 +111,8 @@ class RerunBridge(RobustNode):
             f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
             **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
                for last, topic in _TICK.items()},
-            name: (kind, tell, _QUEUE, False), events: (EVENTS_TOPIC[1], tell, EVENTS_QOS, False)}
+            DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
+            EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
 
     def show_bag(self, bag: Path) -> int:
         """Show all samples of a bag; return their number."""

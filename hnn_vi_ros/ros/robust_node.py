@@ -17,7 +17,7 @@ class RobustNode(Node):
     def create_subscription(self, kind: type, topic: str, callback: Callable[..., None],
                             *args: Any, **more: Any) -> Subscription:
         """See Node, which subscribes to /clock by it wherever use_sim_time asks for that."""
-        if topic == CLOCK_TOPIC[0]:
+        if topic == CLOCK_TOPIC:
             callback = self._heeding(callback)
         return super().create_subscription(kind, topic, callback, *args, **more)
 

@@ -4,11 +4,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 import math
 import time
 from typing import Any
 
-from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
@@ -19,9 +19,10 @@ from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.event_topic import EventTopic
 from hnn_vi_ros.ros.health import Health, STEP_FAILED
 from hnn_vi_ros.ros.inputs import OBSERVATIONS
-from hnn_vi_ros.ros.log import log
+from hnn_vi_ros.ros.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.preparation import check_pace, Prepared, with_start
+from hnn_vi_ros.ros.rclpy_internals import log
 from hnn_vi_ros.ros.run_status import RunStatus
 from hnn_vi_ros.ros.spread_topic import SpreadTopic
 from hnn_vi_ros.ros.topics import Topics
@@ -70,12 +71,11 @@ class Run:
         simulation = watched(prepared.simulation, prepared.scene)
         self._members = prepared.members
         self._spread = None if self._members is None else SpreadTopic(
-            self._members, topics.open_spread(), simulation.hamiltonian,
-            prepared.scene.uncertainty.limit, self._record_beside)
+            self._members, simulation.hamiltonian, prepared.scene.uncertainty.limit)
         self._twin = None if prepared.twin is None else TwinTopic(
-            prepared.twin, topics.open_errors(), lambda: (
+            prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
                 topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
-            lambda: self.sampler.stamp, self._record_beside)
+            lambda: self.sampler.stamp)
         companions = [one for one in (self._members, self._twin) if one is not None]
         self.simulation = Accompanied(simulation, companions) if companions else simulation
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
@@ -83,12 +83,16 @@ class Run:
         self._batch, self._last_step, self._waits = 1, math.inf, False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor)
-        self._diagnostics = DiagnosticsPublisher(node, topics.diagnostics, self._scene.name)
+        self._diagnostics = DiagnosticsPublisher(
+            node, partial(topics.send, DIAGNOSTICS), self._scene.name)
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
-        topics.open(self.simulation, monitor, self._scene.mechanism, prepared.box,
-                    settings.frame_id, lambda: self.sampler.stamp, self._record_beside)
-        self._events = EventTopic(node, topics.open_events, self._scene.name, simulation)
+        topics.open(
+            Material(self.simulation, monitor, prepared.box, self._scene.mechanism,
+                     settings.frame_id, bool(self._scene.events), self._spread),
+            lambda: self.sampler.stamp, self.recording.write_other)
+        self._events = EventTopic(
+            node, partial(topics.send, EVENTS), self._scene.name, simulation)
         self._begin(monitor)
         self._tell_scene(prepared.report)
         for line in prepared.log_lines:
@@ -130,10 +134,6 @@ class Run:
         self._report = report
         self._topics.publish_scene(dump_yaml(report))
 
-    def _record_beside(self, topic: Topic, payload: bytes) -> None:
-        """Record what is said of the state, or acts from the next step on, with its stamp."""
-        self.recording.write_other(topic, self.sampler.stamp, payload)
-
     def _errors(self) -> list[str]:
         return [STEP_FAILED, EnergyGuard.kind,
                 *[BoxGuard.kind] * self._settings.stop_outside_box]
@@ -156,7 +156,7 @@ class Run:
         """Publish how the run does."""
         more = [one.status() for one in (self._spread, self._twin) if one is not None]
         self._diagnostics.publish(
-            [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp)
+            [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp, record=False)
 
     def start_clocks(self) -> None:
         """Owe nothing as of now, and measure the pace from here on."""
@@ -227,8 +227,6 @@ class Run:
         self._stamp = sample.stamp
         self._monitor.add(sample)
         payloads = self._topics.publish(sample)
-        if self._spread is not None:
-            self._spread.publish(sample)
         # What takes long comes behind the messages, which it would delay.
         self.recording.write(sample, payloads)
         if self._monitor.evaluate():
@@ -246,7 +244,8 @@ class Run:
         """Publish and record a state between two samples; what is watched are samples only."""
         sample = self._sample()
         self._stamp = sample.stamp
-        self.recording.write(sample, self._topics.publish(sample))
+        # Bands belong to samples.
+        self.recording.write(sample, self._topics.publish(replace(sample, spread=None)))
 
     @property
     def _moved_by_others(self) -> bool:

@@ -5,8 +5,7 @@
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.control import Answer
-from hnn_vi_ros.ros.served import Simulator
+from hnn_vi_ros.ros.control import Answer, Simulator
 from hnn_vi_ros.ros.simulation_services import offer_simulation_interfaces
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node

@@ -7,8 +7,7 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.ros.control import Answer
-from hnn_vi_ros.ros.served import Simulator
+from hnn_vi_ros.ros.control import Answer, Simulator
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup

@@ -8,8 +8,7 @@ import re
 from types import ModuleType
 from typing import Any
 
-from hnn_vi_ros.ros.control import Answer
-from hnn_vi_ros.ros.served import Simulator
+from hnn_vi_ros.ros.control import Answer, Simulator
 from hnn_vi_ros.ros.simulate_steps import ACTION, SimulateSteps
 from hnn_vi_ros.ros.world_services import WorldServices
 from hnn_vi_ros.version import __version__

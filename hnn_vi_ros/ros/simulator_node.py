@@ -15,15 +15,13 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.control import Answer, Control
-from hnn_vi_ros.ros.executing import take_once
 from hnn_vi_ros.ros.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.graph import Discovery
+from hnn_vi_ros.ros.graph import Discovery, take_once
 from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
-from hnn_vi_ros.ros.log import log
 from hnn_vi_ros.ros.node_parameters import Parameters
 from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
 from hnn_vi_ros.ros.preparation import compile_rest, OPENING, prepare, Prepared
-from hnn_vi_ros.ros.rclpy_internals import RCLError
+from hnn_vi_ros.ros.rclpy_internals import log, RCLError
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
@@ -107,7 +105,7 @@ class SimulatorNode(ManagedNode):
             clock=Clock(clock_type=ClockType.STEADY_TIME))
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
-            self.topics = Topics(self, settings.publish_accuracy, settings.publish_clock)
+            self.topics = Topics(self, settings)
             topics, discovery = self.topics.descriptions, Discovery(
                 self.topics.count_subscribers, settings.discovery_time)
             await self.in_thread(lambda: self._prepare(settings, topics, discovery))

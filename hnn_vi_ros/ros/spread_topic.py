@@ -2,23 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spread of an ensemble on ~/uncertainty, in the bag and in /diagnostics."""
 
-from array import array
-from collections.abc import Callable
-
-from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.state_message import MOMENTUM
 from hnn_vi_ros.guards.spread import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
-from hnn_vi_ros.ros.messages import describe_topic
+from hnn_vi_ros.ros.messages import named_numbers
 from hnn_vi_ros.run.members import Members
-from hnn_vi_ros.run.serialization import Template
 from hnn_vi_ros.simulation.sample import Sample
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
-
-SPREAD_TOPIC: tuple[str, type] = ('~/uncertainty', JointState)
 
 
 class SpreadTopic:
@@ -32,27 +23,19 @@ class SpreadTopic:
     ----------
     members : Members
         What comes apart.
-    publisher : Publisher
-        Of the topic.
     hamiltonian : Hamiltonian
         The mean, with the box of its training.
     limit : float
         Spread that is allowed, in half-widths of the box.
-    record : callable
-        Takes a message that belongs to the state: its topic, and the bytes.
 
     """
 
-    def __init__(self, members: Members, publisher: Publisher, hamiltonian: Hamiltonian,
-                 limit: float, record: Callable[[Topic, bytes], None]):
-        self._members, self._publisher, self._record = members, publisher, record
+    def __init__(self, members: Members, hamiltonian: Hamiltonian, limit: float):
+        self._members = members
         names, momenta = columns(hamiltonian.coordinates)
         labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
         self._labels = labels
-        self._template = Template(JointState(
-            name=labels, position=array('d', [0.0] * len(labels))))
-        self._topic = describe_topic(
-            publisher.topic_name, SPREAD_TOPIC[1], publisher.qos_profile)
+        self._template = named_numbers(labels)
         assert hamiltonian.box is not None, 'of a learned Hamiltonian there is one'
         self._box, self._limit = hamiltonian.box, limit
         self.guard = self.make_guard()
@@ -62,13 +45,13 @@ class SpreadTopic:
         self.guard = SpreadGuard(lambda: self._members.spread, self._box, self._limit)
         return self.guard
 
-    def publish(self, sample: Sample) -> None:
-        """Publish and record the spread at a sample."""
+    def encode(self, sample: Sample) -> list[bytes]:
+        """Return the message of a sample, if it tells the spread."""
+        if sample.spread is None:
+            return []
         self._template.numbers[0][:] = sample.spread
         self._template.set_stamp(sample.stamp)
-        payload = self._template.serialized()
-        self._publisher.publish(payload)
-        self._record(self._topic, payload)
+        return [self._template.serialized()]
 
     def status(self) -> Status:
         """Return how far the members are apart."""

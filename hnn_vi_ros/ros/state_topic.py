@@ -3,11 +3,13 @@
 """States to begin at, which others publish on ~/initial_state, and the answers on ~/state_set."""
 
 from collections.abc import Callable
+from functools import partial
 
-from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.control import Answer
-from hnn_vi_ros.ros.diagnostics_publisher import DiagnosticsPublisher, ERROR, OK, Status
+from hnn_vi_ros.ros.diagnostics_publisher import (
+    DiagnosticsPublisher, ERROR, OK, state_values, Status)
 from hnn_vi_ros.ros.initial_state import initial_state
+from hnn_vi_ros.ros.outputs import STATE_SET
 from hnn_vi_ros.ros.run import Run
 from hnn_vi_ros.ros.topics import Topics
 from rclpy.node import Node
@@ -39,9 +41,8 @@ class StateTopic:
 
     def __init__(self, node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]):
         self._node, self._run, self._reset = node, run, reset
-        names, momenta = columns(run.simulation.hamiltonian.coordinates)
-        self._names = [*names, *(f'p_{name}' for name in momenta)]
-        self._answers = DiagnosticsPublisher(node, topics.open_answers(), run.scene.name)
+        self._answers = DiagnosticsPublisher(
+            node, partial(topics.send, STATE_SET), run.scene.name)
         topics.hear('~/initial_state', JointState, self._take)
 
     def _take(self, message: JointState) -> None:
@@ -61,8 +62,7 @@ class StateTopic:
         except ValueError as problem:
             self._answer(ERROR, ' '.join(str(problem).split()), {})
             raise
-        self._answer(OK, text, {name: repr(value) for name, value in zip(
-            self._names, [*q.tolist(), *p.tolist()], strict=True)})
+        self._answer(OK, text, state_values(run.simulation.hamiltonian.coordinates, q, p))
         self._node.get_logger().info(f'~/initial_state: {text}', throttle_duration_sec=1.0)
 
     def _answer(self, level: bytes, text: str, values: dict[str, str]) -> None:

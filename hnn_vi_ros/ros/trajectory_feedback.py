@@ -5,12 +5,10 @@
 from array import array
 
 from hnn_vi_ros.run.serialization import Template
-from hnn_vi_ros.simulation.motors import Aim
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-TRAJECTORY_STATE_TOPIC: tuple[str, type] = ('~/joint_trajectory_state', JointTrajectory)
 
 
 class TrajectoryFeedback:
@@ -19,20 +17,24 @@ class TrajectoryFeedback:
 
     Parameters
     ----------
-    aim : Aim
-        Of the servo, whose joints are always the same.
+    simulation : Simulation
+        With a servo, whose joints are always the same.
 
     """
 
-    def __init__(self, aim: Aim):
-        zeros = array('d', [0.0] * len(aim.names))
-        self._template = Template(JointTrajectory(joint_names=list(aim.names), points=[
+    def __init__(self, simulation: Simulation):
+        self._simulation, names = simulation, simulation.motors.aim.names
+        zeros = array('d', [0.0] * len(names))
+        self._template = Template(JointTrajectory(joint_names=list(names), points=[
             JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
             JointTrajectoryPoint(positions=zeros, velocities=zeros, effort=zeros),
             JointTrajectoryPoint(positions=zeros, velocities=zeros)]))
 
-    def encode(self, sample: Sample, aim: Aim) -> bytes:
-        """Return the message of a sample, with the servo's aim there."""
+    def encode(self, sample: Sample) -> list[bytes]:
+        """Return the message of a sample, the newest one, if the servo follows a path there."""
+        aim = self._simulation.motors.aim
+        if not aim.on_path:
+            return []
         position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
         effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
         for numbers, values in zip(self._template.numbers, (
@@ -40,4 +42,4 @@ class TrajectoryFeedback:
                 aim.targets[1] - velocity), strict=True):
             numbers[:] = values
         self._template.set_stamp(sample.stamp)
-        return self._template.serialized()
+        return [self._template.serialized()]

@@ -2,21 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topic ~/prediction_error of a twin, with its part in the bag and in /diagnostics."""
 
-from array import array
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.effects.commands import Command, Observation
 from hnn_vi_ros.ros.diagnostics_publisher import OK, Status, WARN
-from hnn_vi_ros.ros.messages import describe_topic
-from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.ros.messages import named_numbers
 from hnn_vi_ros.run.twin import Report, Twin
 from hnn_vi_ros.simulation import Simulation
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import JointState
 
-ERROR_TOPIC: tuple[str, type] = ('~/prediction_error', JointState)
 # Behind the names of the coordinates, and of their predictions.
 PREDICTED = 'prediction_'
 SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time')
@@ -34,26 +28,20 @@ class TwinTopic:
     ----------
     twin : Twin
         What compares.
-    publisher : Publisher
-        Of the topic.
+    send : callable
+        Publishes and records a message: the bytes, and its stamp in the bag [ns].
     ignored : callable
         Returns how many observations could not be used, and why the last one could not.
     stamp : callable
         Returns that of the state [ns].
-    record : callable
-        Takes a message that belongs to the state: its topic, and the bytes.
 
     """
 
-    def __init__(self, twin: Twin, publisher: Publisher, ignored: Callable[[], tuple[int, str]],
-                 stamp: Callable[[], int], record: Callable[[Topic, bytes], None]):
-        self._twin, self._publisher, self._ignored = twin, publisher, ignored
-        self._stamp, self._record = stamp, record
+    def __init__(self, twin: Twin, send: Callable[[bytes, int], None],
+                 ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int]):
+        self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
-        self._template = Template(JointState(
-            name=labels, position=array('d', [0.0] * len(labels))))
-        self._topic = describe_topic(
-            publisher.topic_name, ERROR_TOPIC[1], publisher.qos_profile)
+        self._template = named_numbers(labels)
 
     def begin(self, simulation: Simulation) -> None:
         """See Companion."""
@@ -73,10 +61,9 @@ class TwinTopic:
         self._template.numbers[0][:] = [
             *report.error, *report.prediction_error, report.normalised, report.running,
             self._twin.valid_prediction_time]
-        self._template.set_stamp(max(0, self._stamp() + round(report.delay * 1e9)))
-        payload = self._template.serialized()
-        self._publisher.publish(payload)
-        self._record(self._topic, payload)
+        now = self._stamp()
+        self._template.set_stamp(max(0, now + round(report.delay * 1e9)))
+        self._send(self._template.serialized(), now)
 
     @property
     def unstable(self) -> str:

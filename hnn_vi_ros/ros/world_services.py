@@ -6,7 +6,7 @@ from types import ModuleType
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.ros.served import Simulator
+from hnn_vi_ros.ros.control import Simulator
 from hnn_vi_ros.run.worlds import find_worlds, open_world, World, world_of, WorldError
 from lifecycle_msgs.msg import State, Transition
 from rclpy.parameter import Parameter

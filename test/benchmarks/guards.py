@@ -11,6 +11,7 @@ from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros import parameters
+from hnn_vi_ros.ros.outputs import Material
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -79,12 +80,13 @@ def _make_tick(node: Node, folder: Path
     scene = load_scene(_SCENE)
     simulation = build(scene)
     box = look_ahead(simulation, 1.0).box
-    sampler, topics = Sampler(simulation, 1.0 / simulation.step_size), Topics(node, False)
+    sampler = Sampler(simulation, 1.0 / simulation.step_size)
+    topics = Topics(node, parameters.Settings())
     scale = SampledScale(simulation.hamiltonian)
     monitor = Monitor(simulation, sampler.every, sampler.tick, None, lambda text, first: None,
                       make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier),
                       scale)
-    topics.open(simulation, monitor, None, box, 'world', lambda: 0, lambda topic, payload: None)
+    topics.open(Material(simulation, monitor, box), lambda: 0, lambda topic, stamp, payload: None)
     recording = Recording(
         node.get_logger(), scene, simulation,
         parameters.Settings(record_path=str(folder / 'bag'), rerun_sink='none'),

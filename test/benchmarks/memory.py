@@ -16,6 +16,7 @@ from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
 from hnn_vi_ros.bags import mcap_sink
 from hnn_vi_ros.ros import parameters
+from hnn_vi_ros.ros.outputs import Material
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -108,10 +109,10 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
     scene = load_scene(_SCENE).with_overrides(_STEP, None)
     simulation = build(scene)
     box = look_ahead(simulation, 1.0).box
-    sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, False)
+    sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, parameters.Settings())
     monitor = Monitor(simulation, 1, _STEP, None, lambda text, first: None)
-    topics.open(simulation, monitor, scene.mechanism, box, 'world', lambda: 0,
-                lambda topic, payload: None)
+    topics.open(Material(simulation, monitor, box, scene.mechanism), lambda: 0,
+                lambda topic, stamp, payload: None)
     # To the files, the samples come at the pace of the clock.
     clock = SimpleNamespace(monotonic=lambda: sampler.time, time_ns=time.time_ns)
     with patch.object(mcap_sink, 'time', clock), patch.object(rerun_sink, 'time', clock):

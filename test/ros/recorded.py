@@ -9,9 +9,9 @@ from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.bag_output import BagOutput
 from hnn_vi_ros.ros.inputs import INPUTS
-from hnn_vi_ros.ros.messages import describe_topic, MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.messages import describe_topic, encode_tick, TICK_TOPICS
+from hnn_vi_ros.ros.outputs import SCENE, TICKS
 from hnn_vi_ros.ros.parameters import Settings
-from hnn_vi_ros.ros.topics import LATCHED, SCENE_TOPIC, TICKS
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -48,12 +48,12 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)
-    encoder = MessageEncoder(simulation.hamiltonian.coordinates)
+    encode = encode_tick(simulation.hamiltonian.coordinates)
     report = scene_report(scene, simulation) | described
     topics = TICK_TOPICS if state else TICK_TOPICS[1:]
     sink = BagOutput(
         Settings(record=begin is None, record_path=str(bag), publish_rate=rate),
-        BagTopics([_topic(*topic, qos) for topic in topics], _topic(*SCENE_TOPIC, LATCHED)),
+        BagTopics([_topic(*topic[:2], qos) for topic in topics], _topic(*SCENE[:3])),
         RunFiles())
     recording, first = sink.open(Beginning(scene, simulation, report, sampler)), simulation.steps
     for step in range(first, first + ticks * sampler.every):
@@ -75,7 +75,7 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
         simulation.advance(1)
         if simulation.steps % sampler.every == 0 and recording:
             sample = change(sampler.sample())
-            sink.write(sample, encoder.encode(sample)[0 if state else 1:])
+            sink.write(sample, encode(sample)[0 if state else 1:])
     sink.close() if close else sink.flush()
     return bag
 

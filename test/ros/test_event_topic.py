@@ -5,9 +5,9 @@
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import bridge_picture
+from hnn_vi_ros.ros.outputs import EVENTS
 from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.ros.topics import EVENTS_QOS
 import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start
@@ -42,7 +42,7 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
     heard = []
     with peer() as other:
         other.node.create_subscription(
-            DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS_QOS)
+            DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS.qos)
         other.spin_until(lambda: len(heard) == 2)
         status, output = finish(process)[:2]
     assert status == 0, output

@@ -275,23 +275,18 @@ def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
 class Parts:
     """A Health whose outlets only note what they are told."""
 
-    topic = 'topic'
-
     def __init__(self, guards: Sequence[Guard] = ()):
         self.published: list[Status] = []
-        self.recorded: list[tuple] = []
+        self.recorded: list[tuple[int, bool]] = []
         self.events: list[tuple[str, str]] = []
         self.lines: list[tuple[str, str]] = []
         # As after a reset at 5 s.
         self.health = Health(lambda step: 5_000_000_000 + step * 10_000_000, guards, self, self,
                              lambda *line: self.lines.append(line))
 
-    def publish(self, statuses: list[Status], stamp: int) -> bytes:
+    def publish(self, statuses: list[Status], stamp: int, record: bool = True) -> None:
         self.published += statuses
-        return b'payload'
-
-    def write_other(self, *message: object) -> None:
-        self.recorded.append(message)
+        self.recorded.append((stamp, record))
 
     def event(self, *event: str) -> None:
         self.events.append(event)
@@ -312,7 +307,7 @@ def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch)
         parts.health.add(alarm('under-resolved', step), 10_000_000 * step)
     parts.health.add(alarm('separatrix not resolved'), 60_000_000)
     assert len(parts.published) == len(parts.recorded) == len(parts.events) == 6
-    assert parts.recorded[-1] == ('topic', 60_000_000, b'payload')
+    assert parts.recorded[-1] == (60_000_000, True)
     assert [text for text, _ in parts.lines] == [
         't = 5.01 s: under-resolved at 1', 't = 5.01 s: separatrix not resolved at 1']
     now = 111.0

@@ -134,8 +134,9 @@ def test_feedback_is_the_reference_what_is_and_their_difference(arm):
     simulation = build(arm)
     simulation.set_command(read_path(path((1.0, [0.5, -0.5])), 0))
     simulation.advance(100)
-    sample, aim = Sampler(simulation, 100.0).sample(), simulation.motors.aim
-    message = deserialize_message(TrajectoryFeedback(aim).encode(sample, aim), JointTrajectory)
+    sample = Sampler(simulation, 100.0).sample()
+    payload, = TrajectoryFeedback(simulation).encode(sample)
+    message = deserialize_message(payload, JointTrajectory)
     assert message.joint_names == NAMES[::-1] and stamp(message) == sample.stamp
     reference, actual, error = message.points
     # Of x = 3 s^2 - 2 s^3, a quarter of the way.

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.replay_node import ReplayNode
@@ -68,10 +69,10 @@ def test_scene_tells_what_remapped_topics_are_called():
         ('-r', f'{own.replace("/hnn_simulator", "~")}:={called}'))])
     try:
         node = Node('hnn_simulator', context=context)
-        assert Topics(node, False).descriptions.remapped == {
+        assert Topics(node, Settings()).descriptions.remapped == {
             '/a/sim/commands': '/forces', '/a/sim/state': '/robot/full_state'}
         other = Node('other', context=context, use_global_arguments=False)
-        assert not Topics(other, False).descriptions.remapped
+        assert not Topics(other, Settings()).descriptions.remapped
     finally:
         context.try_shutdown()
 

@@ -144,7 +144,7 @@ class Run:
             rclpy.logging.get_logger('test'), scene, self.simulation, settings, None, None, {},
             self.sampler)
         self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
-            topic=None, publish=lambda statuses, stamp: b''), self.recording, lambda *line: None)
+            publish=lambda statuses, stamp: None), self.recording, lambda *line: None)
         self.status = RunStatus(
             scene, self.simulation, self.sampler, self.monitor, self.recording, self.health,
             factor)

@@ -10,6 +10,8 @@ from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.ros.accuracy import ENTRIES
+from hnn_vi_ros.ros.outputs import Material
+from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.ros.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
@@ -97,8 +99,8 @@ def sample_of(simulation: Simulation, **changes: float) -> Sample:
 
 def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = None) -> Monitor:
     monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
-    topics.open(simulation, monitor, mechanism, BOX, 'world', lambda: 0,
-                lambda topic, payload: None)
+    topics.open(Material(simulation, monitor, BOX, mechanism), lambda: 0,
+                lambda topic, stamp, payload: None)
     return monitor
 
 
@@ -137,7 +139,7 @@ def topics_of(node: Node) -> tuple[set[str], set[str]]:
 
 
 ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy', '/joint_states',
-          '/simulator/scene', '/diagnostics'}
+          '/simulator/scene', '/simulator/state_set', '/diagnostics'}
 
 
 @pytest.mark.parametrize('text, accuracy, mechanism, published, heard', [
@@ -156,7 +158,7 @@ ALWAYS = {'/simulator/state', '/simulator/q', '/simulator/p', '/simulator/energy
 def test_topics_that_are_not_called_for_do_not_exist(
         tmp_path, nodes, text, accuracy, mechanism, published, heard):
     node, _, _ = nodes
-    topics = Topics(node, accuracy)
+    topics = Topics(node, Settings(publish_accuracy=accuracy))
     open_topics(topics, simulation_of(tmp_path, text), mechanism)
     assert topics_of(node) == (ALWAYS | published, heard)
 
@@ -164,7 +166,7 @@ def test_topics_that_are_not_called_for_do_not_exist(
 def test_robot_is_described_by_its_urdf_for_those_who_come_later(tmp_path, nodes):
     node, other, executor = nodes
     # Also where potentials have joined its energy.
-    open_topics(Topics(node, False), simulation_of(tmp_path, ARM))
+    open_topics(Topics(node, Settings()), simulation_of(tmp_path, ARM))
     heard = []
     other.create_subscription(
         String, '/robot_description', heard.append,
@@ -176,7 +178,7 @@ def test_robot_is_described_by_its_urdf_for_those_who_come_later(tmp_path, nodes
 def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
     node, _, _ = nodes
     simulation = simulation_of(tmp_path, OSCILLATOR)
-    topics = Topics(node, True)
+    topics = Topics(node, Settings(publish_accuracy=True))
     monitor = open_topics(topics, simulation)
     energy0, expected = simulation.energy, None
     for _ in range(2):
@@ -210,7 +212,7 @@ def test_accuracy_has_its_entries_in_the_order_of_its_label(tmp_path, nodes):
 
 def test_accuracy_ends_with_the_invariants_of_the_scene(tmp_path, nodes):
     simulation = simulation_of(tmp_path, KEPLER)
-    topics = Topics(nodes[0], True)
+    topics = Topics(nodes[0], Settings(publish_accuracy=True))
     monitor = open_topics(topics, simulation)
     sample = sample_of(simulation)
     monitor.add(sample)
@@ -224,7 +226,7 @@ def commanded(tmp_path, nodes):
     """Give a simulation that hears commands, and a function that sends one."""
     node, other, executor = nodes
     simulation = simulation_of(tmp_path, COMMANDED)
-    topics = Topics(node, False)
+    topics = Topics(node, Settings())
     open_topics(topics, simulation)
     heard = []
     take = simulation.set_command
@@ -280,9 +282,10 @@ def test_command_that_is_not_valid_is_ignored_whole(commanded, bad):
 def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path, nodes):
     node, other, executor = nodes
     simulation, recorded = simulation_of(tmp_path, QUADROTOR), []
-    topics = Topics(node, False)
-    topics.open(simulation, Monitor(simulation, 10, 0.1, None, pytest.fail), None, BOX, 'map',
-                lambda: 0, lambda topic, payload: recorded.append((topic, payload)))
+    topics = Topics(node, Settings())
+    monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
+    topics.open(Material(simulation, monitor, BOX, frame_id='map'), lambda: 0,
+                lambda topic, stamp, payload: recorded.append((topic, payload)))
     received: list[Odometry] = []
     other.create_subscription(Odometry, '/simulator/odometry', received.append, 10)
     publisher = other.create_publisher(WrenchStamped, '/simulator/wrench', 1)
@@ -305,7 +308,7 @@ def test_wrench_in_the_frame_of_a_body_is_the_command_that_is_recorded(tmp_path,
 
 def test_scene_reaches_a_subscriber_that_comes_later(tmp_path, nodes):
     node, other, executor = nodes
-    topics = Topics(node, False)
+    topics = Topics(node, Settings())
     open_topics(topics, simulation_of(tmp_path, OSCILLATOR))
     topics.publish_scene('description: any')
     received: list[String] = []

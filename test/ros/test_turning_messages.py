@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
 from hnn_vi_ros.ros.initial_state import initial_state
-from hnn_vi_ros.ros.messages import MessageEncoder, TICK_TOPICS
+from hnn_vi_ros.ros.messages import encode_tick, TICK_TOPICS
 from hnn_vi_ros.ros.odometry import OdometryEncoder
 from hnn_vi_ros.ros.replay_check import check_replay
 from hnn_vi_ros.ros.wrench import body_of, command_of
@@ -40,9 +40,9 @@ def test_messages_of_a_mixed_system_hold_every_column_by_name():
     q, dH_dq, (p, dH_dp) = *rng.normal(size=(2, 13)), rng.normal(size=(2, 11))
     motors = rng.normal(size=11)
     sample = replace(sample_of(q, p, dH_dq, dH_dp), motors=motors)
-    encoded = MessageEncoder(MIXED).encode(sample)
+    encoded = encode_tick(MIXED)(sample)
     state, q_told, p_told, energy, joints = (
-        deserialize_message(data, kind) for data, (_, kind) in
+        deserialize_message(data, kind) for data, (_, kind, _) in
         zip(encoded, TICK_TOPICS, strict=True))
     assert list(q_told.data) == q.tolist() and list(p_told.data) == p.tolist()
     assert q_told.layout.dim[0].label.split(',')[4:8] == [
