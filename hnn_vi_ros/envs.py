@@ -17,6 +17,7 @@ from hnn_vi_ros.errors import StateError, StepFailure, StoppedByEvent
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 import numpy as np
@@ -124,9 +125,7 @@ class SceneEnv(gymnasium.Env):
         found = scene if isinstance(scene, Scene) else load_scene(scene)
         self._scene, _ = resolve(found.with_overrides(
             effects=None if effects is None else list(effects)))
-        self._hamiltonian = self._scene.create_hamiltonian()
-        self._integrator, self._effects = (
-            self._scene.create_integrator(), self._scene.create_effects())
+        self._parts = self._scene.parts()
         self._check_commands()
         self._simulation = self._made()
         # Now, and not in the first step of an episode.
@@ -215,15 +214,13 @@ class SceneEnv(gymnasium.Env):
     def _made(self) -> Simulation | WatchedSimulation:
         scene, state = self._scene, self._scene.initial_state
         with scene.placed('initial_state'):
-            simulation = Simulation(
-                self._hamiltonian.copy(), self._integrator, scene.known_step_size, state.q,
-                state.p, self._effects, scene.on_failure)
+            simulation = build_at(self._parts, state.q, state.p)
         return watched(simulation, scene)
 
     def _check_commands(self) -> None:
         """Raise ValueError if no effect takes commands, or one would not last its steps."""
         holds = [choice.timeout for choice, effect in zip(
-            self._scene.effects, self._effects, strict=True)
+            self._scene.effects, self._parts.effects, strict=True)
             if isinstance(effect, Commanded) and NUMBERS in effect.takes]
         if not holds:
             raise ValueError(

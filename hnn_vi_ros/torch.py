@@ -146,11 +146,11 @@ class DifferentiableSimulation:
         self._weights = [name for name in parameters if _WEIGHT.fullmatch(name)]
         self._names = [name for name in parameters if not _WEIGHT.fullmatch(name)]
         check_names(self._scene, self._names)
-        self._hamiltonian = self._scene.create_hamiltonian()
+        self._parts = self._scene.parts()
         if self._weights:
-            check_weights(self._hamiltonian, map(_in_file, self._weights))
+            check_weights(self._parts.hamiltonian, map(_in_file, self._weights))
         # What no thread is using at the moment.
-        self._idle = [SceneRun(self._scene, self._hamiltonian)]
+        self._idle = [SceneRun(self._parts)]
 
     def __call__(self, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
                  parameters: Mapping[str, torch.Tensor] | None = None,
@@ -188,7 +188,7 @@ class DifferentiableSimulation:
         check_seconds('duration', duration)
         names, tensors = self._arranged(parameters, step_size)
         h = self._scene.known_step_size if step_size is None else self._step(step_size)
-        warn_of_scheme(self._hamiltonian, self._scene.integrator.kind, h)
+        warn_of_scheme(self._parts.hamiltonian, self._scene.integrator.kind, h)
         samples, d = _samples(duration, h, every), len(self._scene.initial_state.q)
         if q0.shape != p0.shape or q0.ndim not in (1, 2) or q0.shape[-1] != d or not len(q0):
             raise ValueError(f'q0 and p0 have shapes {tuple(q0.shape)} and {tuple(p0.shape)}, '
@@ -202,7 +202,7 @@ class DifferentiableSimulation:
                              f'c) or ({samples}, {trajectories}, c)')
         learned = None
         if self._weights:
-            learned = with_weights(self._hamiltonian, {
+            learned = with_weights(self._parts.hamiltonian, {
                 _in_file(name): array(parameters[name]).copy() for name in self._weights})
         values = {name: float(parameters[name].detach()) for name in self._names}
         call = Call(self, Numbers(values, h, learned), names, samples, every, checkpoints)
@@ -246,7 +246,7 @@ class DifferentiableSimulation:
         try:
             held = self._idle.pop()
         except IndexError:
-            held = SceneRun(self._scene, self._hamiltonian)
+            held = SceneRun(self._parts)
         try:
             held.hold(numbers)
             yield held

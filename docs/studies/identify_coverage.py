@@ -113,7 +113,7 @@ def held(case: Case, kind: str, logs: int, seed: int) -> Iterator[tuple[bool, ..
         random = np.random.default_rng([seed, log])
         motion, start = synthetic_log(case, kind, random)
         with tempfile.TemporaryDirectory() as folder:
-            true = free_scene(scene, case.free, {}, Path(folder), False)
+            true = free_scene(scene.parts(), case.free, {}, Path(folder), False)
             truth = np.array([number.start for number in true.numbers])
             off = truth * (1.0 + _OFF * random.uniform(-1.0, 1.0, truth.size))
             free = true.starting_at(off)

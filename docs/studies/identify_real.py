@@ -187,7 +187,7 @@ def main(argv: Sequence[str]) -> None:
         folder = Path(name)
         scene = scene_of(case, folder, options.speed)
         train, test = motions_of(case, options.data, folder)
-        free = free_scene(scene, case.free, {}, folder, bool(case.data['tau']))
+        free = free_scene(scene.parts(), case.free, {}, folder, bool(case.data['tau']))
         start = time.process_time()
         solution, problem, stages = fit(free, train, True, options.horizon or case.horizon,
                                         options.robust)

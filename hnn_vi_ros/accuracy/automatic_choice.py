@@ -29,6 +29,13 @@ def tolerance_of(choice: AutoChoice) -> Tolerance:
     return Tolerance('path_error', choice.path_error, choice.horizon)
 
 
+def problem_of(scene: Scene) -> InitialValueProblem:
+    """Return what a scene describes, whatever its method, or raise HnnViRosError."""
+    state = scene.initial_state
+    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                               np.array(state.q), np.array(state.p))
+
+
 def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Chosen | None]:
     """
     Return a scene with a method and a step size in place of the integrator auto, if it has that.
@@ -56,8 +63,7 @@ def resolve(scene: Scene, largest_step: float | None = None) -> tuple[Scene, Cho
     """
     if not isinstance(scene.integrator, AutoChoice):
         return scene, None
-    problem = InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                                  np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+    problem = problem_of(scene)
     tolerance = tolerance_of(scene.integrator)
     with scene.placed('integrator'):
         base = scene.step_size or largest_step

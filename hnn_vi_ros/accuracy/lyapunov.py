@@ -69,9 +69,10 @@ def lyapunov_time(scene: Scene | str | Path, duration: float | None = None) -> f
     steps = 2 ** 17 if duration is None else max(
         _FIRST, duration / scene.known_step_size)
     state = scene.initial_state
+    _, hamiltonian, integrator, effects = scene.parts()
     return time_between_motions(
-        scene.create_hamiltonian(), scene.create_effects(), scene.create_integrator(),
-        scene.known_step_size, np.array(state.q), np.array(state.p), steps, scene.on_failure)
+        hamiltonian, effects, integrator, scene.known_step_size, np.array(state.q),
+        np.array(state.p), steps, scene.on_failure)
 
 
 def time_between_motions(hamiltonian: Hamiltonian, effects: Sequence[Effect],

@@ -9,15 +9,16 @@ import math
 from pathlib import Path
 import sys
 
+from hnn_vi_ros.accuracy.automatic_choice import problem_of
 from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
+from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.command_line import called
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.outputs import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.standard_streams import ProgressLine
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -52,15 +53,13 @@ def main(argv: list[str]) -> int:
 
 
 def _measured(scene: Scene, duration: float, seconds: float, error: float | None) -> CostStudy:
-    own = None
+    own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
         # Whatever is wrong with the scene itself is said by its place in the file.
-        build(scene)
+        build(Parts(
+            scene, problem.hamiltonian, scene.create_integrator(), list(problem.effects)))
         given = scene.integrator.model_dump(exclude={'kind'}, exclude_defaults=True)
         own = Method(scene.integrator.kind, given)
-    state = scene.initial_state
-    problem = InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                                  np.array(state.q), np.array(state.p))
     line = ProgressLine()
     try:
         return measure_costs(problem, duration, seconds, own, error, line.show)

@@ -63,9 +63,10 @@ def check(names: Sequence[str]) -> int:
     for name in names:
         try:
             scene, _ = resolve(load_scene(name))
+            parts = scene.parts()
             if scene.uncertainty is not None:
-                ensemble_card(scene)
-            print(_in_a_line(scene, watched(build(scene), scene).conservative))
+                ensemble_card(parts)
+            print(_in_a_line(scene, watched(build(parts), scene).conservative))
         except HnnViRosError as problem:
             print(f'{called("scene")}: {problem}', file=sys.stderr)
             status = 1
@@ -116,14 +117,15 @@ def explain(scene: Scene) -> Iterator[str]:
     if isinstance(scene.integrator, AutoChoice):
         print('selecting a method ...', file=sys.stderr)
     scene, chosen = resolve(scene)
-    simulation = watched(build(scene), scene)
+    parts = scene.parts()
+    simulation = watched(build(parts), scene)
     hamiltonian, integrator = simulation.hamiltonian, simulation.integrator
     yield f'{scene.name}: {scene.description}'
     yield f'file: {scene.source}'
     yield from _choice('hamiltonian', scene.hamiltonian)
     yield from (f'  {name}: {value}' for name, value in hamiltonian.provenance.items())
     yield from _coordinates(hamiltonian.coordinates, scene)
-    for choice, effect in zip(scene.effects, scene.create_effects(), strict=True):
+    for choice, effect in zip(scene.effects, parts.effects, strict=True):
         yield from _choice('effect', choice)
         yield f'  {"conservative" if effect.conservative else "does work"}'
     yield from _choice('integrator', scene.integrator)
@@ -135,7 +137,7 @@ def explain(scene: Scene) -> Iterator[str]:
     yield f'conservative: {"yes" if simulation.conservative else "no"}'
     print('measuring ...', file=sys.stderr)
     yield lyapunov_line(scene, _STEPS if hamiltonian.kernel.compiled else _PLAIN_STEPS)
-    yield from _times(measure_effects(scene))
+    yield from _times(measure_effects(parts))
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:

@@ -112,20 +112,20 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
         For files that the fit needs while it runs.
 
     """
-    hamiltonian = scene.create_hamiltonian()
+    parts = scene.parts()
+    _, hamiltonian, _, effects = parts
     if hamiltonian.rotations or not hamiltonian.canonical:
         raise UnsupportedSystem(f'{scene.name}: identify takes canonical scalar coordinates alone')
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     motions, description = read_motions(*data, names, options.data)
     velocities = _has_velocities(data[1]) and 'velocities estimated' not in description
     driven = any(motion.tau.any() for motion in motions)
-    effects = scene.create_effects()
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{options.data[0]}: the motions were driven, but {scene.name} has no '
                         'effect external_force; add it, with the coordinates that are driven')
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
-    free = free_scene(scene, [name for name in options.free if name != STATES],
+    free = free_scene(parts, [name for name in options.free if name != STATES],
                       _bounds(options.bounds), folder, driven)
     _check_profiles(options.profile, free)
     solution, problem, stages = fit(free, motions, velocities, options.horizon, options.robust)

@@ -10,8 +10,9 @@ from typing import Any
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ParameterError
 from hnn_vi_ros.files.yaml_file import units_in
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.identify_robot import robot_numbers, with_robot_numbers
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
 import numpy as np
 
@@ -92,15 +93,15 @@ class FreeScene:
                 ), delay
 
 
-def free_scene(scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[float, float]],
+def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[float, float]],
                folder: Path, driven: bool) -> FreeScene:
     """
     Return a scene in which the numbers of these names are free.
 
     Parameters
     ----------
-    scene : Scene
-        The scene.
+    parts : Parts
+        Of the scene.
     names : sequence of str
         ``mass`` of H; ``damping.rate`` of the effect of that kind, ``damping.1.rate`` of the
         second one; ``forearm.mass`` of a link of a URDF; input_delay; or places, such as
@@ -118,8 +119,9 @@ def free_scene(scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[fl
         An unknown name, or one that stands twice; bounds without the number between them.
 
     """
+    scene = parts.scene
     known, robot = _known(scene), robot_numbers(scene)
-    units = _units(scene)
+    units = _units(scene, parts.hamiltonian)
     valid = {**known, **{name: name for name in robot}, **({DELAY: DELAY} if driven else {})}
     values = {**numbers_of(scene), **{name: value for name, (value, _) in robot.items()},
               DELAY: 0.0}
@@ -166,9 +168,7 @@ def _within(free: FreeScene, k: int) -> Number:
     values = [float(other.start) for other in free.numbers]
     values[k] = -(number.start or 1e-3)
     try:
-        scene, _ = free.at(values)
-        scene.create_hamiltonian()
-        scene.create_effects()
+        free.at(values)[0].parts()
     except HnnViRosError:
         return _bounded(number, 0.0)
     return number
@@ -194,11 +194,10 @@ def _known(scene: Scene) -> dict[str, str]:
     return named
 
 
-def _units(scene: Scene) -> dict[str, str]:
+def _units(scene: Scene, hamiltonian: Hamiltonian) -> dict[str, str]:
     """Return the unit of each number whose description tells one."""
     parts: dict[str, Any] = {'hamiltonian': scene.hamiltonian} | {
         f'effects.{i}': effect for i, effect in enumerate(scene.effects)}
-    hamiltonian = scene.create_hamiltonian()
     own = {coordinate.name: coordinate.q_unit for coordinate in hamiltonian.coordinates}
     if hamiltonian.robot is not None:
         own |= {joint.name: joint.units.q for link in hamiltonian.robot.links.values()

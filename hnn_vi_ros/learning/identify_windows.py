@@ -21,7 +21,6 @@ from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, difference, OnNumber, sum_of
 from hnn_vi_ros.run.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.run.ensemble import BLOCK
-from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -130,11 +129,11 @@ class Prediction:
     def __init__(self, free: FreeScene, values: np.ndarray, windows: Windows):
         self._free, self._values, self._windows = free, np.array(values, dtype=float), windows
         scene, self._delay = free.at(values)
-        self.hamiltonian, self._integrator = scene.create_hamiltonian(), scene.create_integrator()
+        _, self.hamiltonian, self._integrator, self._effects = scene.parts()
         self._per_sample = steps_between(windows.spacing, scene.known_step_size)
         self._h = windows.spacing / self._per_sample
         self._samples = windows.measured.shape[1] - 1
-        self._effects, self._force = self._acting(scene)
+        self._force = self._take_force()
         self._parts = self._parts_of_samples()
         self._on_failure = scene.on_failure
         # Time, and what was measured, are others in each window.
@@ -144,16 +143,16 @@ class Prediction:
         self._first = np.rint(windows.times / self._h).astype(int) if self._timed else \
             np.zeros(len(windows.run), dtype=int)
 
-    def _acting(self, scene: Scene) -> tuple[list[Effect], MeasuredForce | None]:
-        """Return the effects, with the measured forces in place of commands."""
-        effects, force = scene.create_effects(), None
-        for i, effect in enumerate(effects):
+    def _take_force(self) -> MeasuredForce | None:
+        """Put the measured forces in place of the effect that takes commands, and return them."""
+        force = None
+        for i, effect in enumerate(self._effects):
             if isinstance(effect, ExternalForce):
                 names = command_names(effect, self.hamiltonian.coordinates, self._windows.motions)
                 longest = max(len(motion.t) for motion in self._windows.motions)
                 force = MeasuredForce(names, longest * self._per_sample)
-                effects[i] = force
-        return effects, force
+                self._effects[i] = force
+        return force
 
     def _parts_of_samples(self) -> list[tuple[float, int]]:
         """Return sizes [s] and counts of steps between samples; held forces jump at an end."""

@@ -64,7 +64,7 @@ class BridgePicture:
         self._sink = RerunSink(
             name, target, hamiltonian, simulation.q.copy(), simulation.p.copy(), box=box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
-            effects=scene.create_effects(), step_size=simulation.step_size,
+            effects=simulation.effects, step_size=simulation.step_size,
             conservative=simulation.conservative, modified=self._integrator is not None)
 
     def show(self, state: State) -> None:

@@ -73,7 +73,7 @@ class PictureOutput(Sink):
             scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
             simulation.p.copy(), box=self._box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
-            effects=scene.create_effects(), step_size=simulation.step_size,
+            effects=simulation.effects, step_size=simulation.step_size,
             conservative=simulation.conservative,
             modified=simulation.modified_energy is not None, pace=pace or None,
             band=scene.uncertainty is not None,

@@ -116,9 +116,10 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
     with announced(tell):
-        simulation = _compile(scene, logger)
+        parts = scene.parts()
+        simulation = _compile(parts, logger)
         with scene.placed('uncertainty'):
-            members = None if scene.uncertainty is None else Members(scene)
+            members = None if scene.uncertainty is None else Members(parts)
         twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
         # What looks into steps, or goes along with them, waits for nothing in the run.
         alone = not (scene.events or settings.publish_accuracy or members or twin)
@@ -182,17 +183,17 @@ def check_pace(real_time_factor: float, tick: float) -> None:
                              f'{_LONGEST_WAIT:.0e} s would pass between two samples')
 
 
-def _compile(scene: Scene, logger: Logger) -> Simulation:
+def _compile(parts: Parts, logger: Logger) -> Simulation:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
-        simulation = build(scene)
+        simulation = build(parts)
         seconds = simulation.compile()
         # Compile what messages of states and the picture call.
         simulation.hamiltonian.energy(simulation.q, simulation.p)
         simulation.hamiltonian.gradient(simulation.q, simulation.p)
     for warning in caught:
         logger.warning(str(warning.message))
-    logger.info(f'scene {scene.source}: kernel compiled in {seconds:.2f} s')
+    logger.info(f'scene {parts.scene.source}: kernel compiled in {seconds:.2f} s')
     return simulation
 
 

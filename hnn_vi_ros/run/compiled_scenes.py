@@ -15,7 +15,7 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
 from hnn_vi_ros.run.ensemble import simulate
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 
 # Processes, of 0.3 GB each: of more of them several would compile the same.
@@ -79,7 +79,8 @@ def _compile(name: str) -> CompiledScene:
             # And what other effects will share, by address.
             simulation.compile(whole=False)
             simulation.compile_rescue()
-            for effect in _around(scene):
+            first = simulation.hamiltonian.coordinates[0].name
+            for effect in _around(first, scene.initial_state.q[0] - 1.0):
                 with suppress(HnnViRosError):
                     simulate(scene, 0.0, effects=[effect])
     except HnnViRosError as error:
@@ -87,10 +88,8 @@ def _compile(name: str) -> CompiledScene:
     return CompiledScene(name, time.perf_counter() - begin, problem)
 
 
-def _around(scene: Scene) -> list[dict[str, Any]]:
+def _around(first: str, below: float) -> list[dict[str, Any]]:
     """Return effects of each kind that takes the method's step, or halves of it, by address."""
-    first = scene.create_hamiltonian().coordinates[0].name
-    below = scene.initial_state.q[0] - 1.0
     return [{'kind': 'damping', 'rate': 0.1},
             {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1},
             {'kind': 'impact', 'coordinate': first, 'position': below},

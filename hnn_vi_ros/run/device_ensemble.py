@@ -11,6 +11,7 @@ from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
 from hnn_vi_ros.processors import in_threads, usable_processors
+from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import torch
@@ -18,6 +19,13 @@ import torch
 # Trajectories that step together on the processor: as many as one batch of their gradients takes,
 # several times, so that little of it is filled up; what comes of them does not depend on that.
 _TOGETHER = 3840
+
+
+def ensemble_on(device: str, parts: Parts) -> LockstepEnsemble:
+    """Return an ensemble of a scene on a device, with H of its own."""
+    scene, hamiltonian, integrator, effects = parts.copy()
+    return LockstepEnsemble(hamiltonian, integrator, scene.known_step_size, effects,
+                            scene.on_failure, device)
 
 
 def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], device: str,

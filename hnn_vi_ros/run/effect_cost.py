@@ -7,7 +7,7 @@ import math
 import time
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -35,7 +35,7 @@ class EffectCosts:
     added: dict[str, float]
 
 
-def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -> EffectCosts:
+def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -> EffectCosts:
     """
     Measure the scene, its bare integrator, and the scene without each of its effects in turn.
 
@@ -44,8 +44,8 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
 
     Parameters
     ----------
-    scene : Scene
-        The scene to measure, from its initial state on.
+    parts : Parts
+        Parts of the scene to measure, from its initial state on.
     batches : int, optional
         Turns.
     batch_time : float, optional
@@ -57,11 +57,11 @@ def measure_effects(scene: Scene, batches: int = 15, batch_time: float = 0.02) -
         The scene itself cannot be built or fails.
 
     """
-    effects = scene.effects
+    scene, effects = parts.scene, parts.effects
     kept = [effects, [], *(effects[:i] + effects[i + 1:] for i in range(len(effects)))]
-    whole = build(scene)
+    whole = build(parts)
     steps = _calibrate(whole, scene, batch_time)
-    simulations = [whole, *(_try_to_run(scene.model_copy(update={'effects': variant}), steps)
+    simulations = [whole, *(_try_to_run(parts.copy()._replace(effects=variant), steps)
                             for variant in kept[1:])]
     times = np.full((batches, len(kept)), math.nan)
     for turn in times:
@@ -85,12 +85,12 @@ def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
     return steps
 
 
-def _try_to_run(variant: Scene, steps: int) -> Simulation | None:
-    """Build and warm up a part of the scene; None where it cannot do without the rest."""
+def _try_to_run(parts: Parts, steps: int) -> Simulation | None:
+    """Build and warm up some of the parts; None where it cannot do without the rest."""
     try:
-        simulation = build(variant)
+        simulation = build(parts)
         simulation.compile(whole=True)
-        _run(simulation, variant, steps)
+        _run(simulation, parts.scene, steps)
     except HnnViRosError:
         return None
     return simulation

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,9 @@ from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.run.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.run.resolving_step import name_step
 from hnn_vi_ros.run.trajectory import Trajectory
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
@@ -34,7 +35,7 @@ from numpy.typing import ArrayLike
 BLOCK = 32
 
 
-def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
+def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: float | None = None,
              integrator: str | None = None,
              initial_state: tuple[ArrayLike, ArrayLike] | None = None,
              effects: Sequence[Mapping[str, Any]] | None = None,
@@ -45,7 +46,7 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
 
     Parameters
     ----------
-    scene : Scene, str or Path
+    scene : Scene, Parts, str or Path
         From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
     duration : float
         Simulated time [s], which the last sample is at; see DenseStep for a time between steps.
@@ -91,26 +92,29 @@ def simulate(scene: Scene | str | Path, duration: float, *, step_size: float | N
     """
     check_seconds('duration', duration)
     check_count('every', every)
-    scene = changed_scene(scene, step_size, integrator, initial_state, effects)
-    simulation = watched(build(scene), scene)
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
+    scene = parts.scene
+    simulation = watched(build(parts), scene)
     recorded = record_one(simulation, duration, int(every), times, commands)
 
     def repeat(h: float) -> tuple[Alarm, ...]:
         # At whole steps alone, where that is as good: states between them take time.
-        return record_one(build(scene.with_overrides(h)), float(recorded.t[-1]),
-                          int(every) if times is None else 1).alarms
+        other = build(parts._replace(scene=scene.with_overrides(h)))
+        return record_one(other, float(recorded.t[-1]), int(every) if times is None else 1).alarms
 
     tell(name_step(recorded.alarms, simulation, repeat), scene.known_step_size)
     return replace(recorded, scene=scene)
 
 
-def changed_scene(scene: Scene | str | Path, step_size: float | None = None,
+def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
                   integrator: str | None = None,
                   initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
-                  effects: Sequence[Mapping[str, Any]] | None = None) -> Scene:
-    """Return a resolved scene with other parts, where given; see ``simulate``."""
-    return resolve(_scene(scene).with_overrides(
-        step_size, integrator, _state(initial_state), _listed(effects)))[0]
+                  effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
+    """Return the parts of a resolved scene, with others where given; see ``simulate``."""
+    made = scene if isinstance(scene, Parts) else None
+    changed, _ = resolve((made.scene if made else _scene(scene)).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects)))
+    return made if made and changed is made.scene else changed.parts()
 
 
 def record_one(simulation: Simulation | WatchedSimulation, duration: float, every: int,
@@ -265,10 +269,9 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     if scene.events:
         raise ValueError('simulate_many watches for no events: leave the events out of '
                          f'{scene.name}, or simulate one trajectory at a time')
-    hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
-    effects = scene.create_effects()
-    system = System(hamiltonian, effects, integrator)
-    size = BLOCK if system.lockstep else 1
+    parts = scene.parts()
+    _, hamiltonian, integrator, effects = parts
+    size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
     q0, p0 = _initial_states(q, p, hamiltonian)
     if q0.size * samples > MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
@@ -278,8 +281,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
 
     def start(block: slice) -> Simulation:
-        return Simulation(hamiltonian.copy(), integrator, scene.step_size, q0[block], p0[block],
-                          effects, scene.on_failure)
+        return build_at(parts, q0[block], p0[block])
 
     alarms: list[list[Alarm]] = [[] for _ in q0]
     if device is None:
@@ -292,15 +294,10 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
                 f'{interval / scene.step_size:g} steps: on a device these are whole; take '
                 'another duration or samples')
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
-            from hnn_vi_ros.run.device_ensemble import record_on_device
-
-        def make() -> LockstepEnsemble:
-            return LockstepEnsemble(hamiltonian.copy(), integrator, scene.known_step_size, effects,
-                                    scene.on_failure, device)
+            from hnn_vi_ros.run.device_ensemble import ensemble_on, record_on_device
         q_all, p_all, failures = record_on_device(
-            start(slice(0, 1)), make, device, q0, p0, [k * every for k in range(samples + 1)],
-            threads, alarms)
+            start(slice(0, 1)), partial(ensemble_on, device, parts), device, q0, p0,
+            [k * every for k in range(samples + 1)], threads, alarms)
         for _, failure in sorted(failures.items()):
             raise failure
     energies = show_many(

@@ -7,8 +7,8 @@ import warnings
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import ModelError, StepFailure
 from hnn_vi_ros.run.spread import (
-    deviation, ensemble_card, measured_momenta, member_scenes, same_velocity)
-from hnn_vi_ros.scene import Scene
+    deviation, ensemble_card, measured_momenta, members_of, same_velocity)
+from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -24,8 +24,8 @@ class Members:
 
     Parameters
     ----------
-    scene : Scene
-        Resolved; its Hamiltonian is the mean of an ensemble.
+    parts : Parts
+        Of a scene; its Hamiltonian is the mean of an ensemble.
 
     Attributes
     ----------
@@ -44,20 +44,20 @@ class Members:
 
     """
 
-    def __init__(self, scene: Scene):
-        card = ensemble_card(scene)
+    def __init__(self, parts: Parts):
+        card = ensemble_card(parts)
         self.count = len(card.members)
         self.factors = None if card.factors is None else np.array(card.factors)
         self.level = card.level if card.factors else None
         with warnings.catch_warnings():
             # The mean has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
-            self._simulations = [build(own) for own in member_scenes(scene, self.count)]
+            self._simulations = [build(own) for own in members_of(parts)]
             # One compiles for all: they have one type.
             self._simulations[0].compile()
             self._simulations[0].compile_rescue()
-            self._mean = None if measured_momenta(scene.create_hamiltonian()) else \
-                build(scene).hamiltonian
+            self._mean = None if measured_momenta(parts.hamiltonian) else \
+                build(parts.copy()).hamiltonian
         if self._mean is not None:
             self._mean.compile()
             self._simulations[0].hamiltonian.compile()

@@ -76,7 +76,7 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         report['microseconds_per_step'] = _rounded(microseconds_per_step)
         report['added_microseconds'] = {
             label: _rounded(1e6 * seconds)
-            for label, seconds in measure_effects(scene).added.items()}
+            for label, seconds in measure_effects(scene.parts()).added.items()}
     return report
 
 

@@ -5,14 +5,13 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.run.acting_effects import flow_rates
 from hnn_vi_ros.run.dependences import Dependence, on_number
 from hnn_vi_ros.run.derivatives import DifferentiableRun
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.named_numbers import with_known_numbers
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -46,10 +45,8 @@ class SceneRun:
 
     Parameters
     ----------
-    scene : Scene
-        That names its method and its step size.
-    hamiltonian : Hamiltonian
-        That of the scene.
+    parts : Parts
+        Of the scene; others can run with them at the same time.
 
     Attributes
     ----------
@@ -63,14 +60,12 @@ class SceneRun:
 
     """
 
-    def __init__(self, scene: Scene, hamiltonian: Hamiltonian):
-        self._scene, self._integrator = scene, scene.create_integrator()
+    def __init__(self, parts: Parts):
         # Kernels have working memory, which another run may be using.
-        self._own = hamiltonian.copy(), scene.create_effects()
-        self.run = DifferentiableRun(self._own[0], self._integrator, scene.known_step_size,
-                                     self._own[1])
-        self._held: Numbers | None = Numbers({}, scene.known_step_size)
-        self._now = scene, *self._own
+        self._own = self._now = parts = parts.copy()
+        h = parts.scene.known_step_size
+        self.run = DifferentiableRun(parts.hamiltonian, parts.integrator, h, parts.effects)
+        self._held: Numbers | None = Numbers({}, h)
         self._beside: dict[tuple[str, int], System] = {}
 
     def hold(self, numbers: Numbers) -> None:
@@ -80,46 +75,40 @@ class SceneRun:
             self._held = numbers
             return
         self._held = None
-        scene = with_known_numbers(self._scene, numbers.values)
-        hamiltonian, effects = self._made(scene, numbers.values)
+        made = _changed(self._own, numbers.values)
         if numbers.hamiltonian is not None:
-            hamiltonian = numbers.hamiltonian.copy()
-        self.run.take_numbers(hamiltonian, effects, numbers.step_size)
-        self._now, self._held = (scene, hamiltonian, effects), numbers
+            made = made._replace(hamiltonian=numbers.hamiltonian.copy())
+        self.run.take_numbers(made.hamiltonian, made.effects, numbers.step_size)
+        self._now, self._held = made, numbers
 
     def on_number(self, name: str) -> Dependence:
         """Return the dependence on a number of the scene where it is now, or raise ValueError."""
         assert self._held is not None
         value = self._held.values[name]
         try:
-            return on_number(lambda other, offset: self._changed(name, other, offset), value)
+            return on_number(lambda other, offset: self._beside_now(name, other, offset), value)
         except SceneError as problem:
             raise ValueError(f'{name} = {value:g} is too near to the end of its range to be '
                              f'differentiated by: {problem}') from problem
 
-    def _made(self, scene: Scene, values: Mapping[str, float]
-              ) -> tuple[Hamiltonian, list[Effect]]:
-        """Return H and effects of a scene, those that were made already where none differs."""
-        hamiltonian, effects = self._own
-        if not all(name.startswith(_EFFECTS) for name in values):
-            hamiltonian = scene.create_hamiltonian()
-        if any(name.startswith(_EFFECTS) for name in values):
-            effects = scene.create_effects()
-        return hamiltonian, effects
-
-    def _changed(self, name: str, value: float, offset: int
-                 ) -> tuple[Kernel, np.ndarray | None]:
+    def _beside_now(self, name: str, value: float, offset: int
+                    ) -> tuple[Kernel, np.ndarray | None]:
         """Return the kernel with another value, and the rates of damping that depend on it."""
-        scene, hamiltonian, effects = self._now
-        scene = with_known_numbers(scene, {name: value})
-        # Numbers of H have no influence on effects, nor these on H.
-        if name.startswith(_EFFECTS):
-            effects = scene.create_effects()
-        else:
-            hamiltonian = scene.create_hamiltonian()
+        _, hamiltonian, integrator, effects = _changed(self._now, {name: value})
         system = self._beside.get((name, offset))
         if system is None or not system.take_numbers(hamiltonian, effects):
-            system = System(hamiltonian, effects, self._integrator)
+            system = System(hamiltonian, effects, integrator)
             self._beside[name, offset] = system
-        return system.kernel, flow_rates(hamiltonian, self._integrator, effects) \
+        return system.kernel, flow_rates(hamiltonian, integrator, effects) \
             if name.startswith(_EFFECTS) else None
+
+
+def _changed(parts: Parts, values: Mapping[str, float]) -> Parts:
+    """Return parts with other numbers; of H or of effects alone, where the others stay."""
+    scene = with_known_numbers(parts.scene, values)
+    # Numbers of H have no influence on effects, nor these on H.
+    if not all(name.startswith(_EFFECTS) for name in values):
+        parts = parts._replace(hamiltonian=scene.create_hamiltonian())
+    if any(name.startswith(_EFFECTS) for name in values):
+        parts = parts._replace(effects=scene.create_effects())
+    return parts._replace(scene=scene)

@@ -16,9 +16,9 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import EnsembleCard
-from hnn_vi_ros.run.ensemble import changed_scene, simulate
+from hnn_vi_ros.run.ensemble import changed_parts, simulate
 from hnn_vi_ros.run.trajectory import Trajectory
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
@@ -52,7 +52,7 @@ class SpreadTrajectory:
     level: float | None
 
 
-def ensemble_card(scene: Scene) -> EnsembleCard:
+def ensemble_card(parts: Parts) -> EnsembleCard:
     """
     Return the card of the ensemble that a scene runs the mean of.
 
@@ -62,7 +62,7 @@ def ensemble_card(scene: Scene) -> EnsembleCard:
         Its Hamiltonian is no such mean.
 
     """
-    hamiltonian = scene.create_hamiltonian()
+    scene, hamiltonian, *_ = parts
     if isinstance(hamiltonian, ConfinedHamiltonian):
         raise SceneError(f'{scene.place("hamiltonian")}: confined to its training domain, by '
                          'walls of its own for each member, so that their spread means nothing; '
@@ -80,8 +80,8 @@ def member_scenes(scene: Scene, count: int) -> list[Scene]:
     """
     Return the scene with each of the first members of its ensemble in place of the mean.
 
-    So in effects that take friction or an input map from the same file. Where momenta are a
-    member's own, its initial p is that of the same q'.
+    So in effects that take friction or an input map from the same file. Initial states are that
+    of the mean; see ``members_of``.
     """
     choice, files = scene.hamiltonian.model_dump(), scene.model_files()
 
@@ -91,16 +91,22 @@ def member_scenes(scene: Scene, count: int) -> list[Scene]:
         if whole and name is not None and files[name] == files[choice['model']]:
             found['member'] = k
         return found
-    scenes = [scene.changed({
+    return [scene.changed({
         'hamiltonian': {**choice, 'member': k}, 'uncertainty': None, 'events': [],
         'effects': [effect_of(effect, k) for effect in scene.effects]})
         for k in range(1, count + 1)]
-    if measured_momenta(scene.create_hamiltonian()):
-        return scenes
-    mean, state = build(scene).hamiltonian, scene.initial_state
+
+
+def members_of(parts: Parts) -> list[Parts]:
+    """Return each member in place of the mean; where momenta are its own, p is that of same q'."""
+    scene, count = parts.scene, len(ensemble_card(parts).members)
+    members = [own.parts() for own in member_scenes(scene, count)]
+    if measured_momenta(parts.hamiltonian):
+        return members
+    mean, state = build(parts).hamiltonian, scene.initial_state
     q, p = np.array(state.q), np.array(state.p)
-    return [own.changed({'initial_state': {'q': state.q, 'p': same_velocity(
-        mean, build(own).hamiltonian, q, p).tolist()}}) for own in scenes]
+    return [own._replace(scene=own.scene.changed({'initial_state': {'q': state.q, 'p': (
+        same_velocity(mean, build(own).hamiltonian, q, p).tolist())}})) for own in members]
 
 
 def measured_momenta(hamiltonian: Hamiltonian) -> bool:
@@ -177,24 +183,23 @@ def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: fl
         does not raise: its band is infinite from there on.
 
     """
-    scene = changed_scene(scene, step_size, integrator, initial_state, effects)
-    card = ensemble_card(scene)
-    mean, scenes = simulate(scene, duration, **options), member_scenes(scene, len(card.members))
-    if scene.events:
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
+    card = ensemble_card(parts)
+    mean, own = simulate(parts, duration, **options), members_of(parts)
+    if parts.scene.events:
         # They may have ended the mean before.
         duration = min(duration, float(mean.t[-1]))
         options |= {'times': mean.t} if 'times' in options else {}
     with warnings.catch_warnings():
         # The mean raises all alarms; the band shows a member that leaves its box.
         warnings.simplefilter('ignore', AlarmWarning)
-        members = [_or_failed(partial(simulate, own, duration, **options), mean)
-                   for own in scenes]
+        members = [_or_failed(partial(simulate, one, duration, **options), mean) for one in own]
     of_q, of_p = np.split(np.array(card.factors or [1.0, 1.0]), 2)
     momenta = [one.p for one in members]
-    if not measured_momenta(scene.create_hamiltonian()):
-        whole = build(scene).hamiltonian
-        momenta = [_by_mean(whole, build(own).hamiltonian, one)
-                   for own, one in zip(scenes, members, strict=True)]
+    if not measured_momenta(parts.hamiltonian):
+        whole = build(parts).hamiltonian
+        momenta = [_by_mean(whole, build(made).hamiltonian, one)
+                   for made, one in zip(own, members, strict=True)]
     return SpreadTrajectory(
         mean, tuple(members), of_q * deviation([one.q for one in members]),
         of_p * deviation(momenta), card.level if card.factors else None)

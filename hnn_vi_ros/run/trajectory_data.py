@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 
@@ -99,10 +100,14 @@ class TrajectoryData:
 
     def hamiltonian(self) -> Hamiltonian:
         """Return H with the potentials among the effects of the scene."""
+        return self.simulation().hamiltonian
+
+    def simulation(self) -> Simulation:
+        """Return a simulation of the scene, in its initial state."""
         if self.scene is None:
             raise ValueError('this trajectory knows no scene, by whose H it could be shown: take '
                              'one of simulate or simulate_many')
-        return build(self.scene).hamiltonian
+        return build(self.scene)
 
     def facts(self) -> list[str]:
         """Return in short what it holds."""

@@ -12,8 +12,9 @@ from hnn_vi_ros.viewer.rerun_sink import RerunSink
 
 def record(trajectory: TrajectoryData, target: str | Path | int) -> None:
     """Send what ``Trajectory.to_rerun`` tells."""
-    run, hamiltonian = trajectory.single(), trajectory.hamiltonian()
+    run, simulation = trajectory.single(), trajectory.simulation()
     scene = run.scene
+    hamiltonian = simulation.hamiltonian
     assert scene is not None, 'it has a Hamiltonian'
     if isinstance(target, str) and '://' not in target:
         target = Path(target)
@@ -24,7 +25,7 @@ def record(trajectory: TrajectoryData, target: str | Path | int) -> None:
     sink = RerunSink(
         scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
         mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
-        effects=scene.create_effects(), step_size=h, modified=False,
+        effects=simulation.effects, step_size=h, modified=False,
         interval=0, begin=(stamps[0], round(run.t[0] / h)))
     try:
         told = [(event.t, f'event {event}', 'INFO') for event in run.events] + [

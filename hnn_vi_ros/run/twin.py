@@ -102,11 +102,12 @@ class Twin:
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
-        alone = scene.changed({'effects': free, 'events': [], 'uncertainty': None})
+        alone = scene.changed({'effects': free, 'events': [], 'uncertainty': None}).parts()
         with warnings.catch_warnings():
             # The simulation has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
-            self._predictions = [Prediction(build(alone)) for _ in range(observer.predictions)]
+            self._predictions = [Prediction(build(alone.copy()))
+                                 for _ in range(observer.predictions)]
             first = self._predictions[0].simulation
         first.compile()
         first.compile_rescue()

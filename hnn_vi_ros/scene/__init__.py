@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property, partial
 from keyword import iskeyword
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
@@ -178,6 +178,19 @@ class Scene(StrictModel):
                              'automatic_choice.resolve(scene) returns a scene with one')
         return self.step_size
 
+    def parts(self) -> 'Parts':
+        """
+        Build or load what the scene names: H, the integrator, and the effects.
+
+        Raises
+        ------
+        ModelError, SceneError
+            See ``create_hamiltonian``, ``create_integrator`` and ``create_effects``.
+
+        """
+        return Parts(self, self.create_hamiltonian(), self.create_integrator(),
+                     self.create_effects())
+
     def create_integrator(self) -> Integrator:
         """
         Build the integrator that the scene names.
@@ -331,6 +344,25 @@ class Scene(StrictModel):
         own = name in type(value).model_fields
         kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
         return f'{self.place(*key, *[name] * own)}: {kind}{message}'
+
+
+class Parts(NamedTuple):
+    """
+    Scene with all that it names, made once and handed to whatever simulates it.
+
+    Simulations can share an integrator and effects: what these keep from step to step is in the
+    simulation. The kernel of H has working memory, so simulations of several threads, or one whose
+    numbers change, take a copy of H.
+    """
+
+    scene: Scene
+    hamiltonian: Hamiltonian
+    integrator: Integrator
+    effects: list[Effect]
+
+    def copy(self) -> 'Parts':
+        """Return them with a copy of H."""
+        return self._replace(hamiltonian=self.hamiltonian.copy())
 
 
 def _validated(data: dict[str, Any], where: str) -> Scene:

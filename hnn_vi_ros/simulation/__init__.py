@@ -49,6 +49,8 @@ class Simulation(Stepping):
     ----------
     hamiltonian : Hamiltonian
         H with the potentials among the effects.
+    effects : tuple of Effect
+        What acts beside H.
     conservative, takes_commands : bool
         Whether no effect does work, and whether one takes commands that are plain numbers.
     command_size, command_names : int, sequence of str
@@ -91,6 +93,7 @@ class Simulation(Stepping):
         system = System(hamiltonian, effects, integrator)
         super().__init__(system, float(step_size), on_failure)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
+        self.effects = tuple(effects)
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
         self.command_names, self.command_size = self.motors.names, self.motors.size

@@ -3,18 +3,20 @@
 """From a scene to a simulation."""
 
 from hnn_vi_ros.models.learned import warn_of_scheme
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
+from numpy.typing import ArrayLike
 
 
-def build(scene: Scene) -> Simulation:
+def build(scene: Scene | Parts) -> Simulation:
     """
     Return a simulation of a scene, in its initial state.
 
     Parameters
     ----------
-    scene : Scene
-        That names its method and its step size; ``automatic_choice.resolve`` replaces auto.
+    scene : Scene or Parts
+        That names its method and its step size; ``automatic_choice.resolve`` replaces auto. From
+        parts the simulation takes H itself, not a copy.
 
     Raises
     ------
@@ -22,9 +24,16 @@ def build(scene: Scene) -> Simulation:
         The parts of the scene do not fit together, or cannot be made.
 
     """
-    hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
-    effects, state = scene.create_effects(), scene.initial_state
+    scene, hamiltonian, integrator, effects = scene if isinstance(scene, Parts) else scene.parts()
+    state = scene.initial_state
     warn_of_scheme(hamiltonian, scene.integrator.kind, scene.known_step_size)
     with scene.placed('initial_state'):
         return Simulation(hamiltonian, integrator, scene.known_step_size, state.q, state.p,
                           effects, scene.on_failure)
+
+
+def build_at(parts: Parts, q: ArrayLike, p: ArrayLike) -> Simulation:
+    """Return a simulation, with H of its own, in a state or in several; see Simulation."""
+    scene, hamiltonian, integrator, effects = parts.copy()
+    return Simulation(hamiltonian, integrator, scene.known_step_size, q, p, effects,
+                      scene.on_failure)

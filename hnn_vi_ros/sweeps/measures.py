@@ -4,33 +4,21 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, listed
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.run.trajectory import Trajectory
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.sweeps.definition import Reduction
 import numpy as np
 
 
-class Parts(NamedTuple):
-    """Parts of a scene; joined is H with the potentials and fields among its effects."""
-
-    scene: Scene
-    hamiltonian: Hamiltonian
-    joined: Hamiltonian
-    integrator: Integrator
-    effects: list[Effect]
-
-
-def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts, duration: float
-            ) -> dict[str, Any]:
+def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
+            joined: Hamiltonian, duration: float) -> dict[str, Any]:
     """
     Return statistics of a trajectory, by the columns that hold them.
 
@@ -42,6 +30,8 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts, dur
         With the initial state first.
     parts : Parts
         Of its scene.
+    joined : Hamiltonian
+        H with the potentials and fields among the effects.
     duration : float
         Within which chaos is looked for [s].
 
@@ -57,7 +47,7 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts, dur
             case 'energy_band':
                 found[name] = float(np.ptp(trajectory.energy))
             case 'out_of_box_time':
-                found[name] = out_of_box_time(trajectory, parts.joined)
+                found[name] = out_of_box_time(trajectory, joined)
             case 'event_times':
                 found[name] = [event.t for event in trajectory.events]
                 found['events'] = [event.when for event in trajectory.events]

@@ -17,10 +17,9 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.files.resources import is_path
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.run.ensemble import BLOCK
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.sweeps.axes import Axis, FileAxis, make_axis, PosteriorAxis
@@ -51,10 +50,8 @@ class SweepPlan:
         As it is defined.
     folder : Path
         That its paths start from.
-    scene : Scene
-        With a method and a step size.
-    hamiltonian : Hamiltonian
-        Of that scene.
+    made : Parts
+        The scene, with a method and a step size, and its parts.
     axes : list of Axis
         What varies, the last one fastest.
     parts : list of tuple
@@ -66,11 +63,15 @@ class SweepPlan:
 
     sweep: Sweep
     folder: Path
-    scene: Scene
-    hamiltonian: Hamiltonian
+    made: Parts
     axes: list[Axis]
     parts: list[tuple[str | int, ...]]
     device: str | None = None
+
+    @property
+    def scene(self) -> Scene:
+        """Return the scene, with a method and a step size."""
+        return self.made.scene
 
     @property
     def keys(self) -> list[str]:
@@ -80,7 +81,7 @@ class SweepPlan:
     @property
     def names(self) -> dict[str, list[str]]:
         """Return the names of the columns of q, and of p: several of what turns in space."""
-        return dict(zip('qp', columns(self.hamiltonian.coordinates), strict=True))
+        return dict(zip('qp', columns(self.made.hamiltonian.coordinates), strict=True))
 
     @property
     def count(self) -> int:
@@ -100,7 +101,7 @@ class SweepPlan:
     @cached_property
     def block(self) -> int:
         """Return how many neighbours step together; what they are depends on that."""
-        most = _MOST_NUMBERS // (2 * self.hamiltonian.dimension * self.samples)
+        most = _MOST_NUMBERS // (2 * self.made.hamiltonian.dimension * self.samples)
         if self.device is None:
             return min(BLOCK, most)
         together = _ON_DEVICE[self.device.partition(':')[0]]
@@ -204,10 +205,10 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     if chosen is not None and isinstance(scene.integrator, AutoChoice):
         scene = scene.changed({name: chosen[name] for name in ('step_size', 'integrator')})
     scene, _ = resolve(scene)
-    hamiltonian = scene.create_hamiltonian()
+    made = scene.parts()
     axes = [make_axis(axis, sweep.seed, number, folder, places.place('vary', number))
             for number, axis in enumerate(sweep.vary)]
-    plan = SweepPlan(sweep, folder, scene, hamiltonian, axes, [], device)
+    plan = SweepPlan(sweep, folder, made, axes, [], device)
     for number, axis in enumerate(axes):
         plan.parts.extend(find_key(scene, key, plan.names, places.place('vary', number))
                           for key in axis.keys)
@@ -229,7 +230,7 @@ def _check(plan: SweepPlan, where: str) -> None:
     if plan.block == 0:
         raise DataError(f'{where}: every: {plan.samples} samples of a trajectory are more than '
                         'memory holds; take a larger every')
-    if 'out_of_box_time' in sweep.statistics and plan.hamiltonian.box is None:
+    if 'out_of_box_time' in sweep.statistics and plan.made.hamiltonian.box is None:
         raise DataError(f'{where}: statistics: out_of_box_time: {plan.scene.name} was not trained '
                         'in a box; leave it out')
     if 'event_times' in sweep.statistics and not plan.scene.events:

@@ -14,11 +14,11 @@ from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.run.ensemble import record_one
 from hnn_vi_ros.run.recorders import recorders
 from hnn_vi_ros.run.trajectory import Trajectory
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.sweeps.measures import measure, Parts, Reducer
+from hnn_vi_ros.sweeps.measures import measure, Reducer
 from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
 
@@ -213,7 +213,8 @@ class Runner:
         trajectory = Trajectory(
             found.t, found.q, found.p, found.energy, made.parts.hamiltonian.coordinates,
             tuple(found.alarms), found.events, made.parts.scene)
-        measured = measure(sweep.statistics, trajectory, made.parts, sweep.duration)
+        measured = measure(
+            sweep.statistics, trajectory, made.parts, made.joined, sweep.duration)
         if self._reducer is not None:
             measured |= self._reducer(trajectory)
         return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
@@ -251,10 +252,10 @@ class _Made:
         values = dict(zip(plan.parts, row, strict=True))
         scene = plan.scene_of(
             {part: value for part, value in values.items() if part[0] != 'initial_state'})
-        hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
-        effects = scene.create_effects()
+        self.parts = plan.made if scene is plan.scene else scene.parts()
+        _, hamiltonian, integrator, effects = self.parts
         system = System(hamiltonian, effects, integrator)
-        self.parts = Parts(scene, hamiltonian, system.hamiltonian, integrator, effects)
+        self.joined = system.hamiltonian
         self.lockstep = system.lockstep and not scene.events
         self._state = {half: np.array(values) for half, values in scene.initial_state}
         steps, _ = whole_steps(plan.sweep.duration, scene.known_step_size)
@@ -298,8 +299,8 @@ class _Made:
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
         """Return what takes the steps on a device."""
-        from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
-        scene, hamiltonian, _, integrator, effects = self.parts
+        from hnn_vi_ros.run.device_ensemble import ensemble_on
+        scene = self.parts.scene
         if scene.events:
             raise HnnViRosError('trajectories step on a device without events; leave those of '
                                 f'{scene.name} out, or the device')
@@ -307,8 +308,7 @@ class _Made:
             raise HnnViRosError(
                 f'duration = {self._plan.sweep.duration:g} s is no whole number of steps of '
                 f'{scene.known_step_size:g} s, as a device takes it; take another')
-        return LockstepEnsemble(hamiltonian.copy(), integrator, scene.known_step_size, effects,
-                                scene.on_failure, device)
+        return ensemble_on(device, self.parts)
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[_Path, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
@@ -337,10 +337,7 @@ class _Made:
         """Return a simulation in an initial state; a stream of noise for each index."""
         simulation = self._simulations.get(name)
         if simulation is None:
-            scene, hamiltonian, _, integrator, effects = self.parts
-            simulation = watched(Simulation(
-                hamiltonian.copy(), integrator, scene.known_step_size, q, p, effects,
-                scene.on_failure), scene)
+            simulation = watched(build_at(self.parts, q, p), self.parts.scene)
             self._simulations[name] = simulation
         simulation.restart(q, p, stream=stream)
         return simulation

@@ -171,7 +171,8 @@ def test_explain_answers_a_wrong_scene_with_a_typed_error():
 
 
 def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():
-    costs = measure_effects(load_scene('exact_harmonic_oscillator'), batches=3, batch_time=1e-3)
+    parts = load_scene('exact_harmonic_oscillator').parts()
+    costs = measure_effects(parts, batches=3, batch_time=1e-3)
     assert costs.added == {} and costs.total > 0.0 and costs.bare > 0.0
 
 
@@ -182,7 +183,7 @@ def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effe
         'hamiltonian: {kind: harmonic_oscillator}\neffects: [{kind: damping, rate: 3.0}]\n'
         'integrator: {kind: explicit_euler}\nstep_size: 1000.0\n'
         'initial_state: {q: [1.0], p: [0.0]}\n')
-    costs = measure_effects(load_scene(path), batches=3, batch_time=2e-3)
+    costs = measure_effects(load_scene(path).parts(), batches=3, batch_time=2e-3)
     assert costs.total > 0.0 and math.isnan(costs.bare) and math.isnan(costs.added['damping'])
 
 

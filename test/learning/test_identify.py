@@ -47,7 +47,7 @@ def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Mo
 def freed(scene: Scene, folder: Path, **starts: float) -> FreeScene:
     """Return a scene with numbers free, and where the search begins."""
     names = [name.replace('__', '.') for name in starts]
-    return free_scene(scene, names, {}, folder, True).starting_at([*starts.values()])
+    return free_scene(scene.parts(), names, {}, folder, True).starting_at([*starts.values()])
 
 
 def estimated(free: FreeScene, motion: Motion, robust: bool = False,
@@ -125,7 +125,7 @@ def test_exact_tangents_of_driven_windows_are_differences_of_simulations(tmp_pat
     late = replace(log, name='two', t=t + 0.4, tau=force[::-1])
     names = ('mass2', 'damping.rate', 'joint_friction.friction.angle2',
              'periodic_drive.frequency', DELAY)
-    free = free_scene(scene, names, {DELAY: (0.0, 0.1)}, tmp_path, True)
+    free = free_scene(scene.parts(), names, {DELAY: (0.0, 0.1)}, tmp_path, True)
     values = np.array([number.start for number in free.numbers])
     windows = windows_of([log, late], 0.3, True)
     starts = np.tile([0.5, -0.3, 0.3, -0.2], (len(windows.run), 1))
@@ -159,7 +159,7 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
     scene = pendulum.changed({'effects': [{
         'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'friction': {'angle': start},
         'speed': 0.5}]})
-    free = free_scene(scene, ['joint_friction.friction.angle'], {}, tmp_path, False)
+    free = free_scene(scene.parts(), ['joint_friction.friction.angle'], {}, tmp_path, False)
     windows = windows_of([swing(pendulum, 0.2, 4)], 0.2, True)
     starts = np.tile([0.5, 0.1], (len(windows.run), 1))
     tiny, zero = (Prediction(free, np.array([value]), windows).by_numbers(starts)
@@ -496,13 +496,13 @@ def test_numbers_of_a_slide_have_the_units_of_lengths(robot, tmp_path):
         'servo.damping': 'N s/m or N m s/rad', 'servo.position.0': 'm', 'servo.position.1': 'rad',
         'periodic_drive.amplitude': 'N m', 'dry_friction.force': 'N', 'locked.follower': 'm',
         'rotor_inertia.rail': 'kg', 'rotor_inertia.hip': 'kg m2', DELAY: 's'}
-    free = free_scene(robot, [*units], {}, tmp_path, True)
+    free = free_scene(robot.parts(), [*units], {}, tmp_path, True)
     assert {number.name: number.unit for number in free.numbers} == units
 
 
 def test_number_of_a_link_that_is_fixed_to_another_is_that_of_a_body(robot, tmp_path):
     # That of the tool with the hand could still be one, were these below zero.
-    free = free_scene(robot, ['tool.mass', 'tool.ixx', 'tip.mass'], {}, tmp_path, True)
+    free = free_scene(robot.parts(), ['tool.mass', 'tool.ixx', 'tip.mass'], {}, tmp_path, True)
     assert [number.low for number in free.numbers] == [0.0, 0.0, 0.0]
     with pytest.raises(ModelError, match="link 'tool': .*triangle inequality"):
         free.at([0.4, 9.0, 0.1])

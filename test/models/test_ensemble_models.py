@@ -144,4 +144,4 @@ def test_uncertainty_of_one_model_is_refused(tmp_path: Path):
         'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
         'initial_state: {q: [0.1], p: [0.0]}\nuncertainty: {limit: 0.2}\n')
     with pytest.raises(SceneError, match='no mean of an ensemble'):
-        Members(load_scene(tmp_path / 'scene.yaml'))
+        Members(load_scene(tmp_path / 'scene.yaml').parts())

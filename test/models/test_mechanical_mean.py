@@ -88,7 +88,7 @@ def test_input_map_of_the_mean_is_the_mean(tmp_path: Path):
 def test_members_that_differ_by_a_factor_move_alike_from_their_own_momenta(tmp_path: Path):
     base = random_mechanical('worn', input_map=MAP)
     scene = scene_of(tmp_path, together([scaled(base, s) for s in SCALES]))
-    members = Members(scene)
+    members = Members(scene.parts())
     simulation = Accompanied(build(scene), [members])
     simulation.set_command([0.4])
     simulation.advance(50)
@@ -104,7 +104,7 @@ def test_members_that_differ_by_a_factor_move_alike_from_their_own_momenta(tmp_p
 def test_members_start_at_the_velocity_of_the_mean_in_a_magnetic_field(tmp_path: Path):
     whole = scene_of(tmp_path, mechanisms('arm', 2), friction=False).changed({'effects': [
         {'kind': 'magnetic_field', 'plane': ['x0', 'x1'], 'field': 0.7}]})
-    simulation, members = build(whole), Members(whole)
+    simulation, members = build(whole), Members(whole.parts())
     members.begin(simulation)
     v = simulation.hamiltonian.gradient(simulation.q, simulation.p)[1]
     for own in members._simulations:
@@ -117,7 +117,7 @@ def test_members_start_at_the_velocity_of_the_mean_in_a_magnetic_field(tmp_path:
 def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     scene = scene_of(tmp_path, mechanisms('arm', 3))
     found = simulate_spread(scene, 1.0, every=50)
-    members = Members(scene)
+    members = Members(scene.parts())
     simulation = Accompanied(build(scene), [members])
     assert members.spread.max() < 1e-11  # p through q' and back
     simulation.advance(50)

@@ -57,7 +57,7 @@ def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
 
 
 def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Scene):
-    members = Members(scene)
+    members = Members(scene.parts())
     accompanied = Accompanied(build(scene), [members])
     accompanied.advance(7)
     accompanied.set_command([0.25])
@@ -74,7 +74,7 @@ def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Sc
 
 
 def test_run_with_members_is_the_run_without_them(scene: Scene):
-    with_members, alone = Accompanied(build(scene), [Members(scene)]), build(scene)
+    with_members, alone = Accompanied(build(scene), [Members(scene.parts())]), build(scene)
     for simulation in (with_members, alone):
         simulation.set_command([0.1])
         simulation.advance(20)
@@ -83,7 +83,7 @@ def test_run_with_members_is_the_run_without_them(scene: Scene):
 
 
 def test_members_begin_anew_where_the_run_does(scene: Scene):
-    members = Members(scene)
+    members = Members(scene.parts())
     simulation = Accompanied(build(scene), [members])
     simulation.advance(20)
     snapshot = simulation.snapshot()

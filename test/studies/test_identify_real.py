@@ -16,7 +16,7 @@ from studies.identify_real import CASES, motions_of, predicted, scene_of
 def test_scene_is_free_in_what_is_fitted_and_predicts_what_it_made(name, tmp_path):
     case = CASES[name]
     scene = scene_of(case, tmp_path, 0.05)
-    free = free_scene(scene, case.free, {}, tmp_path, True)
+    free = free_scene(scene.parts(), case.free, {}, tmp_path, True)
     assert all(number.start != 0.0 for number in free.numbers)
     made = hnn_vi_ros.simulate(scene, 0.2, initial_state=([0.5, -0.3], [0.0, 0.0]))
     v = scene.create_hamiltonian().gradient(made.q, made.p)[1]

@@ -456,8 +456,9 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | N
     with drafted(replace(checkpoint, card=card)) as draft:
         driven = any(motion.tau.any() for motion in motions)
         scene = _scene(draft, card, spacing, driven)
-        members = Members(scene)
-        simulation = Accompanied(build(scene), [members])
+        parts = scene.parts()
+        members = Members(parts)
+        simulation = Accompanied(build(parts), [members])
         for k, start in starts:
             scores = _machine_scores(simulation, members, card.box, motions[k],
                                      start + np.arange(0, count + 1, every))

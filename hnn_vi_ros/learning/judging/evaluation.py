@@ -348,8 +348,7 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
             return hamiltonian, VariationalMidpoint(), None, []
         return hamiltonian, ImplicitMidpoint(), None, own_effects(model, hamiltonian)
     scene = load_scene(model if not is_path('scene', model) else Path(model))
-    scene, _ = resolve(scene)
-    hamiltonian, effects = scene.create_hamiltonian(), scene.create_effects()
+    scene, hamiltonian, integrator, effects = resolve(scene)[0].parts()
     for effect in effects:
         if isinstance(effect, ExternalForce):
             effect.timeout = _FOREVER
@@ -361,7 +360,7 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
                                     'give it the model in place of coordinates')
                 # Each coordinate has a measured force, in the order of H.
                 effect.names = tuple(names_of(hamiltonian))
-    return hamiltonian, scene.create_integrator(), scene.step_size, effects
+    return hamiltonian, integrator, scene.step_size, effects
 
 
 def names_of(hamiltonian: Hamiltonian) -> list[str]:
