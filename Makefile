@@ -21,7 +21,8 @@ export PYTHON TORCH
 
 # What there is already, as its requirements and sources are, is left as it is: in milliseconds.
 VENV := @requirements/make_venv
-BUILD := @requirements/build_package
+INSTALL := @requirements/build_package
+BUILD := @requirements/build_package scenes
 ENVIRONMENT := . .venv/environment.sh
 RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 # Every library to one thread.
@@ -38,7 +39,7 @@ help:
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
 	@echo 'make study [NAME=... ARGS=...]                 run another study; without NAME, list them'
 	@echo 'make docs                                      build the site into docs/_build/html'
-	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv and build the package'
+	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv, build, compile all scenes'
 	@echo 'make clean                                     remove what was built'
 	@echo 'make distclean                                 remove .venv as well'
 
@@ -46,11 +47,12 @@ build:
 	$(VENV) run
 	$(BUILD)
 
+# One scene compiles what it runs when it starts, which takes seconds; all of them take minutes.
 # exec: a signal then reaches the node itself. The scene is quoted for YAML, which reads the value.
 run: export SCENE := $(SCENE)
 run:
 	$(VENV) run
-	$(BUILD)
+	$(INSTALL)
 	@$(ENVIRONMENT); quote="'"; \
 	exec $(RUNNABLE)/simulator --ros-args \
 		-p "scene:='$${SCENE//$$quote/$$quote$$quote}'" -p 'duration:=$(DURATION)'

@@ -14,7 +14,9 @@ from setuptools import find_packages, setup
 
 NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
-TRAIN = ['plotly>=6,<7', 'torch>=2.3,<3', 'tqdm>=4.60']
+RERUN = ['rerun-sdk>=0.41,<0.42']
+SWEEP = ['pyarrow>=18']
+TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3', 'tqdm>=4.60']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
@@ -95,13 +97,15 @@ setup(
         'numpy>=2.0',
         'pydantic>=2.5,<3',
         'PyYAML>=6.0',
-        'rerun-sdk>=0.41,<0.42',
         'safetensors>=0.4',
         'scipy>=1.13',
         'setuptools',
     ],
     extras_require={
-        # What training takes besides.
+        # What recordings for the viewer, and the Parquet files of sweeps, take besides.
+        'rerun': RERUN,
+        'sweep': SWEEP,
+        # What training takes besides: its reports hold recordings.
         'train': TRAIN,
         # What tables and completion take besides.
         'tables': ['pandas>=2.2', 'xarray>=2024.1'],
@@ -110,9 +114,9 @@ setup(
         'envs': ['gymnasium>=1.1,<2'],
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
-        'test': [*TRAIN, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2', 'pin>=3.0',
-                 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5', 'rosbags>=0.10',
-                 'shtab>=1.7', 'xarray>=2024.1'],
+        'test': [*TRAIN, *SWEEP, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2',
+                 'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5',
+                 'rosbags>=0.10', 'shtab>=1.7', 'xarray>=2024.1'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

@@ -17,19 +17,15 @@ import warnings
 from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.files.optional_package import pip_command
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
 from hnn_vi_ros.files.user_folders import private_folder, usual_folder
 from hnn_vi_ros.ros.environment import check_ros_environment
 
-# Import names whose package on PyPI has another name.
-_PIP_NAMES = {
-    'rerun': 'rerun-sdk',
-    'yaml': 'pyyaml',
-}
 # Import names of ROS 2, and the wheels that hold all of them.
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
 _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
-# The packages of the extra `train`, which simulating does without.
+# What the extra `train` has besides rerun; simulating does without.
 _TRAINING = ('plotly', 'torch', 'tqdm')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
@@ -236,12 +232,12 @@ def _warn_in_lines(shown: str) -> None:
 def _missing(package: str) -> str:
     """Return that a package is missing, and the command that installs it, in one line."""
     text = f'the Python package {package} is missing; install '
-    packages = [_PIP_NAMES.get(package, package)]
+    packages = [package]
     if package in _ROS or package.endswith(('_msgs', '_srvs')):
         text = f'the Python package {package} of ROS 2 is missing; source ROS 2 Jazzy, or install '
         packages = list(_ROS_WHEELS)
     if package in _TRAINING:
-        packages = list(_TRAINING)
+        packages = [*_TRAINING, 'rerun']
         text += 'what training takes (1 GB, or 5 GB with CUDA) '
         # It marks an environment made by `make`: requirements/make_venv wrote it.
         made = Path(sys.prefix) / '.installed'
@@ -250,8 +246,7 @@ def _missing(package: str) -> str:
             return f'{text}with: make -C {checkout} build TORCH=any (or cpu, or cuda)'
     else:
         text += 'it ' if len(packages) == 1 else 'its wheels '
-    text += f'with: {sys.executable} -m pip install ' + ' '.join(
-        f'"{name}"' for name in packages)
+    text += f'with: {pip_command(*packages)}'
     if sys.prefix == sys.base_prefix:
         text += ' (best in a virtual environment, active while colcon builds)'
     return text

@@ -17,7 +17,7 @@ FILES = ('hnn_vi_ros/a.py', 'hnn_vi_ros/core/b.py', 'config/c.yaml', 'launch/d.p
 @pytest.fixture
 def built(tmp_path: Path) -> Path:
     """Return a checkout that was built a moment ago."""
-    for name in (*FILES, '.venv/environment.sh', 'install/.built'):
+    for name in (*FILES, '.venv/environment.sh', 'install/.built', 'install/.compiled'):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (1e9, 1e9))
@@ -29,12 +29,17 @@ def built(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def builds(checkout: Path) -> bool:
-    """Tell whether the script begins to build, which it cannot here: there is no colcon."""
-    run = subprocess.run([checkout / 'requirements' / 'build_package'], capture_output=True,
-                         text=True, check=False)
+def begun(checkout: Path, *words: str) -> str:
+    """Return what the script begins, which fails here: there is no colcon, and no executable."""
+    run = subprocess.run([checkout / 'requirements' / 'build_package', *words],
+                         capture_output=True, text=True, check=False)
     assert (run.returncode == 0) == (run.stdout == '')
-    return 'Building' in run.stdout
+    return run.stdout.partition(' ')[0]
+
+
+def builds(checkout: Path) -> bool:
+    """Tell whether the script begins to build."""
+    return begun(checkout) == 'Building'
 
 
 def test_package_is_not_built_again_for_what_python_leaves_in_its_folders(built):
@@ -56,3 +61,28 @@ def test_package_is_built_again_where_a_source_or_the_environment_is_another(bui
     os.utime(built / 'install' / '.built', (1.1e9, 1.1e9))
     change(built)
     assert builds(built)
+
+
+def test_scenes_are_compiled_only_where_that_is_asked_for(built):
+    assert begun(built, 'scenes') == ''
+    (built / 'install' / '.compiled').unlink()
+    assert begun(built) == ''
+    assert begun(built, 'scenes') == 'Compiling'
+    # It failed, and is not taken for done; the package is, and is not built again.
+    assert begun(built, 'scenes') == 'Compiling'
+    assert begun(built) == ''
+
+
+def test_new_build_compiles_its_scenes_again(built):
+    # Times of files are whole ticks of the system's clock.
+    os.utime(built / 'install' / '.built', (1.1e9, 1.1e9))
+    (built / 'setup.py').touch()
+    assert begun(built, 'scenes') == 'Building'
+    assert not (built / 'install' / '.compiled').exists()
+
+
+def test_word_that_is_none_of_the_script_is_refused_in_one_line(built):
+    run = subprocess.run([built / 'requirements' / 'build_package', 'scene'],
+                         capture_output=True, text=True, check=False)
+    assert (run.returncode, run.stdout) == (2, '')
+    assert run.stderr == "error: build_package takes 'scenes' or nothing, not 'scene'\n"

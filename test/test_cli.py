@@ -27,6 +27,8 @@ HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What is installed in place of any missing package of ROS: all of its wheels at once.
 ROS = 'ros-jazzy-rclpy[fastrtps]" "ros-jazzy-common-interfaces'
+# One of another version would break what records.
+RERUN = 'rerun-sdk>=0.41,<0.42'
 # What help can do without: these take seconds to import.
 HEAVY = {'torch', 'numba', 'rclpy', 'numpy', 'scipy', 'matplotlib', 'rerun', 'pydantic', 'yaml'}
 
@@ -55,7 +57,7 @@ def run(executable: str, hidden: str, *arguments: str) -> subprocess.CompletedPr
     ('simulator', 'mcap', 'mcap'), ('listener', 'std_msgs', ROS),
     ('train', 'yaml', 'pyyaml'), ('identify', 'pydantic', 'pydantic'),
     ('recover_bag', 'zstandard', 'zstandard'), ('sweep', 'pyarrow', 'pyarrow'),
-    ('replay', 'std_srvs', ROS), ('rerun_bridge', 'rerun', 'rerun-sdk'),
+    ('replay', 'std_srvs', ROS), ('rerun_bridge', 'rerun', RERUN),
 ])
 def test_missing_package_is_one_line_with_the_pip_command(executable, hidden, package):
     result = run(executable, hidden)
@@ -145,10 +147,20 @@ def test_bags_of_a_sweep_take_ros_and_their_help_does_not(tmp_path):
 
 def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     result = run('simulator', 'rerun', '--ros-args', '-p', f'rerun_path:={tmp_path}/a.rrd',
-                 '-p', 'record:=false')
+                 '-p', f'record_path:={tmp_path}/bag')
     assert result.returncode == 1
     assert 'Traceback' not in result.stderr
-    assert result.stderr.splitlines()[-1].endswith('-m pip install "rerun-sdk"')
+    line = result.stderr.splitlines()[-1]
+    assert 'rerun_sink = file (none does without) takes the Python package rerun' in line
+    assert line.endswith(f'-m pip install "{RERUN}"')
+    # Nor is a bag begun.
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_simulator_without_a_picture_takes_no_viewer(tmp_path):
+    result = run('simulator', 'rerun', '--ros-args', '-p', 'rerun_sink:=none', '-p',
+                 f'record_path:={tmp_path}/bag', '-p', 'duration:=0.5')
+    assert result.returncode == 0 and (tmp_path / 'bag' / 'metadata.yaml').exists()
 
 
 @pytest.mark.parametrize('executable, arguments', [

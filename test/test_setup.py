@@ -10,6 +10,7 @@ import re
 import runpy
 import tomllib
 
+from hnn_vi_ros.files.optional_package import pip_command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 import pytest
@@ -111,7 +112,8 @@ def test_executables_run_the_building_python_where_no_environment_is_active(
     assert '__PYVENV_LAUNCHER__' not in os.environ
 
 
-@pytest.mark.parametrize('name, besides', [('runtime', {'setuptools'}), ('train', set())])
+@pytest.mark.parametrize('name, besides', [
+    ('runtime', {'setuptools'}), ('rerun', set()), ('sweep', set()), ('train', {'rerun-sdk'})])
 def test_setup_names_the_packages_of_the_requirements(run_setup, name, besides):
     captured = run_setup()
     named = captured['install_requires'] if name == 'runtime' else captured['extras_require'][name]
@@ -120,6 +122,11 @@ def test_setup_names_the_packages_of_the_requirements(run_setup, name, besides):
             for pin in _requirements(f'{name}.txt')}
     assert ranges.keys() - besides == pins.keys()
     assert all(pin.removeprefix('==') in ranges[package] for package, pin in pins.items())
+
+
+def test_message_of_a_missing_viewer_names_the_versions_of_the_extra(run_setup):
+    extra, = run_setup()['extras_require']['rerun']
+    assert pip_command('rerun').endswith(f'-m pip install "{extra}"')
 
 
 def test_extra_of_ray_takes_what_its_requirements_pin(run_setup):
@@ -141,8 +148,8 @@ def test_constraints_pin_every_package_that_an_install_brings(python):
         'constraints.txt', 'bench.txt', 'ray.txt') for pin in _requirements(name)}
     environment = {'python_version': python, 'python_full_version': f'{python}.0'}
     pending = [requirement for name in (
-        'build.txt', 'runtime.txt', 'ros.txt', 'train.txt', 'test.txt', 'ros_test.txt',
-        'ray.txt')
+        'build.txt', 'runtime.txt', 'rerun.txt', 'sweep.txt', 'ros.txt', 'train.txt', 'test.txt',
+        'ros_test.txt', 'ray.txt')
                for requirement in _requirements(name)]
     seen: set[tuple[str, frozenset[str]]] = set()
     unpinned = set()

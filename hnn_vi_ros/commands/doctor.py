@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.optional_package import pip_command
 from hnn_vi_ros.files.resources import share_folder, shipped_names
 from hnn_vi_ros.files.user_folders import cache_folder, can_be_written
 from hnn_vi_ros.processors import usable_processors
@@ -65,12 +66,13 @@ def _here() -> Iterator[Finding]:
 def _packages() -> Iterator[Finding]:
     for module, name in _NEEDED.items():
         if find_spec(module) is None:
-            yield Finding(name, 'wrong', f'absent; install it with: {_pip(name)}')
+            yield Finding(name, 'wrong', f'absent; install it with: {pip_command(module)}')
         else:
             yield Finding(name, 'ok', _version(name))
     for module, (name, what) in _OPTIONAL.items():
         if find_spec(module) is None:
-            yield Finding(name, 'absent', f'only for {what}; install it with: {_pip(name)}')
+            yield Finding(
+                name, 'absent', f'only for {what}; install it with: {pip_command(module)}')
         else:
             yield Finding(name, 'ok', _version(name))
 
@@ -128,12 +130,8 @@ def _viewer() -> Finding:
     found = str(beside) if beside.exists() else shutil.which('rerun')
     if found is None:
         return Finding('viewer', 'absent', f'no command rerun; install it with: '
-                       f'{_pip("rerun-sdk")}')
+                       f'{pip_command("rerun")}')
     shown = os.environ.get('WAYLAND_DISPLAY') or os.environ.get('DISPLAY')
     text = 'a screen' if shown or sys.platform == 'darwin' else \
         'no screen here: open recordings elsewhere, or take rerun_sink:=serve'
     return Finding('viewer', 'ok', f'{found}, {text}')
-
-
-def _pip(name: str) -> str:
-    return f'{sys.executable} -m pip install "{name}"'

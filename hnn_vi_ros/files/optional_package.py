@@ -8,6 +8,24 @@ import sys
 
 from hnn_vi_ros.errors import MissingPackage
 
+# What pip takes where that is not the name by which a package is imported. Each version of rerun
+# changes its API: the range is that of setup.py.
+_REQUIREMENTS = {'rerun': 'rerun-sdk>=0.41,<0.42', 'yaml': 'pyyaml'}
+
+
+def pip_command(*packages: str) -> str:
+    """
+    Return the command that installs packages where this Python finds them.
+
+    Parameters
+    ----------
+    packages : str
+        The names by which they are imported; of others, what pip takes.
+
+    """
+    return f'{sys.executable} -m pip install ' + ' '.join(
+        f'"{_REQUIREMENTS.get(package, package)}"' for package in packages)
+
 
 @contextmanager
 def optional(package: str, what: str) -> Iterator[None]:
@@ -17,7 +35,7 @@ def optional(package: str, what: str) -> Iterator[None]:
     Parameters
     ----------
     package : str
-        Its name, by which it is imported and installed.
+        The name by which it is imported.
     what : str
         What takes it.
 
@@ -34,4 +52,4 @@ def optional(package: str, what: str) -> Iterator[None]:
         if problem.name is None or problem.name.partition('.')[0] != package:
             raise
         raise MissingPackage(f'{what} takes the Python package {package}; install it with: '
-                             f'{sys.executable} -m pip install "{package}"') from problem
+                             f'{pip_command(package)}') from problem

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import final
 
+from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.parameters import Settings
 from hnn_vi_ros.run.reported_files import picture_lines
@@ -43,6 +44,12 @@ class PictureOutput(Sink):
         self._settings, self._box, self._files = settings, box, files
         self._path: Path | None = None
         self._target: Path | str | int
+        if settings.rerun_sink != 'none':
+            # Imported here: a run without a picture starts without the viewer's libraries. One
+            # that lacks them ends before anything is recorded.
+            with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
+                from hnn_vi_ros.viewer.rerun_sink import RerunSink
+            self._make = RerunSink
 
     @property
     def target(self) -> str:
@@ -66,10 +73,8 @@ class PictureOutput(Sink):
         else:
             self._target = SERVER_PORT if settings.rerun_sink == 'serve' else (
                 settings.rerun_path or VIEWER_URL)
-        # Imported here: a run without a picture starts without the viewer's libraries.
-        from hnn_vi_ros.viewer.rerun_sink import RerunSink
         pace = settings.real_time_factor
-        self._sink = RerunSink(
+        self._sink = self._make(
             scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
             simulation.p.copy(), box=self._box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,

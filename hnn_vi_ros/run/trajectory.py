@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import final, TYPE_CHECKING
 
+from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.run.trajectory_data import TrajectoryData
 
 if TYPE_CHECKING:
@@ -171,13 +172,16 @@ class Trajectory(TrajectoryData):
 
         Raises
         ------
+        MissingPackage
+            rerun is not installed.
         RecordingError
             The file exists or cannot be written, no viewer listens, or the port is taken.
         ValueError
             Several trajectories (see ``select``), or one that knows no scene.
 
         """
-        from hnn_vi_ros.run.trajectory_recording import record
+        with optional('rerun', 'to_rerun'):
+            from hnn_vi_ros.run.trajectory_recording import record
         record(self, target)
 
     def __repr__(self) -> str:

@@ -12,12 +12,16 @@ import re
 from typing import Any, BinaryIO
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
+
+# Every use of sweeps, in Python too, imports this file before any other that takes the package.
+with optional('pyarrow', 'a sweep'):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
 # A shard is sealed: its number comes with the SHA-256 of its file, computed with these digits as
