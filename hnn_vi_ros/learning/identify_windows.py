@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 import math
 
-from hnn_vi_ros.effects.base import Effect, Place
+from hnn_vi_ros.effects.base import Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import HnnViRosError, StateError, StepFailure, UnsupportedSystem

@@ -17,7 +17,7 @@ from hnn_vi_ros.ros.topics import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 import numpy as np
-from peer import peer, SIMULATOR, stamp, state_of
+from peer import Peer, peer, SIMULATOR, stamp, state_of
 from processes import finish, read_bag, standard_error, start
 import pytest
 from rcl_interfaces.srv import (
@@ -303,6 +303,20 @@ def request(chance: random.Random, kind: type):
     return asked
 
 
+def works_again(other: Peer) -> bool:
+    """Activate, reset and go on; return whether 50 states follow."""
+    # Answered after every transition that was asked for before; refused where it is active.
+    other.change_state(3)
+    assert other.state == 'active'
+    assert other.set_parameters(real_time_factor=1.0).successful
+    answer = other.trigger('reset')
+    assert answer.success, answer.message
+    other.pause(False)
+    count, until = len(other.states), time.monotonic() + 12.0
+    other.spin_until(lambda: len(other.states) > count + 50 or time.monotonic() > until)
+    return len(other.states) > count + 50
+
+
 def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_finite(folder):
     process = start(folder, scene='arms.yaml', record='false', rerun_sink='none',
                     real_time_factor=2)
@@ -338,17 +352,12 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
             name=names, position=[0.1] * len(names), velocity=[0.0] * len(names)))
         other.spin(1.0)
         assert process.poll() is None, finish(process)
-        other.wait_for_state(other.state)
-        if other.state == 'inactive':
-            assert other.change_state(3)
-        assert other.state == 'active'
-        assert other.set_parameters(real_time_factor=1.0).successful
-        # The nonsense may have been a state or a command that pauses it.
-        answer = other.trigger('reset')
-        assert answer.success, answer.message
-        other.pause(False)
-        count = len(other.states)
-        other.spin_until(lambda: len(other.states) > count + 50)
+        # A busy node still has nonsense to work off, which may stop it once more: any of it.
+        for _ in range(10):
+            if works_again(other):
+                break
+        else:
+            raise AssertionError(standard_error(process)[-3000:])
         assert np.isfinite([state_of(message) for message in other.states]).all()
         print(f'{sent} messages and requests in {FUZZ_SECONDS:g} s')
         process.send_signal(signal.SIGINT)
