@@ -14,16 +14,16 @@ from typing import NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.gradients.dependences import Dependence
+from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
+from hnn_vi_ros.gradients.torch_functions import array, Call, Run, STEP
 from hnn_vi_ros.learning.families.weights import check_weights, OnWeights, with_weights
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
-from hnn_vi_ros.run.dependences import Dependence
-from hnn_vi_ros.run.recorders import check_memory
-from hnn_vi_ros.run.scene_run import Numbers, SceneRun
-from hnn_vi_ros.run.torch_functions import array, Call, Run, STEP
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.trajectory.recorders import check_memory
 import torch
 
 __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']

@@ -28,11 +28,15 @@ PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.
 FLOORS = (
     'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
-    'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'run', 'learning', 'torch',
-    'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
-# Inside learning, in the same way; the identification of scenes is on one floor.
-LEARNING_FLOORS = ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports',
-                   'tasks', 'train', 'evaluate', 'measured_force', 'identify')
+    'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'trajectory', 'gradients',
+    'companions', 'run', 'learning', 'torch', 'sweeps', 'envs', 'ros', 'commands', 'cli',
+    '__main__', '__init__')
+# The same inside two rooms.
+INNER_FLOORS = {
+    'learning': ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports', 'tasks',
+                 'train', 'evaluate', 'scene_numbers'),
+    'ros': ('plumbing', 'parameters', 'arguments', 'sinks', 'topics', 'replay', 'run', 'bridge',
+            'services', 'examples', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -46,9 +50,9 @@ REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS | ROBOTS}
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
-    'launch': r'ros/(robot_)?launching\.py', 'launch_ros': r'ros/(robot_)?launching\.py',
+    'launch': r'ros/launching/\w+\.py', 'launch_ros': r'ros/launching/\w+\.py',
     'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
-             r'|lockstep/\w+\.py|run/(device_ensemble|torch_functions)\.py',
+             r'|lockstep/\w+\.py|trajectory/devices\.py|gradients/torch_functions\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
@@ -57,10 +61,10 @@ HOMES = {
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/(\w+/)?\w+\.py|run/trajectory\w*\.py'
+    'matplotlib': r'learning/(\w+/)?\w+\.py|trajectory/\w+\.py'
                   r'|commands/(cost_figure|label_placement)\.py',
-    'pandas': r'run/trajectory\w*\.py',
-    'xarray': r'run/trajectory\w*\.py',
+    'pandas': r'trajectory/\w+\.py',
+    'xarray': r'trajectory/\w+\.py',
     'shtab': r'commands/completion\.py',
     'tqdm': r'learning/(\w+/)?\w+\.py',
 }
@@ -118,15 +122,17 @@ def test_imports_run_downwards(path):
         assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
 
 
-@pytest.mark.parametrize('path', sorted((PACKAGE / 'learning').rglob('*.py')), ids=relative)
-def test_imports_inside_learning_run_downwards(path):
-    def floor(module: str) -> int:
-        box = module.split('.')[1]
-        return LEARNING_FLOORS.index('identify' if box.startswith('identify') else box)
+@pytest.mark.parametrize('path', [path for path in MODULES if name_of(path).count('.') and name_of(
+    path).partition('.')[0] in INNER_FLOORS], ids=relative)
+def test_imports_inside_a_room_run_downwards(path):
     own = name_of(path)
-    for module in own_imports(path) if own != 'learning' else ():
-        if module.startswith('learning.'):
-            assert floor(module) <= floor(own), f'{own} imports {module}'
+    room, box = own.split('.')[:2]
+    floors = INNER_FLOORS[room]
+    assert box in floors, f'{own} has no floor'
+    for module in own_imports(path):
+        if module.startswith(f'{room}.'):
+            below = module.split('.')[1]
+            assert floors.index(below) <= floors.index(box), f'{own} imports {module}'
 
 
 def test_tests_stand_in_the_rooms_of_what_they_test():

@@ -13,6 +13,7 @@ from typing import Any
 
 from ensembles import ensemble
 import hnn_vi_ros
+from hnn_vi_ros.companions.spread import simulate_spread
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, StoppedByEvent
 from hnn_vi_ros.files.resources import shipped_names
@@ -20,10 +21,9 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.phase_space import Event
-from hnn_vi_ros.run.ensemble import simulate, simulate_many
-from hnn_vi_ros.run.spread import simulate_spread
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import load_code
+from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 import numpy as np
 import pytest
 

@@ -33,7 +33,7 @@ PRIVATE = {
         '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
         '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',
         '_source_stamp', 'numba._dynfunc'}),
-    'ros/rclpy_internals.py': ('rclpy', {
+    'ros/plumbing/rclpy_internals.py': ('rclpy', {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',
         'rclpy.impl.rcutils_logger.RcutilsLogger'}),
@@ -144,7 +144,8 @@ def test_rerun_makes_and_logs_a_blueprint_by_itself():
 
 
 def test_rclpy_has_the_errors_the_logger_and_the_machine_of_a_managed_node():
-    internals = pytest.importorskip('hnn_vi_ros.ros.rclpy_internals', reason='needs rclpy')
+    internals = pytest.importorskip(
+        'hnn_vi_ros.ros.plumbing.rclpy_internals', reason='needs rclpy')
     from rclpy.lifecycle import LifecycleNodeMixin
     assert issubclass(internals.RCLError, Exception)
     assert issubclass(internals.UnknownROSArgsError, Exception)

@@ -12,9 +12,9 @@ import tracemalloc
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
 from hnn_vi_ros.integrators.gauss import gauss_tableau
-from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
+from hnn_vi_ros.trajectory.simulate import BLOCK
 import numpy as np
 import pytest
 import torch

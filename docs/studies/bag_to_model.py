@@ -20,9 +20,9 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.run.ensemble import simulate_many
-from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.trajectory.simulate import simulate_many
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np

@@ -18,12 +18,12 @@ import time
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.runs import Motion, smoothed
-from hnn_vi_ros.learning.identify_correlation import covariances, processes
-from hnn_vi_ros.learning.identify_fit import fit
-from hnn_vi_ros.learning.identify_numbers import free_scene
-from hnn_vi_ros.learning.identify_statistics import errors_of, estimates_of, quantile
-from hnn_vi_ros.run.ensemble import simulate
+from hnn_vi_ros.learning.scene_numbers.correlation import covariances, processes
+from hnn_vi_ros.learning.scene_numbers.fit import fit
+from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
+from hnn_vi_ros.learning.scene_numbers.intervals import errors_of, estimates_of, quantile
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.trajectory.simulate import simulate
 import numpy as np
 from scipy.signal import butter, lfilter
 

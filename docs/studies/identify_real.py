@@ -16,10 +16,10 @@ from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
 from hnn_vi_ros.learning.data.runs import Motion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.identify_fit import fit
-from hnn_vi_ros.learning.identify_numbers import free_scene
-from hnn_vi_ros.learning.identify_statistics import estimates_of
 from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
+from hnn_vi_ros.learning.scene_numbers.fit import fit
+from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
+from hnn_vi_ros.learning.scene_numbers.intervals import estimates_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors

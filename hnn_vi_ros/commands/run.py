@@ -10,8 +10,8 @@ from pathlib import Path
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.outputs import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.run.ensemble import simulate
-from hnn_vi_ros.run.trajectory import Trajectory
+from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
 

@@ -12,13 +12,13 @@ from hnn_vi_ros.errors import did_you_mean
 # Each executable, and the module whose ``main(argv)`` it calls.
 EXECUTABLES = {
     'evaluate': 'hnn_vi_ros.learning.evaluate',
-    'hover': 'hnn_vi_ros.ros.hover_node',
-    'identify': 'hnn_vi_ros.learning.identify',
+    'hover': 'hnn_vi_ros.ros.examples.hover_node',
+    'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
     'import_checkpoint': 'hnn_vi_ros.learning.imports.import_checkpoint',
-    'listener': 'hnn_vi_ros.ros.listener_node',
+    'listener': 'hnn_vi_ros.ros.examples.listener_node',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
-    'replay': 'hnn_vi_ros.ros.replay_node',
-    'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
+    'replay': 'hnn_vi_ros.ros.replay.replay_node',
+    'rerun_bridge': 'hnn_vi_ros.ros.bridge.rerun_bridge',
     'scene': 'hnn_vi_ros.commands.scene_tool',
     'simulator': 'hnn_vi_ros.ros.simulator_node',
     'sweep': 'hnn_vi_ros.sweeps.sweep',
@@ -38,7 +38,7 @@ def module_of(name: str, argv: Sequence[str]) -> str:
     """Return the name of the module that does what a command is asked for."""
     if name == 'sweep' and {'mcap', '--episodes=mcap'} & {*argv}:
         # Bags are made of messages of ROS, which no other sweep takes.
-        return 'hnn_vi_ros.ros.episode_bags'
+        return 'hnn_vi_ros.ros.replay.episode_bags'
     return COMMANDS[name]
 
 

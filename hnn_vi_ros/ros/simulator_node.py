@@ -13,20 +13,20 @@ import time
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.announcing import announced
-from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.control import Answer, Control
-from hnn_vi_ros.ros.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.graph import Discovery, take_once
-from hnn_vi_ros.ros.lifecycle import ManagedNode, SUCCESS
-from hnn_vi_ros.ros.node_parameters import Parameters
-from hnn_vi_ros.ros.parameters import PARAMETERS, Settings
-from hnn_vi_ros.ros.preparation import compile_rest, OPENING, prepare, Prepared
-from hnn_vi_ros.ros.rclpy_internals import log, RCLError
-from hnn_vi_ros.ros.run import Run
-from hnn_vi_ros.ros.services import offer_services
-from hnn_vi_ros.ros.starting import init_ros, note_signals, own_arguments
-from hnn_vi_ros.ros.state_topic import StateTopic
-from hnn_vi_ros.ros.topics import ENDPOINTS, Topics
+from hnn_vi_ros.ros.parameters import arguments as command_lines
+from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.parameters.node_parameters import Parameters
+from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings
+from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
+from hnn_vi_ros.ros.plumbing.lifecycle import ManagedNode, SUCCESS
+from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
+from hnn_vi_ros.ros.plumbing.starting import init_ros, note_signals, own_arguments
+from hnn_vi_ros.ros.run.control import Answer, Control
+from hnn_vi_ros.ros.run.preparation import compile_rest, OPENING, prepare, Prepared
+from hnn_vi_ros.ros.run.run import Run
+from hnn_vi_ros.ros.services.services import offer_services
+from hnn_vi_ros.ros.services.state_topic import StateTopic
+from hnn_vi_ros.ros.topics.topics import ENDPOINTS, Topics
 from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State, Transition
 import rclpy

@@ -14,9 +14,9 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
-from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.trajectory.simulate import simulate
 
 # Processes, of 0.3 GB each: of more of them several would compile the same.
 _MOST = 8

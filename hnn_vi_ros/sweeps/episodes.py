@@ -67,7 +67,7 @@ EpisodeWriter = Callable[[SweepPlan, Iterator[Episode], Path], None]
 def without_ros(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:
     """Refuse to write bags."""
     raise DataError('--episodes mcap: bags are messages of ROS, which the executable sweep '
-                    'writes, and write_bags of hnn_vi_ros.ros.episode_bags')
+                    'writes, and write_bags of hnn_vi_ros.ros.replay.episode_bags')
 
 
 def rate_of(plan: SweepPlan) -> float:

@@ -10,10 +10,10 @@ from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.errors import HnnViRosError, listed
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.sweeps.definition import Reduction
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
 

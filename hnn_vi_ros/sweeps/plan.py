@@ -18,13 +18,13 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.run.ensemble import BLOCK
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.sweeps.axes import Axis, FileAxis, make_axis, PosteriorAxis
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.sweeps.keys import find_key, with_values
+from hnn_vi_ros.trajectory.simulate import BLOCK
 from hnn_vi_ros.version import __version__
 import numpy as np
 

@@ -11,15 +11,15 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, show_many, watch_of_block
 from hnn_vi_ros.phase_space import Event
-from hnn_vi_ros.run.ensemble import record_one
-from hnn_vi_ros.run.recorders import recorders
-from hnn_vi_ros.run.trajectory import Trajectory
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.measures import measure, Reducer
 from hnn_vi_ros.sweeps.plan import SweepPlan
+from hnn_vi_ros.trajectory.recorders import recorders
+from hnn_vi_ros.trajectory.simulate import record_one
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
 if TYPE_CHECKING:
@@ -299,7 +299,7 @@ class _Made:
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
         """Return what takes the steps on a device."""
-        from hnn_vi_ros.run.device_ensemble import ensemble_on
+        from hnn_vi_ros.trajectory.devices import ensemble_on
         scene = self.parts.scene
         if scene.events:
             raise HnnViRosError('trajectories step on a device without events; leave those of '
@@ -312,7 +312,7 @@ class _Made:
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[_Path, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
-        from hnn_vi_ros.run.device_ensemble import record_on_device
+        from hnn_vi_ros.trajectory.devices import record_on_device
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
         assert device is not None, 'it is asked for'

@@ -14,9 +14,9 @@ from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.trajectory.simulate import simulate
 import numpy as np
 from plain_systems import Plain
 import pytest

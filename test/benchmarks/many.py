@@ -11,9 +11,9 @@ from benchmarks.measurement import compare, interleave, Row, Settings
 from benchmarks.networks import random_network
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.run.ensemble import BLOCK, simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trajectory.simulate import BLOCK, simulate_many
 import numpy as np
 
 SEED = 2

@@ -15,10 +15,10 @@ from unittest.mock import patch
 from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
 from hnn_vi_ros.bags import mcap_sink
-from hnn_vi_ros.ros import parameters
-from hnn_vi_ros.ros.outputs import Material
-from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.ros.parameters import settings as parameters
+from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.topics.outputs import Material
+from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler

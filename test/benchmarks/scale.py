@@ -19,12 +19,12 @@ import diffrax
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
+from hnn_vi_ros.trajectory.simulate import simulate_many
 import jax
 import numpy as np
 

@@ -12,8 +12,8 @@ from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES
 from hnn_vi_ros.errors import MissingPackage, ParameterError, SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
 import numpy as np
 import pytest

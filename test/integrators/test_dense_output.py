@@ -10,10 +10,10 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.time_transformed import CONTROLS, TimeTransformed
-from hnn_vi_ros.run.ensemble import simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
+from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 import numpy as np
 import pytest
 

@@ -11,9 +11,9 @@ from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trajectory.simulate import simulate_many
 import numpy as np
 import pytest
 

@@ -11,17 +11,17 @@ import hnn_vi_ros
 from hnn_vi_ros.cli import run_module
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.gradients.dependences import difference
+from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
-from hnn_vi_ros.learning.identify import main
-from hnn_vi_ros.learning.identify_correlation import (
+from hnn_vi_ros.learning.scene_numbers.correlation import (
     _polynomials, _Restricted, Process, processes)
-from hnn_vi_ros.learning.identify_fit import _INNER, fit, Problem
-from hnn_vi_ros.learning.identify_numbers import DELAY, free_scene, FreeScene
-from hnn_vi_ros.learning.identify_scene import edited
-from hnn_vi_ros.learning.identify_statistics import Estimates, estimates_of, profile
-from hnn_vi_ros.learning.identify_windows import Prediction, windows_of
-from hnn_vi_ros.run.dependences import difference
-from hnn_vi_ros.run.derivatives import DifferentiableRun
+from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
+from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, free_scene, FreeScene
+from hnn_vi_ros.learning.scene_numbers.identify import main
+from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, profile
+from hnn_vi_ros.learning.scene_numbers.scene import edited
+from hnn_vi_ros.learning.scene_numbers.windows import Prediction, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 import pytest
@@ -574,6 +574,6 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
 def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
     t = 0.02 * np.arange(100)
     np.savez(tmp_path / 'log.npz', **{'t': t, 'q': np.sin(t)[:, None]} | data)
-    problem = run_module('hnn_vi_ros.learning.identify', [
+    problem = run_module('hnn_vi_ros.learning.scene_numbers.identify', [
         'exact_pendulum', '--data', str(tmp_path / 'log.npz'), '--free', *free], 'identify')
     assert isinstance(problem, str) and said in problem and '\n' not in problem

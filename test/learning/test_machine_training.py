@@ -19,8 +19,8 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,
     samples_of, scales_of)
-from hnn_vi_ros.learning.identify import _arrays
 from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
+from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.learning.tasks.machine import describe, fix_scale
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian

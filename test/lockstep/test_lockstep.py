@@ -13,9 +13,9 @@ from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.run.ensemble import simulate_many
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trajectory.simulate import simulate_many
 from lockstep_scenes import random_network
 import numpy as np
 import pytest

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.ros.bag_output import BagOutput
-from hnn_vi_ros.ros.inputs import INPUTS
-from hnn_vi_ros.ros.messages import describe_topic, encode_tick, TICK_TOPICS
-from hnn_vi_ros.ros.outputs import SCENE, TICKS
-from hnn_vi_ros.ros.parameters import Settings
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.sinks.bag_output import BagOutput
+from hnn_vi_ros.ros.topics.inputs import INPUTS
+from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
+from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report

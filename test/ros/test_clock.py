@@ -5,7 +5,7 @@
 from pathlib import Path
 import signal
 
-from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.replay.replay_check import check_replay
 from peer import peer, SIMULATOR
 from processes import finish, standard_error, start, start_executable
 import pytest

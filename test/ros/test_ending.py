@@ -11,7 +11,7 @@ import time
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.standard_streams import ENDING
-from hnn_vi_ros.ros.starting import note_signals
+from hnn_vi_ros.ros.plumbing.starting import note_signals
 from hnn_vi_ros.run import run_folder
 from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer
 from processes import finish, read_bag, start, start_executable

@@ -4,9 +4,9 @@
 
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.episode_bags import main
-from hnn_vi_ros.ros.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.replay.episode_bags import main
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps.sweep import sweep
 import numpy as np

@@ -4,10 +4,10 @@
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.ros import bridge_picture
-from hnn_vi_ros.ros.outputs import EVENTS
-from hnn_vi_ros.ros.replay_check import check_replay
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.bridge import bridge_picture
+from hnn_vi_ros.ros.bridge.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.outputs import EVENTS
 import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start

@@ -73,7 +73,7 @@ def test_streams_show_control_characters_of_what_is_printed_logged_warned_and_ra
 LOG = """
 import sys
 import rclpy
-from hnn_vi_ros.ros.starting import init_ros
+from hnn_vi_ros.ros.plumbing.starting import init_ros
 init_ros([])
 node = rclpy.create_node('evil')
 node.get_logger().warning(sys.argv[1])

@@ -12,11 +12,11 @@ from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros.inputs import read_joints, read_path
-from hnn_vi_ros.ros.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay_check import check_replay
-from hnn_vi_ros.ros.topics import LONGEST_REASON
-from hnn_vi_ros.ros.trajectory_feedback import TrajectoryFeedback
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.inputs import read_joints, read_path
+from hnn_vi_ros.ros.topics.topics import LONGEST_REASON
+from hnn_vi_ros.ros.topics.trajectory_feedback import TrajectoryFeedback
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build

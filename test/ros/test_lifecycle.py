@@ -9,8 +9,8 @@ import threading
 import time
 from types import SimpleNamespace
 
-from hnn_vi_ros.ros.graph import THREAD_TURN
-from hnn_vi_ros.ros.lifecycle import ManagedNode
+from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
+from hnn_vi_ros.ros.plumbing.lifecycle import ManagedNode
 from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions
 from lifecycle_msgs.srv import GetState
 from peer import (

@@ -18,7 +18,7 @@ import yaml
 
 rclpy = pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
-from hnn_vi_ros.ros import messages  # noqa: E402, I100, I202
+from hnn_vi_ros.ros.topics import messages  # noqa: E402, I100
 from rclpy.context import Context  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402

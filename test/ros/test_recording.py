@@ -12,8 +12,8 @@ import subprocess
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
-from hnn_vi_ros.ros.outputs import LATCHED
-from hnn_vi_ros.ros.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.topics.outputs import LATCHED
 from peer import Peer, peer
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.ros.replay_node import main as replay
+from hnn_vi_ros.ros.replay.replay_node import main as replay
 import numpy as np
 from processes import finish, read_bag, start
 import pytest

@@ -12,8 +12,8 @@ from types import ModuleType, SimpleNamespace
 
 from ament_index_python.packages import PackageNotFoundError
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros import robot_launching
-from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.launching import robot_launching
+from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 from processes import finish, read_bag, start_executable

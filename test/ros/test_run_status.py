@@ -12,11 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.errors import RecordingError, StepFailure
-from hnn_vi_ros.ros.diagnostics_publisher import ERROR, OK, WARN
-from hnn_vi_ros.ros.health import Health, STEP_FAILED
-from hnn_vi_ros.ros.parameters import Settings
-from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.ros.run_status import RunStatus
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.run.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.run.run_status import RunStatus
+from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build

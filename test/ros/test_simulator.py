@@ -210,7 +210,7 @@ def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber
     assert [effect['kind'] for effect in scene['effects']] == ['external_force']
     assert scene['conservative'] is False
     # Imported here: what a subscriber of this process keeps up with depends on its heap.
-    from hnn_vi_ros.ros.replay_check import check_replay
+    from hnn_vi_ros.ros.replay.replay_check import check_replay
     assert check_replay(folder / 'bag').good
     topics = read_bag(folder / 'bag')
     p = np.array([message.data[0] for _, message in topics['/hnn_simulator/p']])

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.parameters import Settings
-from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.sinks.recording import Recording
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sinks import Sink
 import pytest

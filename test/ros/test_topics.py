@@ -9,10 +9,10 @@ import time
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.local_error import local_error
-from hnn_vi_ros.ros.accuracy import ENTRIES
-from hnn_vi_ros.ros.outputs import Material
-from hnn_vi_ros.ros.parameters import Settings
-from hnn_vi_ros.ros.topics import Topics
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.topics.accuracy import ENTRIES
+from hnn_vi_ros.ros.topics.outputs import Material
+from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.scene_report import scene_report

@@ -9,9 +9,9 @@ import signal
 from diagnostic_msgs.msg import DiagnosticArray
 from ensembles import ensemble
 from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.ros.inputs import read_observation
-from hnn_vi_ros.ros.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay_check import check_replay
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.inputs import read_observation
 import numpy as np
 from peer import peer, SIMULATOR, stamp
 from processes import finish, read_bag, start

@@ -13,10 +13,10 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
+from hnn_vi_ros.trajectory.simulate import simulate
 import numba
 import numpy as np
 import pytest

@@ -16,10 +16,10 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.addresses import original
-from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.trajectory.simulate import BLOCK, simulate, simulate_many
 import numpy as np
 import pytest
 

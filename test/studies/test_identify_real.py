@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import hnn_vi_ros
 from hnn_vi_ros.learning.data.runs import smoothed
-from hnn_vi_ros.learning.identify_numbers import free_scene
+from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
 import numpy as np
 import pytest
 from studies.identify_real import CASES, motions_of, predicted, scene_of

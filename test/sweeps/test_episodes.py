@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.run.ensemble import simulate
 from hnn_vi_ros.sweeps import lerobot
 from hnn_vi_ros.sweeps.episodes import selected
 from hnn_vi_ros.sweeps.sweep import main
+from hnn_vi_ros.trajectory.simulate import simulate
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq

@@ -18,13 +18,13 @@ import time
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
-from hnn_vi_ros.run.ensemble import BLOCK, simulate, simulate_many
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps import parquet, trajectories
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
 from hnn_vi_ros.sweeps.trajectories import Runner
+from hnn_vi_ros.trajectory.simulate import BLOCK, simulate, simulate_many
 import numpy as np
 from ports import free_port
 import pyarrow as pa

@@ -10,6 +10,9 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 import warnings
 
+from hnn_vi_ros.companions.base import Accompanied
+from hnn_vi_ros.companions.members import Members
+from hnn_vi_ros.companions.spread import deviation, member_scenes
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
@@ -21,12 +24,9 @@ from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
 from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
-from hnn_vi_ros.run.companions import Accompanied
-from hnn_vi_ros.run.ensemble import simulate_many
-from hnn_vi_ros.run.members import Members
-from hnn_vi_ros.run.spread import deviation, member_scenes
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.trajectory.simulate import simulate_many
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.companions.twin import VALID
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.external_force import ExternalForce
@@ -27,7 +28,6 @@ from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.run.twin import VALID
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

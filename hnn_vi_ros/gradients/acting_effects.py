@@ -1,0 +1,203 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Effects that do work in runs whose derivatives are known: forces, commands and damping."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, Force, Joined, per_coordinate, Place
+from hnn_vi_ros.effects.commands import NUMBERS
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.gradients.stage_work import Acting
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+
+
+class ActingEffects:
+    """
+    The effects of a system that do work, in its steps and around them.
+
+    Parameters
+    ----------
+    system : System
+        Of H with all effects; what its forces find of time and commands is written by ``acting``.
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+    effects : sequence of Effect
+        All of them.
+    h : float
+        Step size [s].
+
+    Raises
+    ------
+    UnsupportedSystem
+        They are not differentiable together.
+
+    """
+
+    def __init__(self, system: System, hamiltonian: Hamiltonian, effects: Sequence[Effect],
+                 h: float):
+        self.rates = flow_rates(hamiltonian, system.method, effects)
+        if system.effect_state.gauge.any() and self.rates.any():
+            raise UnsupportedSystem('the effect damping is not differentiable yet in magnetic '
+                                    'fields; leave one of them out')
+        self._system, self._h, self._channels = system, h, system.kernel.channels
+        self._flow = np.concatenate([
+            np.ones(len(self.rates)), np.zeros(self._channels),
+            np.exp(-0.5 * h * self.rates), np.zeros(self._channels)])
+        self.any = self._channels > 0 or bool(self.rates.any())
+        timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
+        self._timeout = min(timeouts, default=np.inf)
+        self._rows = np.zeros((0, system.effect_state.command.size))
+        self.commands: np.ndarray | None = None
+
+    def set_commands(self, commands: np.ndarray | None, every: int) -> None:
+        """
+        Take the commands of a run; each holds for so many steps.
+
+        Parameters
+        ----------
+        commands : np.ndarray, shape (samples, c) or (samples, m, c), or None
+            For all trajectories, or for each.
+        every : int
+            How many steps.
+
+        """
+        self.commands = commands
+        if commands is None:
+            return
+        if NUMBERS not in self._system.motors.takes:
+            raise UnsupportedSystem('no effect of the scene takes commands; add external_force, '
+                                    'with its coordinates')
+        if commands.shape[-1] != self._system.motors.size:
+            raise ValueError(f'commands have {commands.shape[-1]} numbers, expected '
+                             f'{self._system.motors.size}')
+        if every * self._h > self._timeout * (1.0 + 1e-9):
+            raise ValueError(f'each command holds for {every * self._h:g} s, but external_force '
+                             f'for timeout = {self._timeout:g} s; give a longer one')
+
+    @property
+    def places(self) -> np.ndarray:
+        """Return how each number of a command acts on each coordinate, shape (c, d)."""
+        return np.array([self._row(unit)[:-1] for unit in np.eye(self._system.motors.size)])
+
+    def _row(self, command: np.ndarray) -> np.ndarray:
+        """Return a command as forces find it."""
+        state = self._system.effect_state
+        state.command[:] = 0.0
+        state.clock[:] = 0.0
+        self._system.motors.command(command, np.zeros(len(self.rates)))
+        row = state.command.copy()
+        row[-1] = np.inf
+        return row
+
+    def advance(self, simulation: Simulation, block: slice, first: int, count: int, every: int
+                ) -> np.ndarray:
+        """Take steps of a block of trajectories; return the states, shape (count, m, 2 d)."""
+        if self.commands is None:
+            return np.concatenate(simulation.record(count, 1), axis=2)
+        parts, step = [], first
+        while step < first + count:
+            following = min(first + count, (step // every + 1) * every)
+            if step % every == 0:
+                simulation.set_command(self._command(block, step // every))
+            parts.append(np.concatenate(simulation.record(following - step, 1), axis=2))
+            step = following
+        return np.concatenate(parts)
+
+    def _command(self, block: slice, sample: int) -> np.ndarray:
+        assert self.commands is not None
+        command = self.commands[sample]
+        return command if command.ndim == 1 else command[block.start]
+
+    def acting(self, block: slice, first: int, times: np.ndarray, every: int) -> Acting:
+        """Return what effects do in steps of a block of trajectories, from the first of them."""
+        state, count = self._system.effect_state, len(times)
+        rows = np.zeros((count, state.command.size))
+        if self.commands is not None:
+            samples = (first + np.arange(count)) // every
+            known = {k: self._row(self._command(block, k)) for k in np.unique(samples)}
+            rows = np.array([known[k] for k in samples])
+        return Acting(state.clock, state.command, times, rows, self._flow)
+
+    def padded(self, states: np.ndarray) -> np.ndarray:
+        """Return states, shape (..., 2 d), with a channel for each force, shape (..., 2 D)."""
+        if not self._channels:
+            return states
+        q, p = np.split(states, 2, axis=-1)
+        channels = np.zeros((*states.shape[:-1], self._channels))
+        return np.concatenate([q, channels, p, channels], axis=-1)
+
+    def cut(self, states: np.ndarray) -> np.ndarray:
+        """Return states without channels."""
+        q, p = np.split(states, 2, axis=-1)
+        d = len(self.rates)
+        return np.concatenate([q[..., :d], p[..., :d]], axis=-1) if self._channels else states
+
+    def flowed(self, states: np.ndarray) -> np.ndarray:
+        """
+        Return how states around steps change with the rates of damping, shape (K, 2, m, 2 D).
+
+        Parameters
+        ----------
+        states : np.ndarray, shape (K + 1, m, 2 D)
+            Before and after each of K steps.
+
+        """
+        half = np.stack([states[:-1] * self._flow, states[1:]], axis=1)
+        half[..., :half.shape[-1] // 2] = 0.0
+        return -0.5 * self._h * half
+
+    def per_momentum(self, rates: np.ndarray) -> np.ndarray:
+        """Return rates, shape (d,), at the places of momenta in a padded state, shape (2 D,)."""
+        channels = np.zeros(self._channels)
+        return np.concatenate([np.zeros(len(rates)), channels, rates, channels])
+
+
+def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect]
+               ) -> np.ndarray:
+    """Return the rates at which damping around the steps takes momenta, shape (d,) [1/s]."""
+    rates = np.zeros(hamiltonian.dimension)
+    for effect in effects:
+        if effect.place(integrator) is Place.AROUND and hasattr(effect, 'rate'):
+            rates += per_coordinate(hamiltonian.coordinates, 'rate', effect.rate)
+    return rates
+
+
+def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
+    """Raise UnsupportedSystem, which names those that are, if one is not differentiable."""
+    for effect in effects:
+        _check(effect, integrator)
+
+
+def _check(effect: Effect, integrator: Integrator) -> None:
+    place = effect.place(integrator)
+    if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
+        if getattr(effect, 'names', None) == ():
+            raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet by '
+                                    'the input map of a model: give it coordinates')
+        return
+    if type(effect) is EFFECTS['damping'] and place is Place.AROUND:
+        return
+    able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
+    raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; effects '
+                            f'that are: {able}; leave others out')
+
+
+def _is_known(kind: type) -> bool:
+    """Return whether a force is a function of time, state and a command of numbers alone."""
+    return issubclass(kind, Force) and kind is not EFFECTS['servo'] and kind.knots == 0
+
+
+def names_of(are: Any) -> Iterator[str]:
+    """Return the names of effects in a scene that are of a kind."""
+    return (name for name, kind in EFFECTS.items() if are(kind))
+
+
+def kind_of(effect: Effect) -> str:
+    """Return the name of an effect in a scene; the user's own effects take their class's name."""
+    return next(names_of(lambda kind: type(effect) is kind), type(effect).__name__)

@@ -1,0 +1,363 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Derivatives of the steps of a partitioned Runge-Kutta method, compiled; see PartitionedTableau.
+
+The stages Z of a step solve Z = G(Z; z). With the slopes F = (H_q, H_p) at them, the matrix
+I - G_Z and the second derivatives H'' there, a tangent of z goes through the step by one solve
+with that matrix, and a cotangent goes back by one with its transpose (the implicit function
+theorem). What else a step depends on enters by F alone: a change of F at the stages is a source
+of the tangent, and the cotangent of F is given for each stage.
+
+Steps are taken from a trajectory that is known. States are (q, p), 2 d numbers; stages are q of
+the s stages one after another, then p.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hnn_vi_ros.gradients.stage_work import Acting, StageWork
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK
+from hnn_vi_ros.integrators.equations import set_scale
+from hnn_vi_ros.integrators.newton import newton
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
+from hnn_vi_ros.integrators.solvers import anderson
+from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear
+from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
+
+_MOST = 20
+# Relative to a state: a step that ends further from the next one was not taken by the tableau.
+_SAME = 1e-9
+
+
+class _Problem(NamedTuple):
+    """The equation for the stages of a step from z, and H' at them."""
+
+    kernel: Kernel
+    h: float
+    tableau: PartitionedTableau
+    z: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+
+
+Loop = Callable[..., int]
+
+
+def entry_of(loop: Loop, kernel: Kernel, *arguments: Any) -> Loop:
+    """Return what runs a loop of this module with arguments like these, compiled where H is."""
+    return entry_point(compiled_loop(loop, kernel, ''), kernel, *arguments) \
+        if kernel.compiled else loop
+
+
+def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+                states: np.ndarray, stages: np.ndarray, work: StageWork) -> int:
+    """
+    Fill the stages of steps.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        Of H.
+    h : float
+        Step size [s].
+    tableau : PartitionedTableau
+        Of the method.
+    acting : Acting
+        What effects do.
+    states : np.ndarray, shape (K + 1, m, 2 d)
+        Of m trajectories, before and after each of K steps.
+    stages : np.ndarray, shape (K, m, 2 s d)
+        Filled.
+    work : StageWork
+        Filled again.
+
+    Returns
+    -------
+    int
+        -1, or the first step whose stages are not found.
+
+    """
+    kernel, tableau, acting, states, stages, work = bare(
+        (kernel, tableau, acting, states, stages, work))
+    start, end, flow = work.start, work.end, acting.flow
+    for n in range(stages.shape[0]):
+        _enter(acting, n)
+        for m in range(stages.shape[1]):
+            for k in range(flow.size):
+                start[k] = flow[k] * states[n, m, k]
+                end[k] = states[n + 1, m, k] / flow[k] if flow[k] != 0.0 else 0.0
+            if not _find(kernel, h, tableau, start, end, stages[n, m], work):
+                return n
+    return -1
+
+
+def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+              stages: np.ndarray, cotangents: np.ndarray, directions: np.ndarray,
+              felt: np.ndarray, work: StageWork) -> int:
+    """
+    Take cotangents back through steps.
+
+    Parameters
+    ----------
+    kernel, h, tableau, acting, stages, work
+        See ``find_stages``.
+    cotangents : np.ndarray, shape (K + 1, m, 2 d)
+        Of each state by itself; of it and of all that follows from it afterwards.
+    directions : np.ndarray, shape (K, m, 2 s d)
+        Filled with the cotangents of H_q at the stages, then of H_p.
+    felt : np.ndarray, shape (K, 2, m, 2 d)
+        Filled with the cotangents after the flow before each step, and after that behind it.
+
+    Returns
+    -------
+    int
+        -1, or a step whose matrix is singular.
+
+    """
+    kernel, tableau, acting, stages, cotangents, directions, felt, work = bare(
+        (kernel, tableau, acting, stages, cotangents, directions, felt, work))
+    start, end, flow = work.start, work.end, acting.flow
+    for k in range(stages.shape[0]):
+        n = stages.shape[0] - 1 - k
+        _enter(acting, n)
+        for m in range(stages.shape[1]):
+            for i in range(flow.size):
+                felt[n, 1, m, i] = cotangents[n + 1, m, i]
+                start[i], end[i] = 0.0, flow[i] * cotangents[n + 1, m, i]
+            if not _pull(kernel, h, tableau, stages[n, m], start, end, directions[n, m], work):
+                return n
+            for i in range(flow.size):
+                felt[n, 0, m, i] = start[i]
+                cotangents[n, m, i] += flow[i] * start[i]
+    return -1
+
+
+def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+                 stages: np.ndarray, sources: np.ndarray, added: np.ndarray,
+                 tangents: np.ndarray, work: StageWork) -> int:
+    """
+    Take tangents through steps, r of each trajectory, for which a step is factorised once.
+
+    Parameters
+    ----------
+    kernel, h, tableau, acting, stages, work
+        See ``find_stages``.
+    sources : np.ndarray, shape (K, r, m, 2 s d)
+        Changes of H_q at the stages, then of H_p, for other reasons than the state.
+    added : np.ndarray, shape (K, 2, r, m, 2 d)
+        Changes of the state after the flow before each step, and after that behind it, likewise.
+    tangents : np.ndarray, shape (K + 1, r, m, 2 d)
+        Of the first state; of all states afterwards.
+
+    Returns
+    -------
+    int
+        -1, or a step whose matrix is singular.
+
+    """
+    kernel, tableau, acting, stages, sources, added, tangents, work = bare(
+        (kernel, tableau, acting, stages, sources, added, tangents, work))
+    start, end, flow = work.start, work.end, acting.flow
+    for n in range(stages.shape[0]):
+        _enter(acting, n)
+        for m in range(stages.shape[1]):
+            _fill_slopes(kernel, stages[n, m], work)
+            _fill_matrix(h, tableau, work, False)
+            if not factorise_rows(work.matrix, work.pivots):
+                return n
+            for r in range(tangents.shape[1]):
+                for k in range(flow.size):
+                    start[k] = flow[k] * tangents[n, r, m, k] + added[n, 0, r, m, k]
+                _push(kernel, h, tableau, sources[n, r, m], start, end, work)
+                for k in range(flow.size):
+                    tangents[n + 1, r, m, k] = flow[k] * end[k] + added[n, 1, r, m, k]
+    return -1
+
+
+@inlined
+def _enter(acting: Acting, n: int) -> None:
+    """Restore the time and command of a step for the forces."""
+    acting.clock[0], acting.clock[1] = acting.times[n], 0.0
+    for i in range(acting.command.size):
+        acting.command[i] = acting.commands[n, i]
+
+
+@inlined
+def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, z1: np.ndarray,
+          x: np.ndarray, work: StageWork) -> bool:
+    """Fill the stages of a step from z to z1; False if none are found."""
+    s, d = tableau.q_weights.size, kernel.dimension
+    scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
+    for k in range(2 * d):
+        work.change[k] = (z1[k] - z[k]) / h
+    problem = _Problem(kernel, h, tableau, z, work.product_q, work.product_p)
+    outcome = NO_CONVERGENCE
+    # Newton's method takes a matrix more, so it comes second, after a failure of the other.
+    for attempt in range(2):
+        for i in range(s):
+            a, b = i * d, (s + i) * d
+            set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
+            set_scale(scale[b:b + d], own[b:b + d], z[d:], work.change[d:], h, kernel, 0)
+            node_q, node_p = 0.0, 0.0
+            for j in range(s):
+                node_q += tableau.q_matrix[i, j]
+                node_p += tableau.p_matrix[i, j]
+            for k in range(d):
+                x[a + k] = z[k] + node_q * (z1[k] - z[k])
+                x[b + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
+        if attempt == 0:
+            outcome, _, _ = anderson(_equation, _tangent, problem, x, work.solver, _MOST)
+        else:
+            outcome, _, _ = newton(_equation, _tangent, problem, x, work.solver, _MOST)
+        if outcome == OK:
+            break
+    if outcome != OK:
+        return False
+    for k in range(d - kernel.channels):
+        dq, dp = 0.0, 0.0
+        for j in range(s):
+            dq += tableau.q_weights[j] * problem.dH_dp[j * d + k]
+            dp -= tableau.p_weights[j] * problem.dH_dq[j * d + k]
+        if not (abs(z[k] + h * dq - z1[k]) <= _SAME * scale[k]
+                and abs(z[d + k] + h * dp - z1[d + k]) <= _SAME * scale[s * d + k]):
+            return False
+    return True
+
+
+@inlined
+def _combine(tableau: PartitionedTableau, dH_dq: np.ndarray, dH_dp: np.ndarray, i: int, k: int
+             ) -> tuple[float, float]:
+    """Return the sums over j of a_ij H_p and of -A_ij H_q for component k."""
+    s = tableau.q_weights.size
+    d = dH_dq.size // s
+    dq, dp = 0.0, 0.0
+    for j in range(s):
+        dq += tableau.q_matrix[i, j] * dH_dp[j * d + k]
+        dp -= tableau.p_matrix[i, j] * dH_dq[j * d + k]
+    return dq, dp
+
+
+@inlined
+def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+    s, d, z = problem.tableau.q_weights.size, problem.kernel.dimension, problem.z
+    problem.kernel.gradient(problem.kernel.parameters, x[:s * d], x[s * d:],
+                            problem.dH_dq, problem.dH_dp)
+    for i in range(s):
+        for k in range(d):
+            dq, dp = _combine(problem.tableau, problem.dH_dq, problem.dH_dp, i, k)
+            value[i * d + k] = z[k] + problem.h * dq
+            value[(s + i) * d + k] = z[d + k] + problem.h * dp
+
+
+@inlined
+def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+    s, d = problem.tableau.q_weights.size, problem.kernel.dimension
+    # Not needed before the next evaluation of the equation fills them again.
+    at_q, at_p = problem.dH_dq, problem.dH_dp
+    problem.kernel.hessian_vector(problem.kernel.parameters, x[:s * d], x[s * d:],
+                                  v[:s * d], v[s * d:], at_q, at_p)
+    for i in range(s):
+        for k in range(d):
+            dq, dp = _combine(problem.tableau, at_q, at_p, i, k)
+            product[i * d + k], product[(s + i) * d + k] = problem.h * dq, problem.h * dp
+
+
+@inlined
+def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
+    """Fill H'' at each stage, column by column."""
+    n, d = work.v_q.size, kernel.dimension
+    for column in range(2 * d):
+        for i in range(n):
+            work.v_q[i] = 1.0 if i % d == column else 0.0
+            work.v_p[i] = 1.0 if i % d == column - d else 0.0
+        kernel.hessian_vector(kernel.parameters, x[:n], x[n:], work.v_q, work.v_p,
+                              work.product_q, work.product_p)
+        for i in range(n):
+            work.slopes[i // d, i % d, column] = work.product_q[i]
+            work.slopes[i // d, d + i % d, column] = work.product_p[i]
+
+
+@inlined
+def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transposed: bool
+                 ) -> None:
+    """Fill the matrix I - G_Z, or its transpose, from H'' at the stages."""
+    s, d = tableau.q_weights.size, work.slopes.shape[1] // 2
+    matrix, slopes = work.matrix, work.slopes
+    for i in range(s):
+        for j in range(s):
+            for k in range(d):
+                row_q, row_p = i * d + k, (s + i) * d + k
+                for c in range(2 * d):
+                    column = j * d + c if c < d else (s + j) * d + c - d
+                    entry_q = -h * tableau.q_matrix[i, j] * slopes[j, d + k, c]
+                    entry_p = h * tableau.p_matrix[i, j] * slopes[j, k, c]
+                    if transposed:
+                        matrix[column, row_q], matrix[column, row_p] = entry_q, entry_p
+                    else:
+                        matrix[row_q, column], matrix[row_p, column] = entry_q, entry_p
+    for k in range(2 * s * d):
+        matrix[k, k] += 1.0
+
+
+@inlined
+def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
+          before: np.ndarray, after: np.ndarray, direction: np.ndarray, work: StageWork) -> bool:
+    """Add to the cotangent before a step what comes of that after it; False if singular."""
+    s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
+    n = s * d
+    _fill_slopes(kernel, x, work)
+    _fill_matrix(h, tableau, work, True)
+    for j in range(s):
+        for k in range(d):
+            direction[j * d + k] = -h * tableau.p_weights[j] * after[d + k]
+            direction[n + j * d + k] = h * tableau.q_weights[j] * after[k]
+        for c in range(d):
+            at_q, at_p = 0.0, 0.0
+            for k in range(d):
+                on_q, on_p = direction[j * d + k], direction[n + j * d + k]
+                at_q += slopes[j, k, c] * on_q + slopes[j, d + k, c] * on_p
+                at_p += slopes[j, k, d + c] * on_q + slopes[j, d + k, d + c] * on_p
+            right[j * d + c], right[n + j * d + c] = at_q, at_p
+    if solve_linear(work.matrix, right) == 0:
+        return False
+    for k in range(d):
+        before[k] += after[k]
+        before[d + k] += after[d + k]
+        for i in range(s):
+            before[k] += right[i * d + k]
+            before[d + k] += right[n + i * d + k]
+    for j in range(s):
+        for k in range(d):
+            for i in range(s):
+                direction[j * d + k] -= h * tableau.p_matrix[i, j] * right[n + i * d + k]
+                direction[n + j * d + k] += h * tableau.q_matrix[i, j] * right[i * d + k]
+    return True
+
+
+@inlined
+def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndarray,
+          before: np.ndarray, after: np.ndarray, work: StageWork) -> None:
+    """Fill the tangent after a step, whose matrix is factorised, from that before it."""
+    s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
+    n = s * d
+    for i in range(s):
+        for k in range(d):
+            dq, dp = _combine(tableau, source[:n], source[n:], i, k)
+            right[i * d + k] = before[k] + h * dq
+            right[n + i * d + k] = before[d + k] + h * dp
+    solve_factorised(work.matrix, work.pivots, right)
+    for k in range(d):
+        after[k], after[d + k] = before[k], before[d + k]
+        for j in range(s):
+            at_q, at_p = source[j * d + k], source[n + j * d + k]
+            for c in range(d):
+                v_q, v_p = right[j * d + c], right[n + j * d + c]
+                at_q += slopes[j, k, c] * v_q + slopes[j, k, d + c] * v_p
+                at_p += slopes[j, d + k, c] * v_q + slopes[j, d + k, d + c] * v_p
+            after[k] += h * tableau.q_weights[j] * at_p
+            after[d + k] -= h * tableau.p_weights[j] * at_q

@@ -1,0 +1,395 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Numbers of a scene by least squares: multiple shooting, with each window's start eliminated.
+
+The windows' initial states are unknowns too, but each is felt in its own window alone. So for any
+values of the numbers they are found first, window by window, and what the numbers do beyond what
+initial states could do guides the search (variable projection).
+
+G. Golub, V. Pereyra, Separable nonlinear least squares: the variable projection method and its
+applications, Inverse Problems 19 (2003). H. G. Bock, Recent advances in parameter identification
+techniques for O.D.E., 1983, on multiple shooting.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.learning.data.runs import Motion
+from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene
+from hnn_vi_ros.learning.scene_numbers.noise import first_length, first_noise, least_noise
+from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
+import numpy as np
+from scipy.optimize import least_squares
+
+# Residual in standard deviations at which the robust loss turns from squares to lines.
+_SOFT = 2.0
+# Most steps for the initial states, and what may still be gained by another one, of the cost.
+_INNER, _GAIN = 30, 1e-10
+# What a start is charged from which a window cannot be simulated, in standard deviations.
+_FAILED = 1e3
+# Tolerances of the search for the numbers, at the end and before, and most evaluations.
+_TOLERANCE, _ROUGH, _EVALUATIONS = 1e-8, 1e-4, 60
+# Windows grow by this factor, as long as residuals do not, by more than this.
+_LONGER, _GROWTH = 3.0, 1.5
+# Singular values of unit columns below this are rounding and differences, not data.
+_RANK = 1e-6
+# Changes of the noise, relatively, that are not worth another search; and most searches.
+_SETTLED, _ROUNDS = 0.1, 6
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """
+    Numbers, and the windows' initial states with them, that fit best.
+
+    Parameters
+    ----------
+    values : np.ndarray, shape (n,)
+        Of the numbers.
+    starts : np.ndarray, shape (W, 2 d)
+        The initial states.
+    residuals : np.ndarray, shape (W, T, C)
+        Prediction less measurement, in standard deviations; 0 for missing samples.
+    by_starts, by_numbers : np.ndarray, shapes (W, T, C, 2 d) and (W, T, C, n)
+        Derivatives of the residuals.
+    noise : np.ndarray, shape (C,)
+        Those standard deviations.
+    windows : Windows
+        The fitted windows.
+
+    """
+
+    values: np.ndarray
+    starts: np.ndarray
+    residuals: np.ndarray
+    by_starts: np.ndarray
+    by_numbers: np.ndarray
+    noise: np.ndarray
+    windows: Windows
+
+    @property
+    def freedom(self) -> int:
+        """Return the number of measured numbers less that of unknowns."""
+        measured = int(self.windows.there.sum()) * self.residuals.shape[2]
+        return measured - self.starts.size - self.values.size
+
+    @property
+    def misfit(self) -> float:
+        """Return the root mean square of the residuals, for each degree of freedom."""
+        return math.sqrt(float((self.residuals**2).sum()) / self.freedom)
+
+
+class Problem:
+    """
+    The residuals of windows as a function of the free numbers alone.
+
+    Parameters
+    ----------
+    free : FreeScene
+        The scene, with n free numbers.
+    windows : Windows
+        W of them.
+    noise : np.ndarray, shape (C,)
+        Standard deviation of each measured quantity.
+    starts : np.ndarray, shape (W, 2 d)
+        Initial states to begin from.
+    robust : bool
+        Whether outliers count less: the loss soft_l1.
+
+    """
+
+    def __init__(self, free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.ndarray,
+                 robust: bool):
+        self.free, self.windows, self.noise, self.robust = free, windows, noise, robust
+        self._starts, self._at = starts, np.full(len(free.numbers), np.nan)
+        self._slope = np.zeros((*starts.shape, len(free.numbers)))
+        self._solved: Solution | None = None
+        self._key: bytes | None = None
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return them at the best initial states, flat, and n zeros; see ``slopes``."""
+        own = np.nan_to_num(self._at_best(values)[1], nan=_FAILED).ravel()
+        return np.concatenate([own, np.zeros(len(values))])
+
+    def slopes(self, values: np.ndarray) -> np.ndarray:
+        """
+        Return their derivatives by the numbers, shape (N + n, n).
+
+        The zeros are said to grow along directions of which the data tell nothing. There is
+        rounding alone along those, which would lead the search far away: so it does not move.
+        """
+        solution = self.solve(values)
+        back = projected(solution, self.weights(solution.residuals))
+        self._starts, self._at, self._slope = solution.starts, solution.values, back[1]
+        own = back[0].reshape(-1, len(values))
+        units = units_of(solution)
+        sizes, rows, told = told_directions(own / units)
+        held = np.where(told[:, None], 0.0, rows) * sizes.max(initial=1e-300)
+        return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
+
+    def solve(self, values: np.ndarray) -> Solution:
+        """Return all that is known at values of the numbers."""
+        starts, residuals, by_starts = self._at_best(values)
+        if self._solved is None or not np.array_equal(self._solved.values, values):
+            by_numbers = self._scaled(self._prediction.by_numbers(starts))
+            self._solved = Solution(np.array(values), starts, residuals, by_starts, by_numbers,
+                                    self.noise, self.windows)
+        return self._solved
+
+    def weights(self, residuals: np.ndarray) -> np.ndarray:
+        """Return what each residual counts, 1 without outliers."""
+        return 1.0 / np.sqrt(1.0 + (residuals / _SOFT)**2) if self.robust else \
+            np.ones_like(residuals)
+
+    def cost(self, residuals: np.ndarray) -> np.ndarray:
+        """Return twice the cost of each window, shape (W,)."""
+        squares = residuals**2
+        if self.robust:
+            squares = 2.0 * _SOFT**2 * (np.sqrt(1.0 + squares / _SOFT**2) - 1.0)
+        return squares.sum(axis=(1, 2))
+
+    def _scaled(self, values: np.ndarray) -> np.ndarray:
+        """Return derivatives in standard deviations, 0 for missing samples."""
+        shape = (1, 1, -1) + (1,) * (values.ndim - 3)
+        there = self.windows.there.reshape(self.windows.there.shape + (1,) * (values.ndim - 2))
+        return np.where(there, values / self.noise.reshape(shape), 0.0)
+
+    def _at_best(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the best initial states, the residuals, and their derivatives by the states."""
+        key = np.asarray(values, dtype=float).tobytes()
+        if key != self._key:
+            starts = self._starts
+            if np.isfinite(self._at).all():
+                starts = starts + self._slope @ (values - self._at)
+            try:
+                self._prediction = Prediction(self.free, values, self.windows)
+                self._best = self._descend(self._prediction, starts)
+            except HnnViRosError:
+                # Such a scene there is not: a mass that is no mass.
+                shape = self.windows.measured.shape
+                self._best = (self._starts, np.full(shape, np.nan),
+                              np.zeros((*shape, self._starts.shape[1])))
+            self._key = key
+        return self._best
+
+    def _evaluate(self, prediction: Prediction, starts: np.ndarray,
+                  only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        predicted, slopes = prediction.by_starts(starts, only)
+        return self._scaled(predicted - self.windows.measured), self._scaled(slopes)
+
+    def _descend(self, prediction: Prediction, starts: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Take steps of Levenberg and Marquardt in all windows at once."""
+        residuals, slopes = self._evaluate(prediction, starts)
+        cost, damping = self.cost(residuals), np.full(len(starts), 1e-9)
+        for _ in range(_INNER):
+            weights = self.weights(residuals)[..., None]
+            matrix = np.einsum('wtci,wtcj->wij', weights * slopes, slopes)
+            downhill = -np.einsum('wtci,wtc->wi', weights * slopes, residuals)
+            scale = np.sqrt(np.einsum('wii->wi', matrix)) + 1e-300
+            with np.errstate(invalid='ignore'):  # of windows that are far from all data
+                unit = matrix / scale[:, :, None] / scale[:, None, :]
+            unit += damping[:, None, None] * np.eye(starts.shape[1])
+            good = np.isfinite(unit).all(axis=(1, 2)) & np.isfinite(downhill).all(axis=1)
+            change = np.zeros_like(starts)
+            change[good] = np.linalg.solve(
+                unit[good], (downhill / scale)[good, :, None])[..., 0] / scale[good]
+            gain = (change * downhill).sum(axis=1)
+            open_ = good & (gain > _GAIN * np.maximum(cost, 1e-12))
+            if not open_.any():
+                break
+            tried = starts + np.where(open_[:, None], change, 0.0)
+            # Most windows are done after a few steps: the others are simulated alone.
+            new_residuals, new_slopes = self._evaluate(prediction, tried, open_)
+            new_cost = self.cost(new_residuals)
+            better = open_ & (new_cost < cost)
+            damping = np.where(better, 0.1 * damping, np.where(open_, 100.0 * damping, damping))
+            damping = np.clip(damping, 1e-12, 1e12)
+            starts = np.where(better[:, None], tried, starts)
+            residuals = np.where(better[:, None, None], new_residuals, residuals)
+            slopes = np.where(better[:, None, None, None], new_slopes, slopes)
+            cost = np.where(better, new_cost, cost)
+        return starts, residuals, slopes
+
+
+def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return what numbers do beyond what initial states could do instead.
+
+    Returns
+    -------
+    np.ndarray, shape (W, T, C, n), and np.ndarray, shape (W, 2 d, n)
+        Derivatives of the residuals at the best initial states; and of those.
+
+    """
+    slopes, numbers = solution.by_starts, solution.by_numbers
+    # Orthogonal factors keep the digits: a matrix of squares would lose half of them.
+    w, t, c, n = slopes.shape
+    root = np.sqrt(weights).reshape(w, t * c, 1)
+    left, right = root * slopes.reshape(w, t * c, n), root * numbers.reshape(w, t * c, -1)
+    scale = np.linalg.norm(left, axis=1, keepdims=True) + 1e-300
+    back = -np.linalg.pinv(left / scale, rcond=1e-10) @ right / scale.swapaxes(1, 2)
+    rest = numbers.reshape(w, t * c, -1) + slopes.reshape(w, t * c, n) @ back
+    return rest.reshape(w, t, c, -1), back
+
+
+def units_of(solution: Solution) -> np.ndarray:
+    """Return 1 over what change of each number does as much as that of others, shape (n,)."""
+    raw = np.linalg.norm(solution.by_numbers[solution.windows.there].reshape(
+        -1, len(solution.values)), axis=0)
+    return np.where(raw > 0.0, raw, 1.0)
+
+
+def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return which directions of the numbers the data tell.
+
+    Parameters
+    ----------
+    slopes : np.ndarray, shape (N, n)
+        What numbers in their units do, beyond what initial states could.
+
+    Returns
+    -------
+    tuple of np.ndarray, shapes (n,), (n, n) and (n,)
+        Singular values; directions, a row each; and which of those are more than rounding.
+
+    """
+    _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
+    return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
+
+
+def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: float | None,
+        robust: bool) -> tuple[Solution, Problem, list[tuple[float, float]]]:
+    """
+    Fit the free numbers, in windows that grow from short ones, which have no false minima.
+
+    Parameters
+    ----------
+    free : FreeScene
+        The scene.
+    motions : sequence of Motion
+        The measured motions.
+    velocities : bool
+        Whether velocities were.
+    horizon : float, optional
+        Length of the windows at the end [s]; by default they grow up to whole runs, as long as
+        residuals do not grow by more than a half.
+    robust : bool
+        See Problem.
+
+    Returns
+    -------
+    Solution, Problem, and list of (float, float)
+        The fit, its problem, and the length [s] and the misfit of each stage.
+
+    Raises
+    ------
+    DataError
+        The data are too few, or cannot be followed from where the search begins.
+
+    """
+    values = np.array([number.start for number in free.numbers])
+    longest = max(motion.t[-1] - motion.t[0] for motion in motions)
+    wanted = longest if horizon is None else min(horizon, longest)
+    length = min(first_length(motions, velocities), wanted)
+    noise, before, stages = first_noise(motions, velocities), None, []
+    while True:
+        windows = windows_of(motions, length, velocities)
+        starts = _starts(free, values, windows, before)
+        solution, problem = _settled(
+            free, windows, noise if before is None else before[0].noise, starts, values, robust,
+            _TOLERANCE if length >= wanted else _ROUGH, before is None)
+        stages.append((length, solution.misfit * float(np.exp(np.log(
+            solution.noise / noise).mean()))))
+        grown = before is not None and stages[-1][1] > _GROWTH * stages[-2][1]
+        if horizon is None and grown and before is not None:
+            last, _ = before
+            return *_settled(free, last.windows, last.noise, last.starts, last.values, robust,
+                             _TOLERANCE, False), stages
+        before, values = (solution, problem), solution.values
+        if length >= wanted:
+            return solution, problem, stages
+        length = min(_LONGER * length, wanted)
+
+
+def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.ndarray,
+             values: np.ndarray, robust: bool, tolerance: float, guessed: bool
+             ) -> tuple[Solution, Problem]:
+    """Return the fit with the noise that its own residuals tell, which may begin guessed."""
+    if windows.there.sum() * len(noise) <= starts.size + len(values):
+        raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
+                        f'{len(starts)} windows are too few for {len(values)} numbers and '
+                        f'{starts.size} of initial states; give more, or a longer --horizon')
+    for k in range(_ROUNDS):
+        # A guess from the data alone is far too small for a scene that lacks something: beside it
+        # all residuals would be outliers. So squares of them tell the noise first.
+        squares = robust and guessed and k == 0
+        problem = Problem(free, windows, noise, starts, robust and not squares)
+        solution = search(problem, values, _ROUGH if squares else tolerance)
+        told = noise_of(solution, robust)
+        values, starts = solution.values, solution.starts
+        ratio = told / noise
+        noise = told
+        # One factor for all moves nothing but the robust loss.
+        if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
+                robust and abs(np.log(ratio)).max() > _SETTLED):
+            break
+    scale = ratio if solution.noise is not noise else np.ones_like(noise)
+    problem.noise = noise
+    return Solution(
+        solution.values, solution.starts, solution.residuals / scale,
+        solution.by_starts / scale[:, None], solution.by_numbers / scale[:, None], noise,
+        windows), problem
+
+
+def search(problem: Problem, values: np.ndarray, tolerance: float = _TOLERANCE) -> Solution:
+    """Return the best values of the numbers, from some on."""
+    first = problem.residuals(values)
+    if not values.size:
+        return problem.solve(values)
+    if (first == _FAILED).any():
+        raise DataError(f'{problem.free.scene.name} cannot be simulated through all windows from '
+                        'the values to begin with; give others in the scene, or a shorter '
+                        '--horizon')
+    low, high = np.array([[number.low, number.high] for number in problem.free.numbers]).T
+    # Not by the slopes that are left: they would make a unit of a direction that is rounding.
+    units = 1.0 / units_of(problem.solve(values))
+    found = least_squares(
+        problem.residuals, values, problem.slopes, bounds=(low, high), x_scale=units,
+        loss='soft_l1' if problem.robust else 'linear', f_scale=_SOFT, ftol=tolerance,
+        xtol=tolerance, gtol=tolerance, max_nfev=_EVALUATIONS)
+    return problem.solve(found.x)
+
+
+def noise_of(solution: Solution, robust: bool) -> np.ndarray:
+    """Return the standard deviation of each measured quantity that residuals tell, shape (C,)."""
+    there = solution.windows.there
+    own = solution.residuals[there]
+    measured = own.size
+    share = math.sqrt(measured / solution.freedom)
+    spread = 1.4826 * np.median(np.abs(own), axis=0) if robust else \
+        np.sqrt((own**2).mean(axis=0))
+    least = least_noise(solution.windows.measured[there])
+    return np.maximum(share * spread * solution.noise, least)
+
+
+def _starts(free: FreeScene, values: np.ndarray, windows: Windows,
+            before: tuple[Solution, Problem] | None) -> np.ndarray:
+    """Return initial states to begin from: those of shorter windows, or smoothed measurements."""
+    q, v = windows.start.swapaxes(0, 1)
+    if before is None:
+        prediction = Prediction(free, values, windows)
+        return np.hstack([q, momentum(prediction.hamiltonian, q, v, np.zeros_like(q))])
+    solution = before[0]
+    states = Prediction(free, values, solution.windows).states(solution.starts[:, None])[:, 0]
+    found = np.empty((len(q), 2 * q.shape[1]))
+    for w in range(len(q)):
+        own = np.flatnonzero((solution.windows.run == windows.run[w])
+                             & (solution.windows.first <= windows.first[w]))[-1]
+        found[w] = states[own, windows.first[w] - solution.windows.first[own]]
+    return found

@@ -1,0 +1,359 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fit numbers of a scene to measured motions: ``ros2 run hnn_vi_ros identify``."""
+
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+import json
+import math
+import os
+from pathlib import Path
+import shlex
+import tempfile
+from typing import NamedTuple
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.errors import (
+    DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
+from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.runs import Motion, steps_between
+from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
+from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
+from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene, FreeScene, STATES
+from hnn_vi_ros.learning.scene_numbers.input import check_times
+from hnn_vi_ros.learning.scene_numbers.intervals import (
+    Estimate, Estimates, estimates_of, profile, quantile)
+from hnn_vi_ros.learning.scene_numbers.scene import write_fitted
+from hnn_vi_ros.learning.scene_numbers.windows import Windows
+from hnn_vi_ros.scene import load_scene, Scene
+import numpy as np
+
+# Residuals of so many times the noise that neighbouring samples tell are not noise alone.
+_POOR = 3.0
+# By so much less a sum of squares tells one way of forces from the other: three standard errors.
+_EVIDENCE = 9.0
+# Names under which velocities stand in arrays.
+_VELOCITIES = 'dq', 'v'
+
+
+class Identified(NamedTuple):
+    """Result of a fit: all that is told of it."""
+
+    free: FreeScene
+    solution: Solution
+    problem: Problem
+    estimates: Estimates
+    stages: list[tuple[float, float]]
+    hamiltonian: Hamiltonian
+    data: str
+    inputs: 'Inputs | None'
+
+
+class Inputs(NamedTuple):
+    """
+    The way of measured forces between samples that is assumed, and how well the other one fits.
+
+    Parameters
+    ----------
+    taken, other : str
+        Both ways, ``held`` and ``interpolated``.
+    stated : bool
+        Whether the user or the kind of data says so.
+    evidence : float
+        By how much the other way makes the sum of squared residuals less, in squares of the noise.
+    misfit : float
+        Its residuals, in standard deviations.
+
+    """
+
+    taken: str
+    other: str
+    stated: bool
+    evidence: float
+    misfit: float
+
+
+def main(argv: Sequence[str]) -> None:
+    """Fit what the command line names."""
+    options = command_lines.identify().parse_args(argv)
+    _check(options)
+    scene, _ = resolve(load_scene(options.scene))
+    with tempfile.TemporaryDirectory() as folder:
+        found = identify(scene, _source(options), options, Path(folder))
+        text = report_of(found)
+        print(text)
+        command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'identify', *argv])
+        try:
+            _write(options, found, f'{text}\n\n`{command}`')
+        except OSError as problem:
+            raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
+                                 ) from problem
+
+
+def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, folder: Path
+             ) -> Identified:
+    """
+    Fit the numbers of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a method and a step size.
+    data : tuple of (Path, MotionSource)
+        How the motions are read.
+    options : Namespace
+        Of the command line.
+    folder : Path
+        For files that the fit needs while it runs.
+
+    """
+    parts = scene.parts()
+    _, hamiltonian, _, effects = parts
+    if hamiltonian.rotations or not hamiltonian.canonical:
+        raise UnsupportedSystem(f'{scene.name}: identify takes canonical scalar coordinates alone')
+    names = [coordinate.name for coordinate in hamiltonian.coordinates]
+    motions, description = read_motions(*data, names, options.data)
+    velocities = _has_velocities(data[1]) and 'velocities estimated' not in description
+    driven = any(motion.tau.any() for motion in motions)
+    if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
+        raise DataError(f'{options.data[0]}: the motions were driven, but {scene.name} has no '
+                        'effect external_force; add it, with the coordinates that are driven')
+    spacing = motions[0].spacing
+    check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
+    free = free_scene(parts, [name for name in options.free if name != STATES],
+                      _bounds(options.bounds), folder, driven)
+    _check_profiles(options.profile, free)
+    solution, problem, stages = fit(free, motions, velocities, options.horizon, options.robust)
+    estimates = estimates_of(solution, problem, free, hamiltonian.coordinates,
+                             STATES in options.free)
+    profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
+                if (name := one.name) in options.profile}
+    estimates = replace(estimates, estimates=[
+        profiles.get(one.name, one) for one in estimates.estimates])
+    inputs = None
+    if driven:
+        held = motions[0].held
+        taken, other = ('held', 'interpolated')[::1 if held else -1]
+        misfit = _misfit_with(solution, problem, read_motions(
+            data[0], data[1].model_copy(update={'inputs': other}), names, options.data)[0])
+        inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
+            1.0 - (misfit / solution.misfit)**2), misfit)
+    return Identified(free, solution, problem, estimates, stages, hamiltonian, description, inputs)
+
+
+def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:
+    """Return the misfit of the same windows with other forces; infinite where that fails."""
+    windows = replace(solution.windows, motions=motions)
+    other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
+    try:
+        return search(other, solution.values).misfit
+    except HnnViRosError:
+        return math.inf
+
+
+def _check(options: Namespace) -> None:
+    """Refuse, before the work, what cannot be used."""
+    if options.horizon is not None and not (
+            math.isfinite(options.horizon) and options.horizon > 0.0):
+        raise ParameterError(f'--horizon {options.horizon}: expected a positive number of seconds')
+    if options.free == [STATES]:
+        raise ParameterError(f'--free {STATES}: name a number of the scene too; initial states '
+                             'are always found')
+    given = [(name, getattr(options, name)) for name in ('json', 'posterior', 'out', 'write')
+             if getattr(options, name) is not None]
+    for name, path in given:
+        if os.path.lexists(path):
+            raise ParameterError(f'--{name} {path}: exists already; name another')
+        if [other for _, other in given].count(path) > 1:
+            raise ParameterError(f'--{name} {path}: is named twice')
+        if name != 'out' and not path.parent.is_dir():
+            raise ParameterError(f'--{name} {path}: no folder {str(path.parent)!r}; make it first')
+
+
+def _check_profiles(names: Sequence[str], free: FreeScene) -> None:
+    valid = [number.name for number in free.numbers]
+    for name in names:
+        if name not in valid:
+            raise ParameterError(f'--profile {name}: not among the free numbers '
+                                 f'({", ".join(valid)})')
+
+
+def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
+    bounds = {}
+    for name, *words in given:
+        try:
+            low, high = (float(word) for word in words)
+        except ValueError as problem:
+            raise ParameterError(f'--bounds {name} {" ".join(words)}: expected two numbers'
+                                 ) from problem
+        bounds[name] = low, high
+    return bounds
+
+
+def _source(options: Namespace) -> tuple[Path, MotionSource]:
+    """Return how the data are read: as a configuration says, or as they look."""
+    if options.config is not None:
+        # Imported here: with it come the libraries of training.
+        from hnn_vi_ros.learning.fit.config import load_machine
+        path, data = options.config, load_machine(options.config).data
+    else:
+        path, data = split_runs(options.data[0])[0], guessed(options.data[0])
+        data = _arrays(path, data) if isinstance(data, ArraysData) else data
+    return path, data if options.inputs is None else data.model_copy(
+        update={'inputs': options.inputs})
+
+
+def _arrays(path: Path, data: ArraysData) -> ArraysData:
+    """Return the keys that arrays have; what is wrong with the file, its reader will tell."""
+    keys = keys_of(path)
+    if not keys:
+        return data
+    return data.model_copy(update={
+        'v': next((name for name in _VELOCITIES if name in keys), None),
+        'tau': 'tau' if 'tau' in keys else None})
+
+
+def _has_velocities(data: MotionSource) -> bool:
+    return not data.estimate_velocity if isinstance(data, BagMotions) else data.v is not None
+
+
+def report_of(found: Identified) -> str:
+    """Return what is known, as Markdown."""
+    solution, estimates = found.solution, found.estimates
+    windows = solution.windows
+    length = (windows.there.sum(axis=1).max() - 1) * windows.spacing
+    lines = [
+        f'{found.free.scene.name} fitted to {found.data}: {int(windows.there.sum())} samples, '
+        f'one every {windows.spacing:.4g} s, in {_counted(windows, length)}', '',
+        '| number | value | unit | standard error | 95 % interval |',
+        '|---|---:|---|---:|---|', *map(_row, estimates.estimates), '']
+    for direction in estimates.unknown:
+        named = ', '.join(f'{name} {part:+.3g}' for name, part in direction.items())
+        lines.append(f'Not identifiable: nothing measured shows it if these change together, '
+                     f'relatively: {named}' if len(direction) > 1 else
+                     f'Not identifiable: nothing measured depends on {next(iter(direction))}')
+    lines += _held_back(found)
+    lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
+              'makes up for' for one, other, r in estimates.correlated]
+    lines += [*_inputs(found), *_noise(found)]
+    low, high = (part(windows.measured[windows.there], axis=0) for part in (np.min, np.max))
+    ranges = ', '.join(f'{name} {a:.4g} to {b:.4g} {unit}' for (name, unit), a, b in zip(
+        channels(found), low, high, strict=True))
+    lines.append(f'Valid range: the data cover {ranges}')
+    lines += [f'Windows of {seconds:.4g} s: residuals {misfit:.3g} of the noise'
+              for seconds, misfit in found.stages]
+    if found.stages[-1][1] > _POOR:
+        lines.append('Residuals are much more than noise: the scene lacks something, bounds hold '
+                     'it back, or the data are of something else; intervals do not tell that')
+    if len(found.stages) > 1 and found.stages[-1][0] > 1.5 * length:
+        lines.append(f'Through longer windows than {length:.4g} s the scene does not follow the '
+                     'data as well: it lacks something, or the motion is chaotic')
+    return '\n'.join(lines)
+
+
+def _counted(windows: Windows, length: float) -> str:
+    if len(windows.run) == 1:
+        return f'one window of {length:.4g} s, with an initial state of its own'
+    return (f'{len(windows.run)} windows of up to {length:.4g} s, each with an initial state of '
+            'its own')
+
+
+def _held_back(found: Identified) -> list[str]:
+    """Return which numbers ended where their range does."""
+    return [f'{one.name} ended at the end of its range, {end:g} {one.unit}: data may fit better '
+            'beyond it, and its interval does not know of it'
+            for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
+            for end in (number.low, number.high) if one.known and abs(one.value - end) <= max(
+                1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))]
+
+
+def _row(one: Estimate) -> str:
+    if not one.known:
+        return f'| {one.name} | {one.value:.6g} | {one.unit} | - | not identifiable |'
+    low, high = ('?' if end is None else f'{end:.6g}' for end in (one.low, one.high))
+    return (f'| {one.name} | {one.value:.6g} | {one.unit} | {one.standard_error:.3g} '
+            f'| {low} to {high} |')
+
+
+def _inputs(found: Identified) -> list[str]:
+    """Return what forces do between samples, and which way fits better."""
+    if found.inputs is None:
+        return []
+    taken, other, stated, evidence, misfit = found.inputs
+    known = '' if stated else ', which the data do not say'
+    own = f'{misfit:.3g} of the noise for {found.solution.misfit:.3g}'
+    verdict = f'{other}, they fit better (residuals {own}): check, and take --inputs {other}' \
+        if evidence > _EVIDENCE else f'{other}, they fit worse (residuals {own})' \
+        if evidence < -_EVIDENCE else f'{other}, they fit as well'
+    return [f'Forces between samples are taken as {taken}{known}; {verdict}']
+
+
+def _noise(found: Identified) -> list[str]:
+    """Return what residuals tell of the noise."""
+    lines = []
+    for (name, unit), noise, factor in zip(
+            channels(found), found.solution.noise, found.estimates.coloured, strict=True):
+        coloured = '' if factor <= 1.0 else (
+            f', correlated in time: {factor:.3g} samples count as one, which the errors take '
+            'into account')
+        lines.append(f'Noise of {name}: {noise:.3g} {unit}{coloured}')
+    return lines
+
+
+def channels(found: Identified) -> list[tuple[str, str]]:
+    """Return name and unit of each measured quantity."""
+    coordinates = found.hamiltonian.coordinates
+    names = [(one.name, one.q_unit) for one in coordinates]
+    names += [(f'd{one.name}/dt', f'{one.q_unit}/s') for one in coordinates]
+    return names[:found.solution.residuals.shape[2]]
+
+
+def _write(options: Namespace, found: Identified, text: str) -> None:
+    """Write the files that the command line asks for."""
+    if options.json is not None:
+        _dump(options.json, as_json(found.estimates))
+    if options.posterior is not None:
+        _dump(options.posterior, posterior(found))
+    if options.write is not None:
+        solution, state = found.solution, None
+        if STATES in options.free:
+            q, p = np.split(solution.starts[0], 2)
+            state = {'q': q.tolist(), 'p': p.tolist()}
+        write_fitted(options.write, found.free, solution.values.tolist(), state)
+        print(f'\nscene: {options.write}')
+    if options.out is not None:
+        # Imported here: numbers alone need no libraries that draw.
+        from hnn_vi_ros.learning.scene_numbers.report import write_identification
+        options.out.mkdir(parents=True)
+        write_identification(options.out, text, found.solution, found.estimates, channels(found))
+        print(f'\nreport: {options.out}')
+
+
+def _dump(path: Path, data: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(data, indent=2, allow_nan=False) + '\n', encoding='utf-8')
+
+
+def as_json(estimates: Estimates) -> dict[str, dict[str, float | None]]:
+    """Return what ``--json`` writes."""
+    return {one.name: {'value': one.value, 'low': one.low, 'high': one.high}
+            for one in estimates.estimates}
+
+
+def posterior(found: Identified) -> dict[str, object]:
+    """Return what ``--posterior`` writes: the covariance is of the numbers that are known."""
+    own, places = found.estimates, {one.name: one.place for one in found.free.numbers}
+    rows = [k for k, one in enumerate(own.estimates) if one.known]
+    return {
+        'scene': found.free.scene.name,
+        'parameters': {one.name: {
+            'value': one.value, 'low': one.low, 'high': one.high,
+            'standard_error': one.standard_error, 'unit': one.unit,
+            'place': places.get(one.name, one.name)} for one in own.estimates},
+        'covariance': {'names': [own.estimates[k].name for k in rows],
+                       'matrix': own.covariance[np.ix_(rows, rows)].tolist()},
+        'interval': 0.95, 'quantile': quantile(found.solution.freedom)}

@@ -1,0 +1,397 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Measured motions in windows, and what a scene with given numbers predicts in each."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+import math
+
+from hnn_vi_ros.effects.base import Place
+from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
+from hnn_vi_ros.errors import HnnViRosError, StateError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.gradients.acting_effects import flow_rates
+from hnn_vi_ros.gradients.dependences import Dependence, difference, OnNumber, sum_of
+from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.learning.data.runs import Motion, steps_between
+from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
+from hnn_vi_ros.learning.scene_numbers.input import command_names, impulse
+from hnn_vi_ros.learning.scene_numbers.measured_force import MeasuredForce
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.trajectory.simulate import BLOCK
+import numpy as np
+
+# Spacing of a central difference: its truncation error is as large as its rounding error.
+_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+# Share of a step: where forces jump no further from one of its ends, it is not taken in two.
+_ALIGNED = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """
+    Pieces of measured motions, each of which begins at an unknown state.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The runs, which share one interval.
+    run, first : np.ndarray of int, shape (W,)
+        The run and the sample with which each window begins.
+    measured : np.ndarray, shape (W, T, C)
+        Coordinates, then velocities if they were measured, at its samples.
+    there : np.ndarray of bool, shape (W, T)
+        Whether a sample belongs to it: some windows are shorter than others.
+    start : np.ndarray, shape (W, 2, d)
+        Smoothed coordinates and velocities at the first samples.
+
+    """
+
+    motions: Sequence[Motion]
+    run: np.ndarray
+    first: np.ndarray
+    measured: np.ndarray
+    there: np.ndarray
+    start: np.ndarray
+
+    @property
+    def spacing(self) -> float:
+        """Return the time between samples [s]."""
+        return self.motions[0].spacing
+
+    @property
+    def dimension(self) -> int:
+        """Return d."""
+        return self.start.shape[2]
+
+    @property
+    def times(self) -> np.ndarray:
+        """Return the time at which each begins [s], shape (W,)."""
+        return np.array([self.motions[run].t[first]
+                         for run, first in zip(self.run, self.first, strict=True)])
+
+
+def windows_of(motions: Sequence[Motion], horizon: float, velocities: bool) -> Windows:
+    """
+    Cut runs into windows of one length, as nearly as whole numbers allow.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The runs.
+    horizon : float
+        The longest window [s]; at least two samples are in each.
+    velocities : bool
+        Whether they were measured.
+
+    """
+    most = max(2, int(horizon / motions[0].spacing * (1.0 + 1e-9)) + 1)
+    pieces = [(run, part) for run, motion in enumerate(motions) for part in np.array_split(
+        np.arange(len(motion.t)), math.ceil(len(motion.t) / most))]
+    longest = max(len(part) for _, part in pieces)
+    d = motions[0].q.shape[1]
+    measured = np.zeros((len(pieces), longest, 2 * d if velocities else d))
+    there = np.zeros((len(pieces), longest), dtype=bool)
+    for w, (run, part) in enumerate(pieces):
+        both = [motions[run].q[part], motions[run].v[part]]
+        measured[w, :len(part)] = np.hstack(both[:1 + velocities])
+        there[w, :len(part)] = True
+    first = np.array([part[0] for _, part in pieces])
+    start = np.array([[motions[run].q_smooth[part[0]], motions[run].v_smooth[part[0]]]
+                      for run, part in pieces])
+    return Windows(motions, np.array([run for run, _ in pieces]), first, measured, there, start)
+
+
+class Prediction:
+    """
+    Prediction in windows by a scene with certain values of its free numbers.
+
+    Parameters
+    ----------
+    free : FreeScene
+        The scene.
+    values : np.ndarray, shape (n,)
+        Of its free numbers.
+    windows : Windows
+        W of them, of T samples.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene does not take these values.
+
+    """
+
+    def __init__(self, free: FreeScene, values: np.ndarray, windows: Windows):
+        self._free, self._values, self._windows = free, np.array(values, dtype=float), windows
+        scene, self._delay = free.at(values)
+        _, self.hamiltonian, self._integrator, self._effects = scene.parts()
+        self._per_sample = steps_between(windows.spacing, scene.known_step_size)
+        self._h = windows.spacing / self._per_sample
+        self._samples = windows.measured.shape[1] - 1
+        self._force = self._take_force()
+        self._parts = self._parts_of_samples()
+        self._on_failure = scene.on_failure
+        # Time, and what was measured, are others in each window.
+        self._timed = any(isinstance(effect, MeasuredForce | PeriodicDrive)
+                          for effect in self._effects)
+        # The step of its run's clock with which each begins.
+        self._first = np.rint(windows.times / self._h).astype(int) if self._timed else \
+            np.zeros(len(windows.run), dtype=int)
+
+    def _take_force(self) -> MeasuredForce | None:
+        """Put the measured forces in place of the effect that takes commands, and return them."""
+        force = None
+        for i, effect in enumerate(self._effects):
+            if isinstance(effect, ExternalForce):
+                names = command_names(effect, self.hamiltonian.coordinates, self._windows.motions)
+                longest = max(len(motion.t) for motion in self._windows.motions)
+                force = MeasuredForce(names, longest * self._per_sample)
+                self._effects[i] = force
+        return force
+
+    def _parts_of_samples(self) -> list[tuple[float, int]]:
+        """Return sizes [s] and counts of steps between samples; held forces jump at an end."""
+        whole = [(self._h, self._per_sample)]
+        if self._force is None or not any(motion.held for motion in self._windows.motions):
+            return whole
+        before, share = divmod(self._delay / self._h % self._per_sample, 1.0)
+        if min(share, 1.0 - share) < _ALIGNED:
+            return whole
+        return [part for part in (
+            (self._h, int(before)), (share * self._h, 1), ((1.0 - share) * self._h, 1),
+            (self._h, self._per_sample - int(before) - 1)) if part[1]]
+
+    @cached_property
+    def _simulation(self) -> Simulation:
+        q, _ = self._windows.start[0]
+        with np.errstate(all='ignore'):
+            return Simulation(self.hamiltonian, self._integrator, self._h, q, np.zeros_like(q),
+                              self._effects, self._on_failure)
+
+    def measured_at(self, states: np.ndarray) -> np.ndarray:
+        """Return what is measured of states, shape (..., 2 d): q, and H_p if velocities were."""
+        q, p = np.split(states, 2, axis=-1)
+        if self._windows.measured.shape[2] == q.shape[-1]:
+            return q
+        flat = [np.ascontiguousarray(part.reshape(-1, part.shape[-1])) for part in (q, p)]
+        with np.errstate(all='ignore'):
+            return np.concatenate([q, self._joined.gradient(*flat)[1].reshape(q.shape)], -1)
+
+    @cached_property
+    def _joined(self) -> Hamiltonian:
+        """Return H with what joins it, such as a magnetic field, by which velocities change."""
+        if all(effect.place(self._integrator) is not Place.ENERGY for effect in self._effects):
+            return self.hamiltonian
+        return System(self.hamiltonian, self._effects, self._integrator).hamiltonian
+
+    def states(self, starts: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return the states at the samples, not a number from where a simulation fails.
+
+        Parameters
+        ----------
+        starts : np.ndarray, shape (W, K, 2 d)
+            K states from which each window begins.
+        only : np.ndarray of bool, shape (W,), optional
+            Windows to simulate; what is not is no number.
+
+        Returns
+        -------
+        np.ndarray, shape (W, K, T, 2 d)
+
+        """
+        found = np.full((*starts.shape[:2], self._samples + 1, starts.shape[2]), np.nan)
+        found[:, :, 0] = starts
+        for rows in self._runs(only):
+            for begin in np.unique(self._first[rows]):
+                own = rows[self._first[rows] == begin]
+                flat = starts[own].reshape(-1, starts.shape[2])
+                into = np.full((len(flat), *found.shape[2:]), np.nan)
+                for a in range(0, len(flat), BLOCK):
+                    self._record(flat[a:a + BLOCK], into[a:a + BLOCK], int(begin))
+                found[own, :, 1:] = into.reshape(found[own].shape)[:, :, 1:]
+        return found
+
+    def _runs(self, only: np.ndarray | None = None) -> Iterator[np.ndarray]:
+        """Yield the windows of each run, with its measured forces in effect, or all together."""
+        wanted = np.ones(len(self._first), dtype=bool) if only is None else only
+        if self._force is None:
+            yield np.flatnonzero(wanted)
+            return
+        for run in np.unique(self._windows.run[wanted]):
+            motion, force = self._windows.motions[run], self._force
+            begin = round(float(motion.t[0]) / self._h) * self._h
+            if motion.held:
+                force.take(motion.tau, begin + self._delay, motion.spacing)
+            else:
+                edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1) - self._delay
+                force.take(np.diff(impulse(motion, edges), axis=0) / self._h, begin, self._h)
+            yield np.flatnonzero(wanted & (self._windows.run == run))
+
+    def _record(self, starts: np.ndarray, found: np.ndarray, step: int) -> None:
+        """Fill the states from some starts, one by one if they do not all go well together."""
+        q, p = np.split(starts, 2, axis=1)
+        try:
+            self._simulation.step_size = self._h
+            self._simulation.restart(q, p, step=step)
+            found[:, 1:] = self._recorded().swapaxes(0, 1)
+        except (StepFailure, StateError):
+            if len(starts) > 1:
+                for k in range(len(starts)):
+                    self._record(starts[k:k + 1], found[k:k + 1], step)
+
+    def _recorded(self) -> np.ndarray:
+        """Return states at the samples, shape (T - 1, K, 2 d)."""
+        simulation = self._simulation
+        if len(self._parts) == 1:
+            return np.concatenate(simulation.record(self._samples, self._per_sample), 2)
+        states = []
+        for _ in range(self._samples):
+            for h, steps in self._parts:
+                simulation.step_size = h
+                simulation.advance(steps)
+            states.append(np.concatenate([simulation.q, simulation.p], 1))
+        return np.array(states)
+
+    def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
+                  ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return what is predicted, and its derivative by the initial states.
+
+        Parameters
+        ----------
+        starts : np.ndarray, shape (W, 2 d)
+            The states from which the windows begin.
+        only : np.ndarray of bool, shape (W,), optional
+            Windows to simulate; what is not is no number.
+
+        Returns
+        -------
+        tuple of np.ndarray, shapes (W, T, C) and (W, T, C, 2 d)
+
+        """
+        if self._run is not None:
+            return self._exact(self._run, starts, [
+                Change(np.broadcast_to(unit, starts.shape)) for unit in np.eye(starts.shape[1])],
+                               only)
+        n = starts.shape[1]
+        spacing = _SPACING * np.maximum(np.abs(starts).max(axis=0), 1e-3)
+        offsets = np.concatenate([np.zeros((1, n)), np.diag(spacing), -np.diag(spacing)])
+        found = self.measured_at(self.states(starts[:, None] + offsets, only))
+        slopes = (found[:, 1:n + 1] - found[:, n + 1:]) / (2.0 * spacing)[:, None, None]
+        return found[:, 0], np.moveaxis(slopes, 1, -1)
+
+    def by_numbers(self, starts: np.ndarray) -> np.ndarray:
+        """Return the derivative of what is predicted by the free numbers, shape (W, T, C, n)."""
+        wanted = range(len(self._values))
+        if not wanted:
+            return np.zeros((*self._windows.measured.shape, 0))
+        # How late forces come changes the forces themselves, not how H' depends on states.
+        exact = [k for k in wanted if self._run is not None
+                 and self._free.numbers[k].place != DELAY]
+        slopes = np.empty((*self._windows.measured.shape, len(wanted)))
+        if self._run is not None and exact:
+            slopes[..., exact] = self._exact(self._run, starts, [
+                Change(np.zeros_like(starts), [(self._on_number(k), np.array(1.0))])
+                for k in exact])[1]
+        for k in wanted:
+            if k not in exact:
+                slopes[..., k] = self._difference(starts, k)
+        return slopes
+
+    def _difference(self, starts: np.ndarray, k: int) -> np.ndarray:
+        """Return a difference by one number, within its bounds."""
+        total = np.zeros(self._windows.measured.shape)
+        for value, weight in self._beside(k):
+            other = Prediction(self._free, self._with(k, value), self._windows)
+            total += weight * other.measured_at(other.states(starts[:, None])[:, 0])
+        return total
+
+    @cached_property
+    def _run(self) -> DifferentiableRun | None:
+        """Return the run whose derivatives are exact, None if there is no such run."""
+        if len(self._parts) > 1:
+            return None
+        try:
+            return DifferentiableRun(self.hamiltonian, self._integrator, self._h, self._effects)
+        except UnsupportedSystem:
+            return None
+
+    def _exact(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
+               only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return what is predicted, and how it changes with the starts or with numbers."""
+        shape = self._windows.measured.shape
+        found, slopes = np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
+        for rows in self._runs(only):
+            self._follow(run, starts, changes, rows, found, slopes)
+        return found, slopes
+
+    def _follow(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
+                rows: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> None:
+        """Fill what is predicted in some windows, one by one if they do not all go well."""
+        try:
+            states = run.record(np.ascontiguousarray(starts[rows]), self._samples,
+                                self._per_sample, first=self._first[rows]).swapaxes(0, 1)
+            moved = run.push_forward([
+                change._replace(tangents=change.tangents[rows]) for change in changes])
+        except HnnViRosError:
+            if len(rows) > 1:
+                for row in rows:
+                    self._follow(run, starts, changes, np.array([row]), found, slopes)
+            return
+        found[rows] = self.measured_at(states)
+        for k, (change, own) in enumerate(zip(changes, moved.swapaxes(1, 2), strict=True)):
+            number = change.others[0][0] if change.others else None
+            slopes[rows, :, :, k] = self._measured_change(states, own, number)
+
+    def _measured_change(self, states: np.ndarray, moved: np.ndarray,
+                         number: Dependence | None) -> np.ndarray:
+        d = self._windows.dimension
+        if self._windows.measured.shape[2] == d:
+            return moved[..., :d]
+        flat = [np.ascontiguousarray(part.reshape(-1, d)) for part in (
+            *np.split(states, 2, axis=-1), *np.split(moved, 2, axis=-1))]
+        v = self._joined.hessian_vector(*flat)[1]
+        if isinstance(number, _OnNumber):
+            v = v + number.velocity(*flat[:2])
+        return np.concatenate([moved[..., :d], v.reshape(*moved.shape[:-1], d)], axis=-1)
+
+    def _on_number(self, k: int) -> '_OnNumber':
+        """Return the dependence of the steps on one number."""
+        return _OnNumber([(weight, Prediction(self._free, self._with(k, value), self._windows))
+                          for value, weight in self._beside(k)], self._integrator)
+
+    def _with(self, k: int, value: float) -> np.ndarray:
+        """Return the numbers with another value of one."""
+        values = self._values.copy()
+        values[k] = value
+        return values
+
+    def _beside(self, k: int) -> list[tuple[float, float]]:
+        """Return values of a number within its bounds, and weights of a difference by them."""
+        number, value = self._free.numbers[k], float(self._values[k])
+        # A spacing relative to a number that has all but vanished would be lost in rounding.
+        usual = self._windows.spacing if number.place == DELAY else abs(number.start) or 1.0
+        return difference(value, _SPACING * max(abs(value), usual), number.low, number.high)
+
+
+class _OnNumber(OnNumber):
+    """The dependence of H', of rates of damping and of velocities on a number, by differences."""
+
+    def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator):
+        kernels = [(weight, System(other.hamiltonian, other._effects, integrator).kernel)
+                   for weight, other in others]
+        super().__init__(partial(sum_of, kernels), sum(
+            (weight * flow_rates(other.hamiltonian, integrator, other._effects)
+             for weight, other in others), np.zeros(())))
+        self._joined = [(weight, other._joined) for weight, other in others]
+
+    def velocity(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return how the velocities of states change, shape (N, d)."""
+        return sum((weight * joined.gradient(q, p)[1] for weight, joined in self._joined),
+                   np.zeros(()))

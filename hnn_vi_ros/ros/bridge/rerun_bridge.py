@@ -1,0 +1,291 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Show a running simulator, or a bag, in rerun without a hand in the simulation's process."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.bags.state_message import decode_state, State
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.ros.bridge.bridge_picture import BridgePicture, NEEDED, target_of
+from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters.settings import BRIDGE_PARAMETERS, BridgeSettings
+from hnn_vi_ros.ros.plumbing.graph import take_once
+from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
+from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
+from hnn_vi_ros.ros.plumbing.starting import (
+    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
+from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.viewer.rerun_stream import Target
+import rclpy
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from rclpy.validate_topic_name import validate_topic_name
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+_QUEUE = QoSProfile(depth=1000)
+# Ticks that may still wait for messages.
+_MOST_OPEN = 1000
+# At the end, held samples may take this long to show [s].
+_LONGEST_END = 3.0
+# Topics that hold parts of a sample, keyed by the last part of their names, and all their types.
+_TICK = {output.topic.rpartition('/')[2]: output.topic for output in OUTPUTS
+         if output.recorded == 'tick' and output.topic != '~/state'}
+_KINDS = {output.topic.rpartition('/')[2]: output.message_type for output in OUTPUTS
+          if output.topic in _TICK.values() or output is DIAGNOSTICS}
+
+
+class RerunBridge(RobustNode):
+    """
+    Show the topics of a simulator.
+
+    A sample is a message of ~/state. Of a simulator without that topic, the messages of one tick
+    are put together by the number that the middleware gives each message of a topic: it publishes
+    every tick topic once a tick.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line, by which parameters were given.
+    trust_code : bool, optional
+        Whether Python code that a scene names may be run; the parameter's value if it is set.
+
+    Attributes
+    ----------
+    problem : HnnViRosError or None
+        Why nothing can be shown any more.
+
+    """
+
+    def __init__(self, arguments: Sequence[str] = (), trust_code: bool = False):
+        with plain_ros_errors('ROS'):
+            super().__init__(
+                'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
+                parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
+        self._settings = declare_parameters(self, BridgeSettings)
+        self._topics = self._find_topics()
+        refuse_unknown(self, BRIDGE_PARAMETERS, [
+            Endpoint(name, 'subscription') for name in self._topics], arguments)
+        self.target = target_of(self._settings)
+        self.problem: HnnViRosError | None = None
+        self._described, self._scenes = '', 0
+        self._picture: BridgePicture | None = None
+        self._open: dict[int, dict[str, Any]] = {}
+        self._names = NEEDED
+        self._tick_subscriptions: list[Subscription] = []
+
+    def listen(self) -> None:
+        """Subscribe to the scene, the state, and, for want of a state, the topics of samples."""
+        ticks = {topic.replace('~', self._settings.simulator) for topic in _TICK.values()}
+        for topic, (kind, callback, qos, raw) in self._topics.items():
+            subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
+            if topic in ticks:
+                self._tick_subscriptions.append(subscription)
+        self.get_logger().info(f'waiting for {self._settings.simulator}/scene')
+
+    def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile, bool]]:
+        """Return message type, callback, QoS and whether bytes are wanted, by topic."""
+        simulator = self._settings.simulator
+        try:
+            validate_topic_name(simulator)
+        except InvalidTopicNameException as problem:
+            raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
+                                 'of a node, such as /hnn_simulator') from problem
+
+        def tell(message: DiagnosticArray) -> None:
+            self._tell(message, simulator)
+
+        return {
+            f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
+            f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
+            **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
+               for last, topic in _TICK.items()},
+            DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
+            EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
+
+    def show_bag(self, bag: Path) -> int:
+        """Show all samples of a bag; return their number."""
+        run = RecordedRun(bag, self._settings.trust_code)
+        picture = BridgePicture(run.scene, self.target, bag.resolve().name)
+        self._picture = picture
+        names = run.names
+        if run.states:
+            self._show_states(run, [*run.states, *(
+                number for number, name in names.items() if name in ('diagnostics', 'events'))])
+        else:
+            self._show_ticks(run, {
+                number: name for number, name in names.items() if name in _KINDS})
+        if run.reader.damage:
+            self.get_logger().warning(run.reader.damage)
+        return picture.samples
+
+    def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
+        for message, state in run.in_order(channels):
+            if state is not None:
+                self._show(state)
+            else:
+                self._tell(run.decoded(message, DiagnosticArray), run.node)
+
+    def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
+        """Show the samples of a bag of before ~/state."""
+        if lacking := NEEDED.difference(names.values()):
+            raise RecordingError(f'{run.reader.path}: holds no {min(lacking)} of {run.node}: '
+                                 'without ~/state, that is needed to show its samples')
+        tick, stamp = {}, -1
+        for message in run.reader.messages(names):
+            if message.time != stamp:
+                self._show_tick(tick)
+                tick, stamp = {}, message.time
+            name = names[message.channel]
+            content = run.decoded(message, _KINDS[name])
+            if name == 'diagnostics':
+                # An alarm belongs to the sample of its time, which is there by now.
+                self._show_tick(tick)
+                tick = {}
+                self._tell(content, run.node)
+            else:
+                tick[name] = content
+        self._show_tick(tick)
+
+    def close(self) -> None:
+        """Send what is left."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
+
+    def _on_scene(self, message: String) -> None:
+        """Begin a picture; a scene that is published again, or another, begins a new one."""
+        if message.data == self._described:
+            return
+        self._described = message.data
+        try:
+            scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
+        except RecordingError as problem:
+            # Anybody may have sent it: the picture continues.
+            self.get_logger().error(str(problem))
+            return
+        with self._end_if_lost():
+            self.close()
+            target = self._next_target()
+            self._picture = BridgePicture(scene, target, 'bridge')
+            shown = f'port {target}' if isinstance(target, int) else target
+            self.get_logger().info(f'showing {self._settings.simulator} on {shown}')
+
+    def _next_target(self) -> Target:
+        """Return where the next picture goes: after the first, a file that is not there yet."""
+        target, self._scenes = self.target, self._scenes + 1
+        if isinstance(target, Path) and self._scenes > 1:
+            while (target := self.target.with_name(
+                    f'{self.target.stem}-{self._scenes}{self.target.suffix}')).exists():
+                self._scenes += 1
+        return target
+
+    def _on_state(self, payload: bytes) -> None:
+        """Show a sample; the topics that would tell of it in parts are not needed any more."""
+        for subscription in self._tick_subscriptions:
+            self.destroy_subscription(subscription)
+        self._tick_subscriptions.clear()
+        try:
+            self._show(decode_state(payload))
+        except ValueError as problem:
+            self.get_logger().error(
+                f'~/state is no state: {problem}', throttle_duration_sec=1.0)
+
+    def _keeper(self, name: str) -> Callable:
+        """Return the callback for messages of a topic when ~/state is missing."""
+        state = f'{self._settings.simulator}/state'
+
+        def keep(message: Any, info: dict) -> None:
+            # The simulator announces ~/state before the topics that are heard here.
+            if self.count_publishers(state):
+                return
+            if name not in self._names:
+                # It is published after all.
+                self._names = self._names | {name}
+            number = info['publication_sequence_number']
+            tick = self._open.setdefault(number, {})
+            tick[name] = message
+            if self._names <= tick.keys():
+                del self._open[number]
+                self._show_tick(tick)
+            elif len(self._open) > _MOST_OPEN:
+                # Some message of an old tick will not come any more.
+                del self._open[min(self._open)]
+        return keep
+
+    def _show(self, state: State) -> None:
+        if self._picture is not None:
+            with self._end_if_lost():
+                self._picture.show(state)
+
+    def _show_tick(self, tick: dict[str, Any]) -> None:
+        if self._picture is not None and NEEDED <= tick.keys():
+            with self._end_if_lost():
+                self._picture.show_tick(tick)
+
+    def _tell(self, message: DiagnosticArray, simulator: str) -> None:
+        if self._picture is not None:
+            with self._end_if_lost():
+                self._picture.tell(message, simulator)
+
+    @contextmanager
+    def _end_if_lost(self) -> Iterator[None]:
+        """Note why nothing can be shown any more."""
+        try:
+            yield
+        except HnnViRosError as problem:
+            self.problem = problem
+
+
+def main(argv: list[str]) -> int:
+    """Show a simulator until a signal, or a bag until it is shown."""
+    options = arguments.rerun_bridge().parse_args(own_arguments(argv))
+    init_ros(argv)
+    received = note_signals()
+    try:
+        node = RerunBridge(argv, options.trust_code)
+        try:
+            if options.bag is None:
+                _show_simulator(node, received)
+            else:
+                _show_bag(node, options.bag, received)
+        finally:
+            node.close()
+        if node.problem is not None:
+            raise node.problem
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _show_simulator(node: RerunBridge, received: list[int]) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    node.listen()
+    while not received and node.problem is None:
+        executor.spin_once(timeout_sec=0.1)
+    # What had come by the end is shown, unless that takes long or another signal comes.
+    deadline, signals = time.monotonic() + _LONGEST_END, len(received)
+    while len(received) == signals and node.problem is None and time.monotonic() < deadline:
+        if not take_once(executor):
+            return
+
+
+def _show_bag(node: RerunBridge, bag: Path, received: list[int]) -> None:
+    node.get_logger().info(f'{node.show_bag(bag)} samples shown')
+    if isinstance(node.target, int):
+        node.get_logger().info(f'viewers can connect to port {node.target} until Ctrl-C')
+        while not received:
+            time.sleep(0.1)

@@ -1,0 +1,40 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The example subscriber: prints the energy of a running simulator once a second."""
+
+from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
+from hnn_vi_ros.ros.plumbing.starting import (
+    init_ros, note_signals, own_arguments, plain_ros_errors)
+import rclpy
+from std_msgs.msg import Float64
+
+
+class Listener(RobustNode):
+    """Print every hundredth energy."""
+
+    def __init__(self):
+        super().__init__('hnn_listener', automatically_declare_parameters_from_overrides=True)
+        self._count = 0
+        self.create_subscription(Float64, '/hnn_simulator/energy', self._on_energy, 10)
+
+    def _on_energy(self, message: Float64) -> None:
+        if self._count % 100 == 0:
+            self.get_logger().info(f'sample {self._count}: H = {message.data:.6f} J')
+        self._count += 1
+
+
+def main(argv: list[str]) -> None:
+    """Listen until the node is stopped."""
+    arguments.listener().parse_args(own_arguments(argv))
+    init_ros(argv)
+    received = note_signals()
+    try:
+        with plain_ros_errors('ROS'):
+            node = Listener()
+        refuse_unknown(node, (), (), argv)
+        while not received:
+            rclpy.spin_once(node, timeout_sec=0.1)
+    finally:
+        rclpy.try_shutdown()

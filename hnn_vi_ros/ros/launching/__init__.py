@@ -1,0 +1,140 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Description of the launch files: one node, and each of its parameters as an argument."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.ros.parameters.settings import Specification
+import yaml
+
+# Arguments besides the parameters: name, default and description.
+_COMMON = (
+    ('namespace', '', 'namespace of the node'),
+    ('params_file', '', 'parameter file; what is given as an argument as well counts for more'),
+    ('use_sim_time', '', 'whether the time of ROS is that of /clock: true or false'),
+    ('log_level', 'info', 'debug, info, warn, error or fatal'),
+)
+
+
+def describe_node(executable: str, name: str, table: Sequence[Specification],
+                  words: Sequence[tuple[str, str]] = (), *, managed: bool = False) -> Any:
+    """
+    Return the launch description of a node; a node that fails ends the launch with status 1.
+
+    Parameters
+    ----------
+    executable : str
+        Of this package.
+    name : str
+        The node's name, unless another one is given as an argument.
+    table : sequence of Specification
+        The node's parameters.
+    words : sequence of (str, str), optional
+        Names and descriptions of arguments that the executable takes on its command line.
+    managed : bool, optional
+        Whether the launch system goes through the transitions of a lifecycle node: configure when
+        the process has started, activate when it is configured. Parameter ``autostart`` is false
+        then.
+
+    """
+    # Imported here: only launch files need them.
+    from launch import LaunchDescription
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+    table = [item for item in table if not (managed and item.name == 'autostart')]
+    return LaunchDescription([
+        *(DeclareLaunchArgument(word, description=text) for word, text in words),
+        # Empty means not given: then a parameter file counts, and after it the default.
+        *(DeclareLaunchArgument(item.name, default_value='', description=(
+            f'{item.description} (default: {_text(item.default)})')) for item in table),
+        DeclareLaunchArgument('name', default_value=name, description='name of the node'),
+        *(DeclareLaunchArgument(argument, default_value=default, description=text)
+          for argument, default, text in _COMMON),
+        OpaqueFunction(function=lambda context: [
+            *_misspelt(context.argv, [
+                *(word for word, _ in words), *(item.name for item in table), 'name',
+                *(argument for argument, _, _ in _COMMON)]),
+            *_entities(context.launch_configurations, executable, table,
+                       [word for word, _ in words], managed)])])
+
+
+def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
+    """
+    Return warnings of misspelt arguments, which ``ros2 launch`` ignores.
+
+    They are not refused: a launch file that includes this one may have arguments of its own.
+    """
+    from launch.actions import LogInfo
+    words = [word.partition(':=')[0] for word in argv if ':=' in word]
+    return [LogInfo(msg=f'argument {word} is none of this node{hint}') for word in words
+            if word not in known and (hint := did_you_mean(word, known))]
+
+
+def _entities(given: dict[str, str], executable: str, table: Sequence[Specification],
+              words: Sequence[str], managed: bool) -> list[Any]:
+    """Return the node as its arguments have it, with what watches it before it."""
+    from launch.substitutions import LaunchConfiguration
+    from launch_ros.actions import LifecycleNode, Node
+    from launch_ros.parameter_descriptions import ParameterValue
+    types = {item.name: type(item.default) for item in table} | {'use_sim_time': bool}
+    # Typed: else a scene named 2024 would be read as an integer.
+    parameters: dict[str, Any] = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
+        for name, kind in types.items() if given[name] != ''}
+    if managed:
+        parameters['autostart'] = False
+    # Not among the parameters, where a file that is not there would only be a warning.
+    file = ['--params-file', given['params_file']] if given['params_file'] else []
+    node = (LifecycleNode if managed else Node)(
+        package='hnn_vi_ros', executable=executable, output='screen', name=given['name'],
+        namespace=given['namespace'], arguments=[given[word] for word in words],
+        ros_arguments=['--log-level', given['log_level'], *file],
+        parameters=[parameters] if parameters else [])
+    return [_watch(node), *(_transitions(node) if managed else ()), node]
+
+
+def _watch(node: Any) -> Any:
+    """Return what ends the launch with status 1 if the process of a node does not end with 0."""
+    from launch.actions import RegisterEventHandler
+    from launch.event_handlers import OnProcessExit
+
+    def on_exit(event: Any, context: Any) -> None:
+        if event.returncode != 0 and not context.is_shutdown:
+            raise RuntimeError(f'{event.process_name} has ended with status {event.returncode}')
+
+    return RegisterEventHandler(OnProcessExit(target_action=node, on_exit=on_exit))
+
+
+def _transitions(node: Any) -> list[Any]:
+    """Return what configures a lifecycle node when it has started, and then activates it."""
+    from launch.actions import EmitEvent, OpaqueFunction, RegisterEventHandler
+    from launch.event_handlers import OnProcessStart
+    from launch.events import matches_action
+    from launch_ros.event_handlers import OnStateTransition
+    from launch_ros.events.lifecycle import ChangeState
+    from lifecycle_msgs.msg import Transition
+
+    def change(transition: int) -> list[EmitEvent]:
+        return [EmitEvent(event=ChangeState(
+            lifecycle_node_matcher=matches_action(node), transition_id=transition))]
+
+    def fail(context: Any) -> None:
+        # An exception is the one way in which a launch file gives `ros2 launch` a status.
+        raise RuntimeError('the node could not be configured; it says above why')
+
+    return [
+        RegisterEventHandler(OnProcessStart(
+            target_action=node, on_start=change(Transition.TRANSITION_CONFIGURE))),
+        RegisterEventHandler(OnStateTransition(
+            target_lifecycle_node=node, start_state='configuring', goal_state='inactive',
+            entities=change(Transition.TRANSITION_ACTIVATE))),
+        RegisterEventHandler(OnStateTransition(
+            target_lifecycle_node=node, start_state='configuring', goal_state='unconfigured',
+            entities=[OpaqueFunction(function=fail)])),
+    ]
+
+
+def _text(value: object) -> str:
+    """Return a default in YAML; an empty string as the word empty."""
+    return 'empty' if value == '' else yaml.safe_dump(value).splitlines()[0]

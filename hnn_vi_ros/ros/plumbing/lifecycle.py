@@ -1,0 +1,149 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A managed node whose transitions may take long and may be refused, and that outlives both."""
+
+from collections.abc import Awaitable, Callable
+import sys
+import threading
+from typing import Any
+
+from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
+from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
+from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
+from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.task import Future
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+# What others may ask for; the rest are steps inside of a transition.
+_PUBLIC = {
+    Transition.TRANSITION_CONFIGURE: 'on_configure',
+    Transition.TRANSITION_CLEANUP: 'on_cleanup',
+    Transition.TRANSITION_ACTIVATE: 'on_activate',
+    Transition.TRANSITION_DEACTIVATE: 'on_deactivate',
+    Transition.TRANSITION_UNCONFIGURED_SHUTDOWN: 'on_shutdown',
+    Transition.TRANSITION_INACTIVE_SHUTDOWN: 'on_shutdown',
+    Transition.TRANSITION_ACTIVE_SHUTDOWN: 'on_shutdown',
+}
+
+
+class ManagedNode(LifecycleNodeMixin, RobustNode):
+    """
+    A lifecycle node that keeps serving during a long transition.
+
+    Here ``on_configure`` may be a coroutine, which awaits the work of ``in_thread``. Its
+    publishers are ordinary ones, which cost nothing more for each message: a node that is not
+    active has nothing to publish.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+
+    """
+
+    def __init__(self, name: str):
+        with plain_ros_errors('ROS'):
+            RobustNode.__init__(self, name, automatically_declare_parameters_from_overrides=True)
+        # All services of this group answer while a transition is under way.
+        LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
+        # The mixin's own handler lets the error of an illegal transition end the process.
+        answer_changes(self, self._on_change_state)
+        self._machine = state_machine(self)
+        self._threads: list[threading.Thread] = []
+        self._turn = sys.getswitchinterval()
+
+    @property
+    def state(self) -> int:
+        """Return the number of the state, one of lifecycle_msgs/State."""
+        return self._machine.current_state[0]
+
+    @property
+    def busy(self) -> bool:
+        """Return whether a thread of ``in_thread`` is at work."""
+        return any(thread.is_alive() for thread in self._threads)
+
+    def wait(self, seconds: float) -> None:
+        """Wait at most so long for the threads at work."""
+        for thread in list(self._threads):
+            thread.join(seconds)
+
+    async def change_state(self, transition: int) -> bool:
+        """
+        Go through a transition; return whether it succeeded.
+
+        Raises
+        ------
+        HnnViRosError
+            From the callback; the transition has failed then.
+
+        """
+        available = {found[0] for found in self._machine.available_transitions}
+        if transition not in _PUBLIC or transition not in available:
+            _, label = self._machine.current_state
+            self.get_logger().warning(
+                f'transition {transition} refused: the node is {label}',
+                throttle_duration_sec=1.0)
+            return False
+        before = LifecycleState(
+            state_id=self.state, label=self._machine.current_state[1])
+        self._machine.trigger_transition_by_id(transition, True)
+        try:
+            found = getattr(self, _PUBLIC[transition])(before)
+            result = await found if isinstance(found, Awaitable) else found
+        except GeneratorExit:
+            # The process ends first, and ROS has ended already.
+            raise
+        except BaseException:
+            self._end_transition(FAILURE)
+            raise
+        self._end_transition(result)
+        if result == SUCCESS:
+            self.get_logger().info(
+                f'{before.label} -> {self._machine.current_state[1]}')
+        return result == SUCCESS
+
+    def _end_transition(self, result: TransitionCallbackReturn) -> None:
+        if self.state != State.PRIMARY_STATE_FINALIZED:
+            self._machine.trigger_transition_by_label(result.to_label(), True)
+
+    async def in_thread(self, work: Callable[[], Any]) -> Any:
+        """Let a thread do the work; return what it returns, raise what it raises."""
+        future, executor = Future(), self.executor
+
+        def run() -> None:
+            try:
+                future.set_result(work())
+            except BaseException as problem:
+                future.set_exception(problem)
+            executor.wake()
+
+        # A daemon: nobody waits for a compilation that is not needed any more.
+        thread = threading.Thread(target=run, daemon=True)
+        self._threads.append(thread)
+        sys.setswitchinterval(THREAD_TURN)
+        thread.start()
+        try:
+            return await future
+        finally:
+            self._threads.remove(thread)
+            if not self._threads:
+                sys.setswitchinterval(self._turn)
+
+    async def _on_change_state(self, request: ChangeState.Request,
+                               response: ChangeState.Response) -> ChangeState.Response:
+        transition = request.transition.id
+        if request.transition.label:
+            # The state machine's own look-up raises for an unknown name.
+            transition = next((found[0] for found in self._machine.available_transitions
+                               if found[1] == request.transition.label), 0)
+        try:
+            response.success = await self.change_state(transition)
+        except HnnViRosError as problem:
+            self.get_logger().error(str(problem))
+            response.success = False
+        return response

@@ -1,0 +1,98 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Starting ROS in a process: its arguments, its errors in a line, and signals."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import os
+import signal
+import warnings
+
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.standard_streams import ENDING, spare_output
+from hnn_vi_ros.ros.plumbing.rclpy_internals import log_plainly, UnknownROSArgsError
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logger_level
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+_SYNTAX = 'parameters are given as: --ros-args -p NAME:=VALUE, remaps as: --ros-args -r FROM:=TO'
+
+
+def own_arguments(argv: Sequence[str]) -> list[str]:
+    """
+    Return the arguments that are not ROS's.
+
+    Raises
+    ------
+    ParameterError
+        ``NAME:=VALUE`` in the manner of launch, which ROS would take for a remap and ignore.
+
+    """
+    ours = True
+    for word in argv:
+        if word in ('--ros-args', '--'):
+            ours = word == '--'
+        elif ours and ':=' in word:
+            raise ParameterError(f'unknown argument {word!r}; {_SYNTAX}')
+    with plain_ros_errors('ROS'):
+        return remove_ros_args(argv)
+
+
+def init_ros(argv: Sequence[str]) -> None:
+    """
+    Initialise rclpy without its signal handlers, which would end the context at once.
+
+    Raises
+    ------
+    ParameterError
+        ROS does not understand its arguments; one line.
+
+    """
+    spare_output()
+    log_plainly()
+    with plain_ros_errors('ROS'):
+        rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
+
+
+@contextmanager
+def plain_ros_errors(what: str) -> Iterator[None]:
+    """Turn what ROS refuses into a ParameterError of one line."""
+    # Its own log of the same error would add further lines.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
+    try:
+        with warnings.catch_warnings(action='ignore', category=RuntimeWarning):
+            yield
+    except UnknownROSArgsError as problem:
+        raise ParameterError(f'{what}: unknown ROS argument {problem}; {_SYNTAX}') from problem
+    except (RuntimeError, ValueError, NameValidationException, ParameterException) as problem:
+        text = ' '.join(str(problem).split()).partition(', at /')[0].rstrip('.')
+        for words in ('failed to initialize rcl: ', 'Failed to parse ROS arguments: '):
+            text = text.removeprefix(words)
+        if 'rule' in text:
+            text += f'; {_SYNTAX}'
+        if 'logging' in text:
+            text += '; set ROS_LOG_DIR to a folder that can be written'
+        if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
+            text += ('; security is on, which takes a middleware that was built with it and a '
+                     'keystore: see docs/how-to/security.md, or set '
+                     'ROS_SECURITY_ENABLE=false')
+        raise ParameterError(f'{what}: {text}') from problem
+    finally:
+        # Unless --log-level has set it.
+        if get_logger_effective_level('rcl') == LoggingSeverity.FATAL:
+            set_logger_level('rcl', LoggingSeverity.UNSET)
+
+
+def note_signals() -> list[int]:
+    """
+    Let the signals that end a node end nothing by themselves; return the list they appear in.
+
+    SIGHUP, of a terminal that is closed, is one of them, unless it is ignored (``nohup``).
+    """
+    received: list[int] = []
+    for number in ENDING:
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: received.append(number))
+    return received

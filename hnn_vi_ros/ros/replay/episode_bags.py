@@ -1,0 +1,75 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Episodes of a sweep as bags, like those that the simulator records."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
+from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
+from hnn_vi_ros.run.held_state import STATE_FILE, state_file
+from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.serialization import serialize
+from hnn_vi_ros.sweeps import sweep
+from hnn_vi_ros.sweeps.episodes import Episode
+from hnn_vi_ros.sweeps.plan import SweepPlan
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+_NODE = '/hnn_simulator'
+
+
+def main(argv: list[str]) -> int:
+    """Run ``sweep`` for a command line that asks for bags."""
+    return sweep.main(argv, write_bags)
+
+
+def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:
+    """
+    Write each episode as a bag, ``episode-000007`` in a folder.
+
+    It holds what the simulator would record of the scene with the episode's values: ``replay``
+    publishes it and ``replay --verify`` confirms it. What varied is in its scene, and in its
+    attachment ``sweep.yaml``.
+
+    Parameters
+    ----------
+    plan : SweepPlan
+        Of the sweep.
+    episodes : iterator of Episode
+        Its trajectories.
+    folder : Path
+        Of the bags; none of them may exist.
+
+    Raises
+    ------
+    RecordingError
+        A bag exists already, or cannot be written.
+
+    """
+    topics = [_topic(name, kind, TICKS) for name, kind, _ in TICK_TOPICS]
+    for episode in episodes:
+        _, values, scene, simulation, sampler, _ = episode
+        report = dump_yaml(scene_report(scene, simulation))
+        sink = McapSink(folder / f'episode-{episode.number:06d}', topics, {
+            'scene.yaml': report.encode(),
+            'parameters.yaml': dump_yaml({'publish_rate': 1.0 / sampler.tick}).encode(),
+            'sweep.yaml': dump_yaml({
+                **plan.record['sweep'], 'index': episode.number, 'values': values}).encode(),
+            # Its noise is not that of a run of the scene by itself.
+            STATE_FILE: state_file(simulation)})
+        sink.write_other(_topic(*SCENE[:3]), sampler.stamp,
+                         serialize(String(data=report)))
+        encode = encode_tick(simulation.hamiltonian.coordinates)
+        for sample in episode.samples():
+            sink.write(sample.stamp, encode(sample))
+        sink.close()
+
+
+def _topic(name: str, kind: type, qos: QoSProfile) -> Topic:
+    """Describe a topic of the simulator, under its name without a namespace."""
+    full = name.replace('~', _NODE) if name.startswith('~') else f'/{name}'
+    return describe_topic(full, kind, qos)

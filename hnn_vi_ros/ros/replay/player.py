@@ -1,0 +1,242 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hand out recorded messages at their times, against a steady clock."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from itertools import chain, islice
+from queue import Full, Queue
+import threading
+import time
+from typing import Protocol
+
+from hnn_vi_ros.ros.plumbing.clock_publisher import CLOCK_PERIOD
+import numpy as np
+
+# Read ahead: so many batches, each of so many messages and bytes at most.
+_BATCHES, _MESSAGES, _BYTES = 16, 256, 2**18
+# Timing errors that are kept.
+_ERRORS = 1_000_000
+# The time a step may take to be done [s].
+_LONGEST_STEP = 5.0
+
+
+class Timed(Protocol):
+    """A message with its time [ns]."""
+
+    time: int
+
+
+def read_ahead(messages: Iterator[Timed]) -> Iterator[Timed]:
+    """Return what yields what an iterator yields; a thread asks it in advance, from now on."""
+    batches: Queue[list | BaseException | None] = Queue(_BATCHES)
+    given_up = threading.Event()
+
+    def put(item: list | BaseException | None) -> None:
+        while not given_up.is_set():
+            try:
+                return batches.put(item, timeout=0.1)
+            except Full:
+                continue
+
+    def read() -> None:
+        batch, size = [], 0
+        try:
+            for message in messages:
+                batch.append(message)
+                size += len(message.data)
+                if len(batch) == _MESSAGES or size > _BYTES:
+                    put(batch)
+                    batch, size = [], 0
+                    if given_up.is_set():
+                        return
+        except Exception as problem:
+            put(batch)
+            put(problem)
+        else:
+            put(batch)
+            put(None)
+
+    def take() -> Iterator[Timed]:
+        try:
+            while (batch := batches.get()) is not None:
+                if isinstance(batch, BaseException):
+                    raise batch
+                yield from batch
+        finally:
+            given_up.set()
+
+    threading.Thread(target=read, name='read ahead', daemon=True).start()
+    return take()
+
+
+def _begun(messages: Iterator[Timed]) -> Iterator[Timed]:
+    """Return an iterator whose first message is there already."""
+    first = list(islice(messages, 1))
+    return chain(first, messages)
+
+
+class Player(threading.Thread):
+    """
+    Publish messages when they are due, in a thread of its own.
+
+    A deadline is reckoned from the start, not from the message before, so that nothing drifts.
+
+    Parameters
+    ----------
+    read : callable
+        Returns the messages from the start on, in the order of their times.
+    publish : callable
+        Takes a message.
+    tell_time : callable or None
+        Takes the bag's time [ns], for /clock: every 10 ms of it.
+    first, last : int
+        Times at which playing begins and ends [ns].
+    rate : float
+        Seconds of the bag per second of wall time.
+    loop : bool
+        Whether to begin again at the end.
+    paused : bool
+        Whether to begin paused.
+
+    Attributes
+    ----------
+    published : int
+        Messages so far.
+    problem : BaseException or None
+        What ended it before its time.
+
+    """
+
+    def __init__(self, read: Callable[[], Iterator[Timed]], publish: Callable[[Timed], None],
+                 tell_time: Callable[[int], None] | None, first: int, last: int,
+                 rate: float = 1.0, loop: bool = False, paused: bool = False):
+        super().__init__(name='player', daemon=True)
+        self._read, self._publish, self._tell_time = read, publish, tell_time
+        self._first, self._last, self._rate, self._loop = first, last, rate, loop
+        self._changed = threading.Condition()
+        self._paused, self._stopped, self._stepping = paused, False, False
+        # The bag's time at a time of the steady clock [ns].
+        self._position, self._since = first, time.monotonic_ns()
+        self._clock_due = 0
+        self._errors: deque[int] = deque(maxlen=_ERRORS)
+        self.published, self.problem = 0, None
+
+    def run(self) -> None:
+        """Play until the end, or until it is stopped."""
+        try:
+            upcoming = _begun(self._read())
+            self._since = time.monotonic_ns()
+            while True:
+                # Those of the next round are read while this one is played.
+                messages, upcoming = upcoming, self._read() if self._loop else None
+                if not self._play(messages) or upcoming is None:
+                    return
+                with self._changed:
+                    # Due now, or a while ago: nothing drifts from round to round either.
+                    self._since = self._deadline(self._last) if not self._paused \
+                        else time.monotonic_ns()
+                    self._position = self._first
+        except Exception as problem:
+            self.problem = problem
+
+    def stop(self) -> None:
+        """Publish no more, and wait for the end."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+        self.join()
+
+    def set_paused(self, paused: bool) -> None:
+        """Pause, or go on from where it was paused."""
+        with self._changed:
+            now = time.monotonic_ns()
+            if paused and not self._paused:
+                self._position = min(self._time(now), self._last)
+            if self._paused != paused:
+                self._since = now
+            self._paused = paused
+            self._changed.notify_all()
+
+    def step(self) -> int | None:
+        """Publish all messages of the next time, which is returned; None if it is not paused."""
+        with self._changed:
+            if not self._paused or self._stopped or not self.is_alive():
+                return None
+            self._stepping = True
+            self._changed.notify_all()
+            done = self._changed.wait_for(
+                lambda: not self._stepping or self._stopped, _LONGEST_STEP)
+            return self._position if done else None
+
+    def timing_errors(self) -> dict[str, float]:
+        """Return how late messages were [ms]: median, p99 and the largest; empty without any."""
+        if not self._errors:
+            return {}
+        errors = np.array(self._errors) * 1e-6
+        return {'median': float(np.median(errors)), 'p99': float(np.quantile(errors, 0.99)),
+                'largest': float(errors.max())}
+
+    def _time(self, now: int) -> int:
+        return self._position + round((now - self._since) * self._rate)
+
+    def _deadline(self, stamp: int) -> int:
+        return self._since + round((stamp - self._position) / self._rate)
+
+    def _play(self, messages: Iterator[Timed]) -> bool:
+        """Play a round from the start to the end; False if it was stopped."""
+        self._clock_due = max(self._first, 1)
+        step = None
+        for message in messages:
+            # All messages of a step's time are one step.
+            if step != message.time:
+                if step is not None:
+                    self._end_step(step)
+                step = None
+                if not self._wait(message.time):
+                    return False
+                if self._stepping:
+                    step = message.time
+            if step is None:
+                with self._changed:
+                    self._errors.append(time.monotonic_ns() - self._deadline(message.time))
+            self._publish(message)
+            self.published += 1
+        if step is not None:
+            self._end_step(step)
+        going = self._wait(self._last)
+        if self._stepping:
+            self._end_step(self._last)
+        return going
+
+    def _end_step(self, stamp: int) -> None:
+        self._show_clock(stamp)
+        with self._changed:
+            self._position, self._stepping = stamp, False
+            self._changed.notify_all()
+
+    def _wait(self, stamp: int) -> bool:
+        """Wait until a time of the bag is due, or a step wants it; False if it was stopped."""
+        while True:
+            with self._changed:
+                if self._stopped:
+                    return False
+                if self._paused:
+                    if self._stepping:
+                        return True
+                    self._changed.wait()
+                    continue
+                due = stamp if self._tell_time is None else min(stamp, self._clock_due)
+                remaining = self._deadline(due) - time.monotonic_ns()
+                if remaining > 0:
+                    self._changed.wait(remaining * 1e-9)
+                    continue
+            self._show_clock(due)
+            if due == stamp:
+                return True
+
+    def _show_clock(self, stamp: int) -> None:
+        """Publish the bag's time, at most once for each 10 ms of it."""
+        if self._tell_time is not None and stamp >= self._clock_due:
+            self._tell_time(stamp)
+            self._clock_due = (stamp // CLOCK_PERIOD + 1) * CLOCK_PERIOD

@@ -1,0 +1,327 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Run that a bag was recorded from: its scene, its states, its last one."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+import math
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.bags.state_message import decode_state, State
+from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.errors import listed, RecordingError
+from hnn_vi_ros.files.user_folders import expand_user
+from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.ros.topics.inputs import INPUTS
+from hnn_vi_ros.ros.topics.remapped_topics import own_topics
+from hnn_vi_ros.run.held_state import STATE_FILE
+from hnn_vi_ros.run.sampling import steps_between
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.described_scene import described_scene, ONE_RUN, only_scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray, String
+
+# No two stamps are further apart [ns].
+_LONGEST = 2**63
+# How far back from its end a bag is searched for its last state, each time farther [ns].
+_BACK = (10**9, 10**11, 2**64)
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """
+    The point from which a simulator continues a log.
+
+    Of the run before, the log keeps the state (q, p) and the time. It keeps no solver memory, so
+    that an implicit method's next steps differ by round-off from the steps of an unbroken run;
+    nor the work so far, the random numbers drawn, or the last command.
+
+    Parameters
+    ----------
+    scene : Scene
+        The recorded one, its initial state the last state of the log.
+    step : int
+        Steps that the run had taken.
+    origin : int
+        Stamp of its step 0 [ns].
+    damage : str
+        Report on the parts of the log that could not be read; else empty.
+
+    """
+
+    scene: Scene
+    step: int
+    origin: int
+    damage: str = ''
+
+    def simulation(self) -> Simulation:
+        """Return a simulation that stands where the log ends; HnnViRosError if none can be."""
+        simulation = build(self.scene)
+        state = self.scene.initial_state
+        simulation.restart(state.q, state.p, step=self.step)
+        return simulation
+
+
+class RecordedRun:
+    """
+    A run of the simulator, read from its own bag or from that of another recorder.
+
+    Others stamp messages with the time at which they came; then only the headers hold simulated
+    time, and nothing says at which step a command acted.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with the files of one bag, or one file; one that was cut off will do.
+    trust_code : bool, optional
+        Whether Python code that its scene names may be run.
+
+    Attributes
+    ----------
+    reader : BagReader
+        Of the bag.
+    node : str
+        Full name of the simulator.
+    scene : Scene
+        The simulated scene, without the integrator auto.
+    described : dict
+        The recorded scene, with where its model came from.
+    origin, first_step : int
+        Stamp of step 0 [ns], and the step at the scene's initial state.
+
+    Raises
+    ------
+    RecordingError
+        The bag cannot be read, or does not come from the simulator.
+
+    """
+
+    def __init__(self, bag: Path, trust_code: bool = False):
+        self.reader = BagReader(bag)
+        self._topics = own_topics(self.reader)
+        self.node, self._names = self._find_node()
+        self._where = f'{self.reader.path}: its scene'
+        self.scene, self.described = described_scene(
+            self._described(), self._where, trust_code)
+        self.origin = self._count('origin')
+        self.first_step = self._count('first_step')
+        self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
+
+    @property
+    def names(self) -> dict[int, str]:
+        """Return the last part of each topic's own name, by channel."""
+        return {number: topic.rpartition('/')[2] for topic, number in self._topics.items()}
+
+    def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+        """
+        Yield the stamp [ns] of each sample from a log time on, and its values, by name.
+
+        That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
+        """
+        if self.states:
+            for _, state in self.in_order(self.states, first):
+                yield state.stamp, {
+                    'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
+                    'H': np.array([state.energy]), 'work': np.array([state.work])}
+            return
+        # A bag of before ~/state: messages of one log time belong together.
+        names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
+        stamp, found = -1, {}
+        for message in self.reader.messages(names, first):
+            if message.time != stamp:
+                stamp, found = message.time, {}
+            found[names[message.channel]] = message
+            if len(found) == 2:
+                yield stamp, {name: self._array(found[name]) for name in ('q', 'p')}
+
+    def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield stamp [ns], q and p of each sample from a log time on."""
+        for stamp, values in self.reported(first):
+            yield stamp, values['q'], values['p']
+
+    @property
+    def states(self) -> list[int]:
+        """Return the channel of ~/state; empty in a bag of before there was one."""
+        return [self._topics[f'{self.node}/state']] if 'state' in self._names else []
+
+    def state(self, message: Recorded) -> State:
+        """Return the sample of a message of ~/state; RecordingError if it holds none."""
+        try:
+            return decode_state(message.data)
+        except ValueError as problem:
+            raise RecordingError(f'{self.reader.path}: the message of {self.node}/state at '
+                                 f'{message.time} ns cannot be read: {problem}') from problem
+
+    def decoded(self, message: Recorded, kind: type) -> Any:
+        """Return a message of a type of ROS; RecordingError if the bytes are none."""
+        try:
+            return deserialize_message(message.data, kind)
+        except RuntimeError as problem:
+            topic = self.reader.channels[message.channel].topic
+            raise RecordingError(f'{self.reader.path}: the message of {topic} at {message.time} '
+                                 f'ns cannot be read: it is no {kind.__name__}') from problem
+
+    def in_order(self, channels: Collection[int], first: int = 0
+                 ) -> Iterator[tuple[Recorded, State | None]]:
+        """
+        Yield messages from a log time on, and the samples in messages of ~/state.
+
+        RecordingError where these go back in time: then several runs are in the bag.
+        """
+        states, stamp = frozenset(self.states), -2**63
+        for message in self.reader.messages(channels, first):
+            state = self.state(message) if message.channel in states else None
+            if state is not None:
+                if state.stamp < stamp:
+                    raise RecordingError(
+                        f'{self.reader.path}: the time of {self.node} goes back, from '
+                        f'{stamp * 1e-9:.9g} s to {state.stamp * 1e-9:.9g} s, at log time '
+                        f'{message.time} ns: {ONE_RUN}')
+                stamp = state.stamp
+            yield message, state
+
+    @property
+    def stamped(self) -> bool:
+        """Return whether log times are stamps of the simulator, as in its own bags."""
+        return all(self.state(message).stamp == message.time
+                   for message in self.reader.messages(self.states))
+
+    def commands(self) -> Iterator[tuple[int, str, Command]]:
+        """
+        Yield the step from which on each command acted, its topic, and what it says.
+
+        There are none where the bag does not say at which step they did.
+        """
+        inputs = {self._topics[name]: one for one in INPUTS
+                  if (name := f'{self.node}{one.topic[1:]}') in self._topics}
+        if inputs and self.stamped:
+            for message in self.reader.messages(inputs):
+                one, topic = inputs[message.channel], self.reader.channels[message.channel].topic
+                try:
+                    command = one.read(self.decoded(message, one.message_type), message.time)
+                except ValueError as problem:
+                    if not self.own:
+                        continue  # Others record as well what the simulator refuses.
+                    raise RecordingError(f'{self.reader.path}: {topic}: {problem}') from problem
+                yield self.step_of(message.time), topic, command
+
+    @cached_property
+    def own(self) -> bool:
+        """Return whether the simulator recorded the bag: then it holds all samples of the run."""
+        try:
+            return bool(self.reader.attachment('scene.yaml'))
+        except RecordingError:
+            return False
+
+    @property
+    def held_state(self) -> bytes | None:
+        """Return the state of a simulation at the start of a bag begun in the middle of a run."""
+        try:
+            return self.reader.attachment(STATE_FILE)
+        except RecordingError:
+            return None
+
+    @property
+    def spacing(self) -> int | None:
+        """Return the time from sample to sample that was asked for [ns]; None if not recorded."""
+        try:
+            text = self.reader.attachment('parameters.yaml')
+        except RecordingError:
+            return None
+        where = f'{self.reader.path}: its parameters'
+        rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
+        try:
+            if isinstance(rate, float | int) and 0 < rate < math.inf:
+                spacing = round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+                if spacing < _LONGEST:
+                    return spacing
+        except (OverflowError, ZeroDivisionError):
+            # No float can count the steps of almost no time between two samples.
+            pass
+        raise RecordingError(f'{where}: publish_rate is no rate')
+
+    def stamp_of(self, step: int) -> int:
+        """Return the stamp of a step [ns]."""
+        return self.origin + round(step * self._nanoseconds)
+
+    def step_of(self, stamp: int) -> int:
+        """Return the step of a stamp; RecordingError if it is not that of a whole one."""
+        step = round((stamp - self.origin) / self._nanoseconds)
+        if self.stamp_of(step) != stamp or step < self.first_step:
+            raise RecordingError(
+                f'{self.reader.path}: the stamp {stamp} ns is no whole number of steps of '
+                f'{self.scene.step_size:g} s from {self.origin} ns; was the step size changed, or '
+                'the time set back, while it was recorded?')
+        return step
+
+    def resumption(self) -> Resumption:
+        """Return the resumption from the last state; RecordingError if there is none."""
+        last = None
+        for back in _BACK:
+            for last in self.samples(max(0, self.reader.last - back)):  # noqa: B007
+                pass
+            if last is not None:
+                break
+        else:
+            raise RecordingError(f'{self.reader.path}: holds no state to go on from')
+        stamp, q, p = last
+        scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
+        return Resumption(scene, self.step_of(stamp), self.origin, self.reader.damage)
+
+    def _array(self, message: Recorded) -> np.ndarray:
+        return np.array(self.decoded(message, Float64MultiArray).data)
+
+    def _count(self, name: str) -> int:
+        value = self.described.get(name, 0)
+        if type(value) is not int or not 0 <= value < 2**63:
+            raise RecordingError(f'{self._where}: {name} is no count')
+        return value
+
+    def _described(self) -> bytes | str:
+        """Return the text of the scene that is kept with the bag, else that of ~/scene."""
+        try:
+            return self.reader.attachment('scene.yaml')
+        except RecordingError:
+            return self._published_scene()
+
+    def _published_scene(self) -> str:
+        name = f'{self.node}/scene'
+        channels = [self._topics[name]] if name in self._topics else []
+        text = only_scene(((self.decoded(message, String).data, message.time) for message
+                           in self.reader.messages(channels)), name, self.reader.path)
+        if not self.states:
+            raise RecordingError(
+                f'{self.reader.path}: holds no {self.node}/state, and q and p have no stamps: '
+                'they cannot be paired by the times at which they came; record that topic too')
+        return text
+
+    def _find_node(self) -> tuple[str, tuple[str, ...]]:
+        """Return the simulator, and which of its topics tell of the state."""
+        kinds = {name: self._type_of(number) for name, number in self._topics.items()}
+        for names, kind in ((('state',), 'sensor_msgs/msg/JointState'),
+                            (('q', 'p'), 'std_msgs/msg/Float64MultiArray')):
+            nodes = [node for node, _, last in (topic.rpartition('/') for topic in kinds)
+                     if last == names[0] and all(
+                         kinds.get(f'{node}/{name}') == kind for name in names)]
+            if nodes:
+                # Other nodes may have a topic of that name, but no scene.
+                return next((node for node in nodes if f'{node}/scene' in kinds), nodes[0]), names
+        raise RecordingError(
+            f'{self.reader.path}: holds no topic state of a simulator, nor q and p; topics: '
+            f'{listed(sorted(kinds)) or "none"}')
+
+    def _type_of(self, channel: int) -> str:
+        schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)
+        return '' if schema is None else schema.name
+
+
+def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
+    """Return what a simulator needs to go on from the last state of a bag; see RecordedRun."""
+    return RecordedRun(expand_user(bag), trust_code).resumption()

@@ -1,0 +1,273 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Simulate a recorded run again, and compare it with its log bit by bit."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from hnn_vi_ros.bags.even_grid import missing_stamps
+from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.errors import RecordingError, StepFailure
+from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.phase_space import columns, momentum_rates
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.run.held_state import restore_state
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+
+# Relative changes of the initial state: one that is far above round-off and far below the motion,
+# and none. Added to -0.0, 0.0 would change it.
+_SHAKE, _NONE = 2.0**-26, -0.0
+# Rounding of one step, in units of the last place of the largest coordinate or momentum: an
+# implicit equation is solved to some of them, and a network sums up hundreds of terms.
+_PLACES = 64.0
+_EPSILON = np.finfo(np.float64).eps
+# A bag may ask for so many steps a sample: at 1 to 3 us each, as many as run in real time at a
+# sample a second; and for so many before another recorder's first sample.
+_MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
+
+
+class Verdict(NamedTuple):
+    """Verdict of a comparison: in one line, and whether the log is confirmed."""
+
+    text: str
+    good: bool
+
+
+class Difference(NamedTuple):
+    """The first difference: its stamp [ns], what is different, and the two values."""
+
+    stamp: int
+    name: str
+    recorded: float
+    simulated: float
+
+
+class Margin(NamedTuple):
+    """The largest difference, what round-off explains there, the stamp [ns], and the quantity."""
+
+    difference: float
+    explained: float
+    stamp: int
+    name: str
+
+
+def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
+    """
+    Simulate the run of a bag again, from its scene and first state, and compare each sample.
+
+    A sample is compared in all that ~/state holds, or in q and p for a bag from before ~/state.
+
+    Parts of the bag that cannot be read, and samples that are missing from the even grid on which
+    they come, are reported, and then the log is not confirmed.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with the files of one bag, or one file.
+    trust_code : bool, optional
+        Whether Python code that its scene names may be run.
+
+    Raises
+    ------
+    HnnViRosError
+        The bag does not come from the simulator, or what it simulated is not there any more.
+
+    """
+    run = RecordedRun(bag, trust_code)
+    simulation = _simulation(run)
+    # Now that all that it takes is imported.
+    there, here = run.reader.metadata('hnn_vi_ros'), identity()
+    others = {name: there.get(name, 'unknown') for name, value in here.items()
+              if there.get(name) != value and (name != 'torch' or name in there)}
+    where = 'on the machine and with the versions of the log'
+    if others:
+        where = 'elsewhere than the log, of which ' + ', '.join(
+            f'{name} is {value}' for name, value in others.items()) if there \
+            else 'of a log that names neither machine nor versions'
+    begin = simulation.steps
+    samples, difference = _first_difference(run, simulation)
+    missing = _missing(run, begin)
+    if difference is None and not samples:
+        return Verdict(f'{run.reader.path}: holds no samples to compare{missing}', False)
+    agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
+        f'{samples} samples agree bit by bit, {where}'
+    if difference is None:
+        return Verdict(f'{agreed}{missing}', not missing)
+    margin = _margin(run)
+    size = abs(difference.simulated - difference.recorded)
+    within = margin.difference <= margin.explained < np.inf
+    commands = '; the scene takes commands, and the log does not say at which step any acted' \
+        if simulation.motors.takes and not any(run.commands()) else ''
+    return Verdict(
+        f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
+        f'{size:.3g}: {difference.recorded!r} in the log, {difference.simulated!r} now; the '
+        f'largest difference, {margin.difference:.3g} of {margin.name} at t = '
+        f'{margin.stamp * 1e-9:.9g} s, is '
+        f'{"within" if within else "beyond"} what round-off explains, {margin.explained:.3g}'
+        f'{commands}{missing}',
+        within and bool(others) and not missing)
+
+
+def _missing(run: RecordedRun, begin: int) -> str:
+    """Return what is to be reported of samples that are missing, or there twice; else empty."""
+    text, stamps = '', [stamp for stamp, _, _ in run.samples()]
+    if repeated := [stamp for before, stamp in pairwise(stamps) if stamp == before]:
+        text = (f'; BUT {len(repeated)} samples are duplicates, the first at t = '
+                f'{repeated[0] * 1e-9:.9g} s')
+    if run.own and stamps:
+        # Others may begin in the middle of a run; the simulator itself records all from here on.
+        stamps.append(run.stamp_of(begin))
+    if gaps := missing_stamps(stamps, run.spacing):
+        first = gaps[0]
+        text += (f'; BUT {sum(gap.count for gap in gaps)} samples are missing in {len(gaps)} '
+                 f'gaps, the first from t = {first.after * 1e-9:.9g} s to '
+                 f'{first.before * 1e-9:.9g} s')
+    if run.reader.damage:
+        text += f'; BUT {run.reader.damage}'
+    return text
+
+
+def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
+    """Return a simulation of the bag's beginning, its first state changed by a small part."""
+    simulation = build(run.scene)
+    for name, value in simulation.hamiltonian.provenance.items():
+        if run.described.get(name, value) != value:
+            raise RecordingError(
+                f'{run.reader.path}: was recorded with another model: its {name} is '
+                f'{run.described[name]}, that of the one found is {value}')
+    q, p = simulation.q.copy(), simulation.p.copy()
+    change = shake * _size(simulation)
+    simulation.restart(q + change, p + change, step=run.first_step)
+    if (state := run.held_state) is not None:
+        restore_state(simulation, state, str(run.reader.path), change)
+    return simulation
+
+
+def _simulated(run: RecordedRun, *simulations: Simulation
+               ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Yield stamp and values of each sample, with the simulations advanced to it, as driven."""
+    commands = run.commands()
+    command = next(commands, None)
+    for number, (stamp, values) in enumerate(run.reported(), 1):
+        step = run.step_of(stamp)
+        if step - run.first_step > _MOST_BEFORE + number * _MOST_STEPS:
+            raise RecordingError(
+                f'{run.reader.path}: to verify its sample {number} takes {step - run.first_step} '
+                f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
+                f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
+        # A step publishes its state before it hears commands, which act on the steps after it.
+        while command is not None and command[0] < step:
+            for simulation in simulations:
+                _advance(run, simulation, command[0])
+                _command(run, simulation, *command[1:])
+            command = next(commands, None)
+        for simulation in simulations:
+            _advance(run, simulation, step)
+            if simulation.q.shape != values['q'].shape or simulation.p.shape != values['p'].shape:
+                raise RecordingError(f'{run.reader.path}: holds samples of another dimension '
+                                     'than its scene')
+        yield stamp, values
+
+
+def _values(simulation: Simulation) -> dict[str, np.ndarray]:
+    """Return the numbers that ~/state would hold for a sample."""
+    rates = momentum_rates(simulation.hamiltonian.rotations, simulation.q, simulation.p,
+                           simulation.dH_dq, simulation.dH_dp)
+    return {'q': simulation.q, 'p': simulation.p, 'dp/dt': rates,
+            'H': np.array([simulation.energy]), 'work': np.array([simulation.work])}
+
+
+def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
+    if step < simulation.steps:
+        raise RecordingError(f'{run.reader.path}: holds what came at step {step}, before the '
+                             f'state that it begins at, of step {simulation.steps}')
+    try:
+        simulation.advance(max(0, step - simulation.steps))
+    except StepFailure as failure:
+        raise RecordingError(f'{run.reader.path}: cannot be simulated again: {failure}'
+                             ) from failure
+
+
+def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:
+    """Let a recorded command act if it did: the simulator records none that it refuses."""
+    try:
+        # Limits of before they were looked at held nothing back.
+        simulation.set_command(command, limited=not run.own)
+    except ValueError as problem:
+        if run.own:
+            raise RecordingError(f'{run.reader.path}: {topic}: {problem}') from problem
+
+
+def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
+    """Return how many samples agree, one of each stamp, and the first difference after them."""
+    count, newest = 0, None
+    names, momenta = columns(simulation.hamiltonian.coordinates)
+    for stamp, values in _simulated(run, simulation):
+        own = _values(simulation)
+        for kind, recorded in values.items():
+            # Compare the bits: -0.0 is not 0.0.
+            simulated = np.ascontiguousarray(own[kind])
+            different = np.flatnonzero(recorded.view(np.uint64) != simulated.view(np.uint64))
+            if different.size:
+                i = different[0]
+                name = kind if kind in ('H', 'work') else (
+                    f'{kind} of {(names if kind == "q" else momenta)[i]}')
+                return count, Difference(stamp, name, float(recorded[i]), float(simulated[i]))
+        # A duplicate counts once.
+        count, newest = count + (stamp != newest), stamp
+    return count, None
+
+
+def _margin(run: RecordedRun) -> Margin:
+    """
+    Return the value whose difference exceeds what round-off explains the most.
+
+    Each step rounds; what it rounds is carried on like a change of the initial state, whose
+    growth a second simulation measures. It changes H by at most that times the largest |dH/dq| +
+    |dH/dp|, the work as much as H or as in the second simulation, and dp/dt as much as there;
+    each of them is rounded by itself besides.
+    """
+    own = _simulation(run)
+    try:
+        shaken = _simulation(run, _SHAKE)
+    except ValueError:
+        # A constraint does not let the state be moved; a growth is then not known.
+        shaken = _simulation(run)
+    change = _SHAKE * _size(own)
+    sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
+    growth, slope, worst = 1.0, 0.0, Margin(0.0, 0.0, 0, 'q')
+    for stamp, values in _simulated(run, own, shaken):
+        here, there = _values(own), _values(shaken)
+        for kind in here:
+            sizes[kind] = max(sizes[kind], _largest(here[kind]))
+            growths[kind] = max(growths[kind], _largest(there[kind] - here[kind]) / change)
+        growth = max(growth, growths['q'], growths['p'])
+        slope = max(slope, float(np.abs(own.dH_dq).sum() + np.abs(own.dH_dp).sum()))
+        rounded = _PLACES * _EPSILON * max(sizes['q'], sizes['p']) * (own.steps - run.first_step)
+        carried = {'q': growth, 'p': growth, 'dp/dt': growths['dp/dt'], 'H': growth * slope,
+                   'work': growth * slope + growths['work']}
+        for kind, recorded in values.items():
+            difference = _largest(recorded - here[kind])
+            explained = rounded * carried[kind]
+            if kind not in ('q', 'p'):
+                explained += _PLACES * _EPSILON * sizes[kind]
+            found = Margin(difference, explained, stamp, kind)
+            if np.isnan(difference):
+                # The log holds what is no number: round-off explains none.
+                return found
+            if difference and difference * worst.explained >= worst.difference * explained:
+                worst = found
+    return worst
+
+
+def _size(simulation: Simulation) -> float:
+    """Return the largest coordinate or momentum, 1 where all are zero."""
+    return max(_largest(simulation.q), _largest(simulation.p)) or 1.0
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.abs(values).max())

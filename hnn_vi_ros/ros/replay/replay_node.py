@@ -1,0 +1,280 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
+
+from collections.abc import Iterator, Sequence
+from importlib import import_module
+from itertools import chain
+from pathlib import Path
+import sys
+
+from ament_index_python.resources import has_resource
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
+from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
+from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS, ReplaySettings, Value
+from hnn_vi_ros.ros.plumbing.clock_publisher import clock_message, CLOCK_QOS, CLOCK_TOPIC
+from hnn_vi_ros.ros.plumbing.graph import (
+    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
+from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
+from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
+from hnn_vi_ros.ros.plumbing.starting import (
+    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.replay.player import Player, read_ahead
+from hnn_vi_ros.ros.topics.inputs import INPUTS
+from hnn_vi_ros.ros.topics.messages import type_hash
+from hnn_vi_ros.ros.topics.recorded_qos import recorded_qos
+from hnn_vi_ros.ros.topics.remapped_topics import own_topics
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import SetBool, Trigger
+
+
+class ReplayNode(RobustNode):
+    """
+    Publish a bag.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with the files of one bag, or one file.
+    values : dict
+        Parameters that were given as options; the others are ROS's.
+    arguments : sequence of str
+        The command line, by which these were given.
+
+    Attributes
+    ----------
+    player : Player
+        Which publishes, once ``start_when_discovered`` has started it.
+
+    Raises
+    ------
+    HnnViRosError
+        The bag or a parameter cannot be used; one line.
+
+    """
+
+    def __init__(self, bag: Path, values: dict[str, Value], arguments: Sequence[str]):
+        with plain_ros_errors('ROS'):
+            super().__init__('hnn_replay', parameter_overrides=[
+                Parameter(name, value=value) for name, value in values.items()],
+                automatically_declare_parameters_from_overrides=True)
+        settings = declare_parameters(self, ReplaySettings)
+        self._reader = BagReader(bag)
+        topics = {CLOCK_TOPIC, *(found.topic for found in self._reader.channels.values())}
+        refuse_unknown(self, REPLAY_PARAMETERS, [
+            Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
+        self._publishers_of = self._open(settings)
+        first = self._reader.first + round(settings.start_offset * 1e9)
+        last = self._reader.last
+        if first > last:
+            raise ParameterError(
+                f'parameter start_offset = {settings.start_offset:g}: the bag is '
+                f'{(last - self._reader.first) * 1e-9:g} s long')
+        if settings.duration:
+            last = min(last, first + round(settings.duration * 1e9))
+        clock = create_publisher(
+            self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS) if settings.publish_clock else None
+        self.player = Player(
+            lambda: read_ahead(chain(
+                self._latched(first), self._reader.messages(self._publishers_of, first, last))),
+            self._publish, clock and (lambda stamp: clock.publish(clock_message(stamp))),
+            first, last, settings.rate, settings.loop, settings.start_paused)
+        self.create_service(SetBool, '~/set_pause', self._on_set_pause)
+        self.create_service(Trigger, '~/step', self._on_step)
+        self._discovery = Discovery(self._count_subscribers, settings.discovery_time)
+        self._timer = self.create_timer(
+            DISCOVERY_PERIOD, self._start_when_discovered,
+            clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    @property
+    def started(self) -> bool:
+        """Return whether playing has begun."""
+        return self._timer.is_canceled()
+
+    def wait_for_delivery(self, received: Sequence[int]) -> None:
+        """Let matched subscribers receive what is still on its way; signals shorten it."""
+        if late := wait_for_delivery(set(self._publishers_of.values()), received):
+            self.get_logger().warning(UNDELIVERED.format(late))
+
+    def report(self) -> str:
+        """Return how many messages were published, and how late."""
+        player, late = self.player, ''
+        if errors := player.timing_errors():
+            late = '; late by ' + ', '.join(
+                f'{name} {value:.3f} ms' for name, value in errors.items())
+        return f'{player.published} messages published{late}'
+
+    @property
+    def damage(self) -> str:
+        """Return what is to be reported of parts of the bag that could not be read."""
+        return self._reader.damage
+
+    def _open(self, settings: ReplaySettings) -> dict[int, Publisher]:
+        """Create the publishers, one for each topic; return them by channel."""
+        wanted = [name.strip() for name in settings.topics.split(',') if name.strip()]
+        known = sorted({channel.topic for channel in self._reader.channels.values()})
+        if unknown := [name for name in wanted if name not in known]:
+            raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
+                                 f'{listed(known) or "none"}')
+        left_out = {CLOCK_TOPIC} if settings.publish_clock else set()
+        if not wanted:
+            left_out |= self._heard()
+        topics: dict[str, Publisher] = {}
+        publishers: dict[int, Publisher] = {}
+        for number, channel in self._reader.channels.items():
+            name = channel.topic
+            if name in left_out or (wanted and name not in wanted):
+                continue
+            try:
+                if name not in topics:
+                    topics[name] = self._publisher(channel)
+                publishers[number] = topics[name]
+            except RecordingError as problem:
+                self.get_logger().warning(f'{name} is left out: {problem}')
+        if not publishers:
+            raise RecordingError(f'{self._reader.path}: holds no topic that can be published')
+        return publishers
+
+    def _heard(self) -> set[str]:
+        """Return the commands that a recorded simulator heard: they would drive one that runs."""
+        topics = own_topics(self._reader)
+        heard = {self._reader.channels[number].topic for name, number in topics.items()
+                 for one in INPUTS if name.endswith(one.topic[1:])
+                 and f'{name.removesuffix(one.topic[1:])}/scene' in topics}
+        for name in sorted(heard):
+            self.get_logger().info(f'{name} is left out, since it would drive a simulator that '
+                                   'runs; name it in topics to publish it')
+        return heard
+
+    def _latched(self, first: int) -> Iterator[Recorded]:
+        """Yield what is latched when playing begins: those who subscribe then must have it."""
+        latched = [number for number, publisher in self._publishers_of.items()
+                   if publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL]
+        if first > self._reader.first:
+            newest = {message.channel: message for message
+                      in self._reader.messages(latched, last=first - 1)}
+            yield from (message._replace(time=first) for message in newest.values())
+
+    def _publisher(self, channel) -> Publisher:
+        schema = self._reader.schemas.get(channel.schema_id)
+        if channel.message_encoding != 'cdr' or schema is None:
+            raise RecordingError(f'its messages are encoded as {channel.message_encoding!r}, '
+                                 'expected cdr')
+        message_type = find_type(schema.name)
+        recorded = channel.metadata.get('topic_type_hash', '')
+        if recorded and recorded != type_hash(schema.name):
+            raise RecordingError(f'{schema.name} was recorded with another definition than the '
+                                 'one that is installed')
+        try:
+            return create_publisher(self, message_type, channel.topic, recorded_qos(
+                channel.metadata.get('offered_qos_profiles', '')))
+        except (RuntimeError, ValueError, InvalidTopicNameException) as problem:
+            raise RecordingError(' '.join(str(problem).split())) from problem
+
+    def _publish(self, message: Recorded) -> None:
+        self._publishers_of[message.channel].publish(message.data)
+
+    def _count_subscribers(self) -> int:
+        return sum(publisher.get_subscription_count()
+                   for publisher in self._publishers_of.values())
+
+    def _start_when_discovered(self) -> None:
+        if self._discovery.over:
+            self._timer.cancel()
+            freeze_memory()
+            self.player.start()
+
+    def _on_set_pause(self, request: SetBool.Request, response: SetBool.Response
+                      ) -> SetBool.Response:
+        self.player.set_paused(request.data)
+        response.success, response.message = True, 'paused' if request.data else 'playing'
+        return response
+
+    def _on_step(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        stamp = self.player.step()
+        response.success = stamp is not None
+        response.message = 'only while it is paused; see ~/set_pause' if stamp is None \
+            else f't = {stamp * 1e-9:.9f} s'
+        return response
+
+
+def _is_topic(name: str) -> bool:
+    try:
+        return validate_full_topic_name(name)
+    except InvalidTopicNameException:
+        return False
+
+
+def find_type(name: str) -> type:
+    """Return the class of a message type, ``'std_msgs/msg/Float64'``; RecordingError if none."""
+    package, _, rest = name.partition('/')
+    try:
+        # Importing runs code: whatever else a bag names is left alone.
+        if not (package.isidentifier() and has_resource('rosidl_interfaces', package)):
+            raise ModuleNotFoundError(f'no package of messages {package!r}')
+        found = getattr(import_module(f'{package}.msg'), rest.rpartition('/')[2])
+        if not hasattr(type(found), '_TYPE_SUPPORT'):
+            raise AttributeError(f'{name} is no type of messages')
+        return found
+    except (ImportError, AttributeError) as problem:
+        raise RecordingError(f'its type {name} is not installed; source the workspace that '
+                             'has it') from problem
+
+
+def main(argv: list[str]) -> int:
+    """Play a bag, or check its replay, until its end or a signal."""
+    parser = arguments.replay()
+    words = own_arguments(argv)
+    options = parser.parse_args(words)
+    given = {item.name: item.check(value) for item in REPLAY_PARAMETERS
+             if (value := getattr(options, item.name)) is not None}
+    if options.trust_code and not options.verify:
+        parser.error('--trust-code: only --verify runs code')
+    if options.verify:
+        if given or len(words) < len(argv):
+            unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
+            parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
+                         'leave them out')
+        # Imported here: who only plays does not wait for the compiler.
+        from hnn_vi_ros.ros.replay.replay_check import check_replay
+        verdict = check_replay(options.bag, options.trust_code)
+        print(printable(verdict.text), flush=True)
+        return 0 if verdict.good else 1
+    init_ros(argv)
+    received = note_signals()
+    sys.setswitchinterval(THREAD_TURN)
+    try:
+        return _play(ReplayNode(options.bag, given, argv), received)
+    finally:
+        rclpy.try_shutdown()
+
+
+def _play(node: ReplayNode, received: Sequence[int]) -> int:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    player = node.player
+    while not received and not (node.started and not player.is_alive()):
+        executor.spin_once(timeout_sec=0.1)
+    if node.started:
+        player.stop()
+    node.wait_for_delivery(received)
+    node.get_logger().info(node.report())
+    if node.damage:
+        node.get_logger().warning(node.damage)
+    node.destroy_node()
+    if player.problem is not None:
+        if isinstance(player.problem, HnnViRosError | OSError):
+            raise RecordingError(f'replay stopped: {player.problem}') from player.problem
+        raise player.problem
+    return 0

@@ -1,0 +1,216 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Preparation of a run, which takes long: for another thread than the one that serves."""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+import time
+from typing import Any, NamedTuple
+import warnings
+
+from hnn_vi_ros.accuracy.automatic_choice import Chosen
+from hnn_vi_ros.bags.bag_metadata import BagTopics
+from hnn_vi_ros.companions.members import Members
+from hnn_vi_ros.companions.twin import Twin
+from hnn_vi_ros.effects.commands import OBSERVATION
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.kernels.announcing import announced, kept_only, NotKept
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
+from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
+from hnn_vi_ros.ros.run.selection import LogLine, select
+from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.topics.remapped_topics import KEY
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.scene import load_scene, Parts, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+
+# The last stage, from which on there are files.
+OPENING = 'opening the files'
+# The picture leaves room for this much simulated time, at the pace of the clock [s].
+_SEEN = 30.0
+# Wall time between two samples beyond which a pace is taken for a mistake [s].
+_LONGEST_WAIT = 1e6
+
+
+class Prepared(NamedTuple):
+    """
+    Result of the preparation.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene to simulate, resolved.
+    chosen : Chosen or None
+        The choice of the integrator auto, if the scene has it.
+    simulation : Simulation
+        Made of it, compiled, in its initial state; see ``rescue_ready``.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that pictures leave room for.
+    report : dict
+        What ``~/scene`` tells.
+    recording : Recording
+        The open files.
+    log_lines : list of LogLine
+        Lines to report.
+    origin : int
+        Stamp of step 0 [ns].
+    members : Members or None
+        Those of an ensemble, if the scene asks for its uncertainty.
+    twin : Twin or None
+        What compares with a machine, if the scene has an observer.
+
+    """
+
+    scene: Scene
+    chosen: Chosen | None
+    simulation: Simulation
+    box: tuple[np.ndarray, np.ndarray]
+    report: dict[str, Any]
+    recording: Recording
+    log_lines: list[LogLine]
+    origin: int
+    members: Members | None = None
+    twin: Twin | None = None
+
+
+def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
+            begin: Callable[[str], None]) -> Prepared:
+    """
+    Load the scene, compile it, look at how it moves, and open the files.
+
+    A run that starts by itself has no files before its first step is due: a process that is
+    killed then leaves as much behind as its bag is old.
+
+    Parameters
+    ----------
+    settings : Settings
+        The node's parameters.
+    topics : BagTopics
+        Topics in the bag.
+    discovery : Discovery
+        The first step waits for it.
+    logger : Logger
+        It logs progress.
+    begin : callable
+        Called with a short name for each stage.
+
+    Raises
+    ------
+    HnnViRosError
+        A parameter, the scene or its model is not usable, or a file; one line.
+
+    """
+    def tell(line: str) -> None:
+        begin(line)
+        logger.info(line)
+
+    begin('loading the scene')
+    factor = settings.real_time_factor
+    scene, step, origin, damage = _load(settings)
+    begin('selecting the integrator')
+    scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
+    begin('compiling the kernel')
+    with announced(tell):
+        parts = scene.parts()
+        simulation = _compile(parts, logger)
+        with scene.placed('uncertainty'):
+            members = None if scene.uncertainty is None else Members(parts)
+        twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
+        # What looks into steps, or goes along with them, waits for nothing in the run.
+        alone = not (scene.events or settings.publish_accuracy or members or twin)
+        ready = compile_rest(simulation, kept_only if alone else nullcontext)
+    if step:
+        simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
+    sampler = Sampler(simulation, settings.publish_rate, origin)
+    if step:
+        log_lines.append(
+            LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+    if damage:
+        log_lines.append(LogLine(damage, 'WARN'))
+    sampler.count(settings.duration)
+    check_pace(factor, sampler.tick)
+    begin('looking ahead')
+    seconds = _SEEN * (factor or 1.0)
+    with announced(tell):
+        box, cost = look_ahead(simulation, min(seconds, settings.duration or seconds))
+    if simulation.hamiltonian.box is not None:
+        box = simulation.hamiltonian.box
+    if settings.explain and scene.effects:
+        begin('measuring what each effect adds to a step')
+        logger.info('measuring what each effect adds to a step')
+    report = scene_report(scene, simulation, origin, cost, settings.explain, chosen)
+    if topics.remapped:
+        report[KEY] = dict(topics.remapped)
+    if settings.autostart:
+        while not discovery.over:
+            begin('waiting for subscribers')
+            time.sleep(DISCOVERY_PERIOD)
+    # Here, since it takes a while: from now on there are files, to hold all that follows.
+    freeze_memory()
+    begin(OPENING)
+    recording = Recording(
+        logger, scene, simulation, settings, topics, box, report, sampler)
+    simulation.rescue_ready = ready
+    return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
+                    twin)
+
+
+def _load(settings: Settings) -> tuple[Scene, int, int, str]:
+    """Return the scene, the step and the stamp of step 0 [ns] to go on from, damage of its log."""
+    overrides = {name: value for name, value in (
+        ('step_size', settings.step_size), ('integrator', settings.integrator)) if value}
+    if not settings.resume:
+        return load_scene(settings.scene).with_overrides(
+            overrides.get('step_size'), overrides.get('integrator')), 0, 0, ''
+    if overrides:
+        raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
+                             'is resumed; leave it out, or leave out resume')
+    # Imported here: it reads bags, which few runs begin with.
+    from hnn_vi_ros.ros.replay.recorded_run import resume
+    found = resume(settings.resume, settings.trust_code)
+    return found.scene, found.step, found.origin, found.damage
+
+
+def check_pace(real_time_factor: float, tick: float) -> None:
+    """Raise ParameterError for a pace at which samples would be too far apart."""
+    if real_time_factor * _LONGEST_WAIT < tick and real_time_factor > 0.0:
+        raise ParameterError(f'parameter real_time_factor = {real_time_factor:g}: more than '
+                             f'{_LONGEST_WAIT:.0e} s would pass between two samples')
+
+
+def _compile(parts: Parts, logger: Logger) -> Simulation:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        simulation = build(parts)
+        seconds = simulation.compile()
+        # Compile what messages of states and the picture call.
+        simulation.hamiltonian.energy(simulation.q, simulation.p)
+        simulation.hamiltonian.gradient(simulation.q, simulation.p)
+    for warning in caught:
+        logger.warning(str(warning.message))
+    logger.info(f'scene {parts.scene.source}: kernel compiled in {seconds:.2f} s')
+    return simulation
+
+
+def compile_rest(simulation: Simulation,
+                 where: Callable[[], AbstractContextManager[None]] = nullcontext) -> bool:
+    """Compile what a run may need later, or return False: H'', and what takes failed steps."""
+    try:
+        with where():
+            simulation.hamiltonian.compile()
+            simulation.compile_rescue()
+    except NotKept:
+        return False
+    return True
+
+
+def with_start(scene: Scene, q: Sequence[float], p: Sequence[float]) -> Scene:
+    """Return the scene with another initial state."""
+    state = scene.initial_state.model_copy(
+        update={'q': list(map(float, q)), 'p': list(map(float, p))})
+    return scene.model_copy(update={'initial_state': state})

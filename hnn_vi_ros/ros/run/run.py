@@ -1,0 +1,329 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A configured run: one scene from its initial state on, its messages, files and figures."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+import math
+import time
+from typing import Any
+
+from hnn_vi_ros.companions.base import Accompanied
+from hnn_vi_ros.errors import StepFailure, StoppedByEvent
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.energy import EnergyGuard
+from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.plumbing.rclpy_internals import log
+from hnn_vi_ros.ros.run.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
+from hnn_vi_ros.ros.run.run_status import RunStatus
+from hnn_vi_ros.ros.topics.diagnostics_publisher import DiagnosticsPublisher
+from hnn_vi_ros.ros.topics.event_topic import EventTopic
+from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
+from hnn_vi_ros.ros.topics.spread_topic import SpreadTopic
+from hnn_vi_ros.ros.topics.topics import Topics
+from hnn_vi_ros.ros.topics.twin_topic import TwinTopic
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.status_line import StatusLine
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation.stepping import RescuePending
+from rclpy.node import Node
+
+
+class Run:
+    """
+    Run of a scene and its sinks; Control decides when it advances.
+
+    Parameters
+    ----------
+    node : Node
+        The simulator.
+    topics : Topics
+        Its publishers.
+    prepared : Prepared
+        The scene and its parts.
+    settings : Settings
+        The node's parameters.
+    stop : callable
+        Ends the process: its status, and why.
+
+    Attributes
+    ----------
+    simulation, recording, pacer, sampler
+        The parts that others look at.
+
+    """
+
+    def __init__(self, node: Node, topics: Topics, prepared: Prepared, settings: Settings,
+                 stop: Callable[[int, str], None]):
+        self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
+        self._scene, self.recording = prepared.scene, prepared.recording
+        self._chosen = prepared.chosen
+        simulation = watched(prepared.simulation, prepared.scene)
+        self._members = prepared.members
+        self._spread = None if self._members is None else SpreadTopic(
+            self._members, simulation.hamiltonian, prepared.scene.uncertainty.limit)
+        self._twin = None if prepared.twin is None else TwinTopic(
+            prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
+                topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
+            lambda: self.sampler.stamp)
+        companions = [one for one in (self._members, self._twin) if one is not None]
+        self.simulation = Accompanied(simulation, companions) if companions else simulation
+        self._start = self.simulation.q.copy(), self.simulation.p.copy()
+        self._own_start = self._next_start = self._start
+        self._batch, self._last_step, self._waits = 1, math.inf, False
+        self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
+        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor)
+        self._diagnostics = DiagnosticsPublisher(
+            node, partial(topics.send, DIAGNOSTICS), self._scene.name)
+        self._status = StatusLine(node.get_logger())
+        monitor = self._make_monitor()
+        topics.open(
+            Material(self.simulation, monitor, prepared.box, self._scene.mechanism,
+                     settings.frame_id, bool(self._scene.events), self._spread),
+            lambda: self.sampler.stamp, self.recording.write_other)
+        self._events = EventTopic(
+            node, partial(topics.send, EVENTS), self._scene.name, simulation)
+        self._begin(monitor)
+        self._tell_scene(prepared.report)
+        for line in prepared.log_lines:
+            self.tell(*line)
+        if self.sampler.deviation:
+            node.get_logger().warning(self.sampler.deviation)
+
+    def _make_monitor(self) -> Monitor:
+        sampler, settings = self.sampler, self._settings
+        scale = SampledScale(hamiltonian := self.simulation.hamiltonian)
+        guards = [*make_guards(self.simulation, scale, settings.energy_band_limit,
+                               settings.energy_change_limit, hamiltonian.barrier)]
+        if settings.real_time_factor:
+            guards.append(OverrunGuard(self.pacer))
+        if self._spread is not None:
+            guards.append(self._spread.make_guard())
+        return Monitor(
+            self.simulation, sampler.every, sampler.tick, self._chosen and self._chosen.tolerance,
+            lambda text, first: self.tell(text, 'WARN', first), guards, scale)
+
+    def _begin(self, monitor: Monitor) -> None:
+        """Watch and record from an initial state on."""
+        scene, settings, self._monitor = self._scene, self._settings, monitor
+        samples = self.sampler.count(settings.duration)
+        self._last_step = self.simulation.steps + samples * self.sampler.every
+        self.recording.event(', '.join([
+            f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
+            *(effect.kind for effect in scene.effects),
+            'conservative' if self.simulation.conservative else 'not conservative']), 'INFO')
+        # These belong to the newest sample.
+        self._stamp = self.sampler.stamp
+        self._health = Health(
+            self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
+            lambda text, level: self.tell(text, level, show=False), self._errors())
+        self.status = RunStatus(scene, self.simulation, self.sampler, monitor, self.recording,
+                                self._health, settings.real_time_factor)
+
+    def _tell_scene(self, report: dict[str, Any]) -> None:
+        self._report = report
+        self._topics.publish_scene(dump_yaml(report))
+
+    def _errors(self) -> list[str]:
+        return [STEP_FAILED, EnergyGuard.kind,
+                *[BoxGuard.kind] * self._settings.stop_outside_box]
+
+    def tell(self, text: str, level: str, show: bool = True) -> None:
+        """Log a line, and show it with the samples; level is INFO, WARN or ERROR."""
+        log(self._node, text, level)
+        if show:
+            self.recording.event(text, level)
+
+    def watch(self, sample: Sample | None = None) -> None:
+        """Publish what the guards find in a sample, or the state; stop if that was asked for."""
+        sample = sample or self.sampler.sample()
+        for alarm in self._monitor.watch(sample):
+            self._health.add(alarm, sample.stamp)
+            if alarm.kind == BoxGuard.kind and self._settings.stop_outside_box:
+                self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp / 1e9:.9g} s')
+
+    def publish_diagnostics(self) -> None:
+        """Publish how the run does."""
+        more = [one.status() for one in (self._spread, self._twin) if one is not None]
+        self._diagnostics.publish(
+            [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp, record=False)
+
+    def start_clocks(self) -> None:
+        """Owe nothing as of now, and measure the pace from here on."""
+        self.pacer.restart()
+        self._monitor.timing.restart()
+        self._status.restart(self.sampler.stamp)
+
+    @property
+    def scene(self) -> Scene:
+        """Return what is simulated."""
+        return self._scene
+
+    @property
+    def at_sample(self) -> bool:
+        """Return whether the next step is the first after a sample."""
+        return self.simulation.steps % self.sampler.every == 0
+
+    def step(self, most: float = math.inf) -> int | None:
+        """
+        Take a batch of steps, at most to the next sample, which is handed out then.
+
+        Returns
+        -------
+        int or None
+            How many; 0 if a step failed. That ends the process, unless messages of others may
+            have brought it about: these must not end a node. None where a step fails and what
+            takes it otherwise is still being compiled: it is tried again by the next call.
+
+        """
+        simulation, every = self.simulation, self.sampler.every
+        n = int(min(self._batch, every - simulation.steps % every, most))
+        try:
+            taken, seconds = self._monitor.advance(n, LONGEST_CALL)
+        except RescuePending:
+            if not self._waits:
+                self._waits = True
+                self.tell(f'waits at t = {self.sampler.time:.9g} s: a step fails, and what takes '
+                          'such steps is being compiled, once', 'WARN')
+            return None
+        except StoppedByEvent as stop:
+            self._events.hand_out(self.sampler, self.recording)
+            self._stop(0, f'stopped by the event {stop.event.when}')
+            return 0
+        except StepFailure as failure:
+            self._health.add_failure(
+                failure.dated(self.sampler.time), simulation.steps, self._stamp)
+            where = f'at the last good state, t = {self.sampler.time:.9g} s'
+            if self._moved_by_others:
+                why = self._twin.unstable if self._twin is not None else ''
+                self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
+            else:
+                self._stop(1, f'stopped {where}')
+            return 0
+        self._waits = False
+        self._events.hand_out(self.sampler, self.recording)
+        if n == self._batch:
+            self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
+        if self.at_sample:
+            self._hand_out()
+            if simulation.steps >= self._last_step:
+                self._stop(0, self.sampler.end)
+        return taken
+
+    def _hand_out(self) -> None:
+        """Publish, record and show a sample; the log gets the very bytes that are published."""
+        begin = time.perf_counter()
+        sample = self._sample()
+        self._stamp = sample.stamp
+        self._monitor.add(sample)
+        payloads = self._topics.publish(sample)
+        # What takes long comes behind the messages, which it would delay.
+        self.recording.write(sample, payloads)
+        if self._monitor.evaluate():
+            self.recording.timing(self._monitor.timing.figures)
+        self.watch(sample)
+        self._status.show(sample, self.pacer.overruns)
+        self._monitor.timing.add_sample(time.perf_counter() - begin)
+
+    def _sample(self) -> Sample:
+        """Return a sample of the state, with the spread if there are members."""
+        sample = self.sampler.sample()
+        return sample if self._members is None else replace(sample, spread=self._members.spread)
+
+    def show_state(self) -> None:
+        """Publish and record a state between two samples; what is watched are samples only."""
+        sample = self._sample()
+        self._stamp = sample.stamp
+        # Bands belong to samples.
+        self.recording.write(sample, self._topics.publish(replace(sample, spread=None)))
+
+    @property
+    def _moved_by_others(self) -> bool:
+        return bool(self.simulation.motors.takes) or self._start is not self._own_start
+
+    def set_start(self, q: Sequence[float], p: Sequence[float]) -> None:
+        """Begin at this state from the next reset on."""
+        self._next_start = q, p
+
+    @property
+    def start(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Return the initial state from the next reset on."""
+        return self._next_start
+
+    def reset(self, time_too: bool) -> None:
+        """
+        Restart in new files; the steps equal any run's from that state.
+
+        Parameters
+        ----------
+        time_too : bool
+            Whether the stamps restart as well; else they continue.
+
+        Raises
+        ------
+        ValueError, StepFailure
+            The initial state cannot be used; the one before is then, from the next reset on.
+
+        """
+        origin = 0 if time_too else self.sampler.stamp
+        before = self.simulation.snapshot()
+        try:
+            self.simulation.restart(*self._next_start)
+        except (ValueError, StepFailure) as problem:
+            self._next_start = self._start
+            self.simulation.restart(*self._start)
+            self.simulation.restore(before)
+            if isinstance(problem, StepFailure):
+                raise problem.dated(origin / 1e9) from problem
+            raise
+        self._start = self._next_start
+        # The files tell where they begin.
+        self._scene = with_start(self._scene, *self._start)
+        self.sampler = Sampler(self.simulation, self._settings.publish_rate, origin)
+        monitor = self._make_monitor()
+        self._topics.follow(monitor)
+        report = self._report | {
+            'initial_state': self._scene.initial_state.model_dump(), 'origin': origin,
+            'first_step': 0}
+        self._status.close()
+        self.recording.renew(self._scene, report, self.sampler)
+        self._tell_scene(report)
+        paused = self.status.paused
+        self._begin(monitor)
+        self.status.paused = paused
+        self.watch()
+
+    def check(self, settings: Settings) -> None:
+        """Raise ParameterError if parameters do not fit the run."""
+        check_pace(settings.real_time_factor, self.sampler.tick)
+
+    def apply(self, settings: Settings) -> None:
+        """Go on with changed parameters."""
+        if settings.real_time_factor != self._settings.real_time_factor:
+            factor = self.status.asked = settings.real_time_factor
+            self.pacer.set_pace(factor)
+            self.start_clocks()
+            guards = self._monitor.guards
+            if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
+                guards.append(OverrunGuard(self.pacer))
+        for guard in self._monitor.guards:
+            guard.allow(settings.energy_band_limit, settings.energy_change_limit)
+        self._settings = settings
+        self._health.errors = self._errors()
+
+    def close(self) -> bool:
+        """Close the files and say where they are, without ROS; return whether all is in them."""
+        self._status.close()
+        complete = self.recording.close()
+        self.recording.report()
+        return complete

@@ -1,0 +1,154 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics that the simulator publishes; a new topic is one more row of OUTPUTS."""
+
+from collections.abc import Callable
+from typing import Literal, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.plumbing.clock_publisher import CLOCK_QOS, CLOCK_TOPIC, ClockEncoder
+from hnn_vi_ros.ros.topics.accuracy import AccuracyEncoder
+from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.markers import MarkerEncoder
+from hnn_vi_ros.ros.topics.messages import Encode, TICK_TOPICS
+from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
+from hnn_vi_ros.ros.topics.spread_topic import SpreadTopic
+from hnn_vi_ros.ros.topics.trajectory_feedback import TrajectoryFeedback
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
+from nav_msgs.msg import Odometry
+import numpy as np
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+TICKS = QoSProfile(depth=10)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# An alarm, or an answer, is not to be replaced by the next one before it has arrived.
+_ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+# Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
+_EVENTS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Material(NamedTuple):
+    """
+    A configured run, as messages are made of it.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    monitor : Monitor
+        What is measured of it.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that drawings leave room for.
+    mechanism : str or None
+        What is drawn as markers.
+    frame_id : str
+        Frame of the markers and of odometry.
+    events : bool
+        Whether the scene has events.
+    spread : SpreadTopic or None
+        What comes apart, of an ensemble whose uncertainty the scene asks for.
+
+    """
+
+    simulation: Simulation
+    monitor: Monitor
+    box: tuple[np.ndarray, np.ndarray]
+    mechanism: str | None = None
+    frame_id: str = 'world'
+    events: bool = False
+    spread: SpreadTopic | None = None
+
+
+class Output(NamedTuple):
+    """
+    A topic that the simulator publishes.
+
+    Parameters
+    ----------
+    topic : str
+        Its name in the node.
+    message_type : type
+        Type of its messages.
+    qos : QoSProfile
+        What its publisher offers.
+    when : callable
+        ``when(settings, material)`` returns whether it exists. It is asked at the start of the
+        configuration, without material, so that other nodes discover the topic while the scene is
+        compiled; and again with the material.
+    make : callable, optional
+        ``make(material, publisher)`` returns the encoder of its samples. Without one, messages
+        are sent by ``Topics.send``.
+    recorded : str
+        ``'tick'``: one message in each sample of a bag, in the order of the rows; ``'apart'``: as
+        a message with a stamp of its own; empty: not at all.
+
+    """
+
+    topic: str
+    message_type: type
+    qos: QoSProfile
+    when: Callable[[Settings, Material | None], object] = lambda settings, run: True
+    make: Callable[[Material, Publisher], Encode] | None = None
+    recorded: Literal['', 'tick', 'apart'] = ''
+
+
+SCENE = Output('~/scene', String, LATCHED, recorded='apart')
+# Alarms are recorded; the figures of each second are not.
+DIAGNOSTICS = Output('/diagnostics', DiagnosticArray, _ALARMS, recorded='apart')
+EVENTS = Output('~/events', DiagnosticArray, _EVENTS, lambda settings, run: run and run.events,
+                recorded='apart')
+ACCURACY = Output('~/accuracy', Float64MultiArray, TICKS,
+                  lambda settings, run: settings.publish_accuracy,
+                  lambda run, publisher: AccuracyEncoder(run.simulation, run.monitor).encode,
+                  'tick')
+PREDICTION_ERROR = Output(
+    '~/prediction_error', JointState, TICKS,
+    lambda settings, run: run and OBSERVATIONS.holds & run.simulation.motors.takes,
+    recorded='apart')
+STATE_SET = Output('~/state_set', DiagnosticArray, _ALARMS, lambda settings, run: run)
+# As a robot's state publisher calls it.
+ROBOT = Output('robot_description', String, LATCHED,
+               lambda settings, run: run and run.simulation.hamiltonian.robot)
+
+
+def _tick(topic: str, message_type: type, encoder: Callable[..., Encode]) -> Output:
+    return Output(topic, message_type, TICKS, recorded='tick', make=lambda run, publisher: encoder(
+        run.simulation.hamiltonian.coordinates))
+
+
+def _markers(run: Material, publisher: Publisher) -> Encode:
+    hamiltonian = run.simulation.hamiltonian
+    ends = ends_of(hamiltonian, run.simulation.q, run.simulation.p, run.box)
+    return MarkerEncoder(publisher.get_subscription_count, MECHANISMS[run.mechanism],
+                         reach_of(hamiltonian, ends), run.frame_id).encode
+
+
+# A sample goes out in this order: who is paced by /clock has its time before the sample.
+OUTPUTS = (
+    Output(CLOCK_TOPIC, Clock, CLOCK_QOS, lambda settings, run: settings.publish_clock,
+           lambda run, publisher: ClockEncoder().encode),
+    *(_tick(*topic) for topic in TICK_TOPICS), ACCURACY,
+    Output('~/odometry', Odometry, TICKS,
+           lambda settings, run: run and run.simulation.hamiltonian.rotations,
+           lambda run, publisher: OdometryEncoder(
+               run.simulation.hamiltonian.coordinates, run.frame_id).encode),
+    Output('~/markers', MarkerArray, NEWEST, lambda settings, run: run and run.mechanism,
+           _markers),
+    Output('~/joint_trajectory_state', JointTrajectory, TICKS,
+           lambda settings, run: run and run.simulation.motors.aim is not None,
+           lambda run, publisher: TrajectoryFeedback(run.simulation).encode, 'apart'),
+    Output('~/uncertainty', JointState, TICKS, lambda settings, run: run and run.spread,
+           lambda run, publisher: run.spread.encode, 'apart'),
+    PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
+)

@@ -1,0 +1,339 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.watch import (
+    energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.processors import in_threads, usable_processors
+from hnn_vi_ros.scene import load_scene, Parts, Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build, build_at
+from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
+from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.trajectory.recorders import Commands, MOST_NUMBERS, record_samples, recorders
+from hnn_vi_ros.trajectory.resolving_step import name_step
+from hnn_vi_ros.trajectory.trajectory import Trajectory
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Trajectories that step together: a network's weights are read once for all of them. Larger
+# blocks gain no more, and each waits for its slowest trajectory.
+BLOCK = 32
+
+
+def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: float | None = None,
+             integrator: str | None = None,
+             initial_state: tuple[ArrayLike, ArrayLike] | None = None,
+             effects: Sequence[Mapping[str, Any]] | None = None,
+             commands: Commands | None = None, every: int = 1,
+             times: Sequence[float] | np.ndarray | None = None) -> Trajectory:
+    """
+    Simulate a scene without ROS.
+
+    Parameters
+    ----------
+    scene : Scene, Parts, str or Path
+        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
+    duration : float
+        Simulated time [s], which the last sample is at; see DenseStep for a time between steps.
+    step_size : float, optional
+        h [s], in place of the scene's.
+    integrator : str, optional
+        A name from INTEGRATORS, in place of the scene's.
+    initial_state : tuple of (q, p), shape (d,) each, optional
+        In place of the scene's.
+    effects : sequence of mapping, optional
+        In place of the scene's, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+    commands : callable or array, shape (N, c), optional
+        Of external_force: a function of the time [s] that is asked before each step, or a row for
+        each sample, which holds until the next. For a servo, a function that returns JointCommand.
+    every : int, optional
+        Steps from one sample to the next.
+    times : sequence of float, optional
+        Of the samples in place of every, rising, from 0 to the duration [s]; they need not be
+        whole steps. Not with commands, which are held from sample to sample.
+
+    Returns
+    -------
+    Trajectory
+        The first sample is the initial state, unless times says otherwise; the last one is where
+        an event ended the run, if one did.
+
+    Warns
+    -----
+    AlarmWarning
+        A guard says that the run is not to be trusted; ``alarms`` of the trajectory holds it. Of
+        a run that is under-resolved the warning names a step size that resolves it, where one is
+        found in some tenths of a second.
+
+    Raises
+    ------
+    HnnViRosError
+        An unknown scene or integrator, a model that cannot be loaded, or a StepFailure.
+    ValueError
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
+
+    """
+    check_seconds('duration', duration)
+    check_count('every', every)
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
+    scene = parts.scene
+    simulation = watched(build(parts), scene)
+    recorded = record_one(simulation, duration, int(every), times, commands)
+
+    def repeat(h: float) -> tuple[Alarm, ...]:
+        # At whole steps alone, where that is as good: states between them take time.
+        other = build(parts._replace(scene=scene.with_overrides(h)))
+        return record_one(other, float(recorded.t[-1]), int(every) if times is None else 1).alarms
+
+    tell(name_step(recorded.alarms, simulation, repeat), scene.known_step_size)
+    return replace(recorded, scene=scene)
+
+
+def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
+                  integrator: str | None = None,
+                  initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+                  effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
+    """Return the parts of a resolved scene, with others where given; see ``simulate``."""
+    made = scene if isinstance(scene, Parts) else None
+    changed, _ = resolve((made.scene if made else _scene(scene)).with_overrides(
+        step_size, integrator, _state(initial_state), _listed(effects)))
+    return made if made and changed is made.scene else changed.parts()
+
+
+def record_one(simulation: Simulation | WatchedSimulation, duration: float, every: int,
+               times: Sequence[float] | None = None, commands: Commands | None = None
+               ) -> Trajectory:
+    """
+    Take the samples of one trajectory, and warn of nothing.
+
+    Parameters
+    ----------
+    simulation : Simulation or WatchedSimulation
+        In its initial state, of shape (d,).
+    duration, every, times, commands
+        See ``simulate``.
+
+    Returns
+    -------
+    Trajectory
+        With the alarms.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
+    watch = Watch(simulation, simulation.hamiltonian.barrier)
+    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
+    t, takers = recorders(simulation, duration, every, times, commands, watch)
+    try:
+        for take in takers:
+            parts.append(take())  # noqa: PERF401  what was taken before it stops is kept
+    except StoppedByEvent as stop:
+        parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
+        t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
+    # Times that were asked for need not begin with the initial state.
+    first = int(times is not None)
+    t, (q, p) = t[first:], (np.vstack(halves) for halves in zip(*parts[first:], strict=True))
+    energies = energies_of(simulation, q, p)
+    if simulation.conservative:
+        watch.show(simulation, t / simulation.step_size, (q, p), energies)
+    return Trajectory(t, q, p, energies[0], simulation.hamiltonian.coordinates,
+                      tuple(watch.alarms), tuple(
+                          event for event in getattr(simulation, 'events', ())
+                          if event.t <= t[-1]))
+
+
+def _scene(scene: Scene | str | Path) -> Scene:
+    """Return the scene of a name."""
+    if isinstance(scene, str | Path):
+        return load_scene(scene)
+    if not isinstance(scene, Scene):
+        raise TypeError(f'scene is a {type(scene).__name__}: give what load_scene returns, the '
+                        'name of a shipped scene, or the path of a YAML file')
+    return scene
+
+
+def _state(state: tuple[Sequence[float], Sequence[float]] | None
+           ) -> dict[str, Sequence[float]] | None:
+    """Return a pair (q, p) by name."""
+    if state is None:
+        return None
+    if not isinstance(state, Sequence | np.ndarray) or isinstance(state, str) or len(state) != 2:
+        raise TypeError('initial_state must be a pair: the coordinates q, and the momenta p, '
+                        f'such as ([1.0], [0.0]), not {state!r:.60}')
+    return {name: check_numbers(f'{name} of initial_state', part).tolist()
+            for name, part in zip(('q', 'p'), state, strict=True)}
+
+
+def _initial_states(q: ArrayLike, p: ArrayLike,
+                    hamiltonian: Hamiltonian) -> list[np.ndarray]:
+    """Return q and p of initial states, of shape (m, d), or raise an error about them."""
+    states, d, turning = (
+        (check_numbers('q', q), check_numbers('p', p)), hamiltonian.dimension,
+        hamiltonian.rotations)
+    widths = d, d - len(turning)
+    for name, part, width in zip('qp', states, widths, strict=True):
+        if part.ndim == 1 and part.size != width:
+            raise ValueError(f'{name} has shape {part.shape}, expected (m, {width}): a row for '
+                             'each trajectory, a number in it for each coordinate')
+    checked = [part.reshape(-1, width) for part, width in zip(
+        check_state(*states, d, turning), widths, strict=True)]
+    if checked[0].size == 0:
+        raise ValueError(f'q has shape {np.shape(q)}: no trajectory to simulate')
+    return checked
+
+
+def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
+    """Return a sequence of effects as the list that a scene holds; leave anything else alone."""
+    return list(effects) if isinstance(effects, tuple) else effects
+
+
+def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duration: float, *,
+                  samples: int = 1, threads: int | None = None, device: str | None = None
+                  ) -> Trajectory:
+    """
+    Simulate one scene from many initial states.
+
+    Trajectories do not depend on each other: a block of them is one system, the sum of their
+    Hamiltonians, so the formula of a step is the same code. The implicit equations of a block
+    are solved until each of its trajectories has converged. With a thermostat, an impact or a
+    constraint each trajectory steps alone, and meets its own noise.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        See ``simulate``; its own initial state is not used.
+    q, p : sequence, shape (m, d)
+        Initial states.
+    duration : float
+        Simulated time [s].
+    samples : int, optional
+        Samples after the initial one, evenly spaced; see DenseStep for times between steps.
+    threads : int, optional
+        By default as many as there are processors; of no meaning on a GPU.
+    device : str, optional
+        ``'cuda'``, ``'cuda:N'`` or ``'cpu'``: take the steps in torch, with each trajectory solved
+        by itself, in place of compiled loops; see docs/scale.md. For an H of perceptrons, without
+        effects, and some of the methods.
+
+    Returns
+    -------
+    Trajectory
+        t of shape (samples + 1,), q and p of shape (samples + 1, m, d), energy of shape
+        (samples + 1, m). Alarms about steps, and about energies where work is done, go to all
+        trajectories that step together.
+
+    Warns
+    -----
+    AlarmWarning
+        See ``simulate``.
+
+    Raises
+    ------
+    HnnViRosError
+        The scene cannot be built, or a step of some trajectory fails.
+    MissingPackage
+        A device takes the extra ``train``.
+    ValueError
+        An argument that is not usable, or more samples than fit into memory.
+    TypeError
+        An argument of another type.
+
+    """
+    check_seconds('duration', duration)
+    if duration == 0.0:
+        raise ValueError('duration = 0 s: the samples must lie some time apart')
+    check_count('samples', samples)
+    if threads is not None:
+        check_count('threads', threads)
+    scene, _ = resolve(_scene(scene))
+    if scene.events:
+        raise ValueError('simulate_many watches for no events: leave the events out of '
+                         f'{scene.name}, or simulate one trajectory at a time')
+    parts = scene.parts()
+    _, hamiltonian, integrator, effects = parts
+    size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
+    q0, p0 = _initial_states(q, p, hamiltonian)
+    if q0.size * samples > MOST_NUMBERS:
+        raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
+                         'holds; take fewer at a time')
+    interval = duration / samples
+    every, share = whole_steps(interval, scene.step_size)
+    t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
+
+    def start(block: slice) -> Simulation:
+        return build_at(parts, q0[block], p0[block])
+
+    alarms: list[list[Alarm]] = [[] for _ in q0]
+    if device is None:
+        q_all, p_all = _compiled(start, q0, p0, samples, t[1:] if share else every, size,
+                                 threads or usable_processors(), alarms)
+    else:
+        if share:
+            raise ValueError(
+                f'device = {device}: samples lie {interval:g} s apart, '
+                f'{interval / scene.step_size:g} steps: on a device these are whole; take '
+                'another duration or samples')
+        with optional('torch', f'device = {device}'):
+            from hnn_vi_ros.trajectory.devices import ensemble_on, record_on_device
+        q_all, p_all, failures = record_on_device(
+            start(slice(0, 1)), partial(ensemble_on, device, parts), device, q0, p0,
+            [k * every for k in range(samples + 1)], threads, alarms)
+        for _, failure in sorted(failures.items()):
+            raise failure
+    energies = show_many(
+        start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
+    tell_many(alarms, scene.step_size)
+    return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
+                      tuple(map(tuple, alarms)), scene=scene)
+
+
+def _compiled(start: Callable[[slice], Simulation], q0: np.ndarray, p0: np.ndarray, samples: int,
+              every: int | np.ndarray, size: int, threads: int, alarms: list[list[Alarm]]
+              ) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p, shape (samples + 1, m, d), by compiled loops over blocks of a size."""
+    workers = min(threads, -(-len(q0) // size))
+    q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
+    q_all[0], p_all[0] = q0, p0
+    in_threads(lambda worker: _fill(
+        start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all, alarms),
+        workers)
+    return q_all, p_all
+
+
+def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
+          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray,
+          alarms: list[list[Alarm]]) -> None:
+    """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
+    samples = len(q_all) - 1
+    simulation = start(slice(firsts[0], firsts[0] + size))
+    for first in firsts:
+        block = slice(first, first + size)
+        # Each trajectory has noise of its own.
+        simulation.restart(q_all[0, block], p_all[0, block], stream=first)
+        watch = watch_of_block(simulation)
+        q_block, p_block = record_samples(simulation, samples, every, watch)
+        # Without work, only alarms about steps are left to report; see show_many.
+        watch.update(look_at_block(simulation))
+        for own in alarms[block]:
+            own += watch.alarms
+        q_all[1:, block], p_all[1:, block] = q_block, p_block

@@ -1,0 +1,197 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Trajectories: their names and units, and what they are drawn, shown and handed over as."""
+
+from dataclasses import replace
+from itertools import combinations
+import sys
+
+from hnn_vi_ros.errors import MissingPackage
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.trajectory.style import ALARM, COLOURS, MOST_NAMED
+from hnn_vi_ros.trajectory.trajectory import Trajectory
+from matplotlib.colors import to_rgb
+import numpy as np
+from PIL import Image
+import pytest
+from rerun_reader import read
+
+T = np.linspace(0.0, 2.0, 41)
+COORDINATES = (Coordinate('x', 'm', 'kg m/s'), Coordinate('y', 'm', 'kg m/s'),
+               Coordinate('turn', 'rad', 'kg m2/s'))
+WAVES = np.stack([np.sin(T), np.cos(T), 0.1 * T], axis=-1)
+PLAIN = Trajectory(T, WAVES, -WAVES, 1.0 + 0.01 * T, COORDINATES)
+MANY = Trajectory(T, np.stack([k * WAVES for k in range(10)], axis=1),
+                  np.stack([WAVES] * 10, axis=1), np.ones((41, 10)), COORDINATES,
+                  alarms=((),) * 10)
+TURNING = Trajectory(T, np.ones((41, 4)), np.ones((41, 3)), T, (Coordinate(
+    'body', '1', 'kg m2/s', 'rotation'),))
+
+
+@pytest.fixture(scope='module')
+def run() -> Trajectory:
+    scene = Scene.build(
+        hamiltonian='pendulum', integrator='stormer_verlet', step_size=0.05,
+        initial_state=([1.0], [0.0]), mechanism='pendulum', name='swing',
+        events=[{'when': 'angle = 0', 'direction': 'down'}])
+    return simulate(scene, 2.0)
+
+
+def lightness(colour: str) -> float:
+    """Return L* of CIE 1976, from 0 to 100."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(colour)]
+    y = np.dot([0.2126, 0.7152, 0.0722], linear)
+    return 116.0 * y ** (1 / 3) - 16.0 if y > 0.008856 else 903.3 * y
+
+
+def test_trajectory_knows_its_names_units_and_scene(run):
+    assert run.names == (['angle'], ['p_angle'])
+    assert run.units == {'t': 's', 'angle': 'rad', 'p_angle': 'kg m2/s', 'H': 'J'}
+    assert run.scene.name == 'swing'
+    assert run.title == 'swing, stormer_verlet, h = 0.05 s'
+    text = repr(run)
+    assert text.startswith(f'Trajectory({run.title}; 41 samples, t = 0 to 2 s, H = ')
+    assert '\n' not in text and len(text) < 160
+    assert 'angle [rad]' in run._repr_html_() and 'event' in run._repr_html_()
+
+
+def test_names_in_html_are_text():
+    odd = replace(PLAIN, coordinates=(Coordinate('<b>', 'm'), *COORDINATES[1:]))
+    assert '<b>' not in odd._repr_html_() and '&lt;b&gt;' in odd._repr_html_()
+
+
+def test_units_of_a_pose_are_those_of_its_parts():
+    pose = replace(TURNING, coordinates=(Coordinate('b', 'm', 'kg m/s', 'pose'),)).units
+    assert [pose[name] for name in ('b_x', 'b_qw', 'p_b_x', 'p_b_rz')] == [
+        'm', '1', 'kg m/s', 'kg m2/s']
+
+
+def test_one_of_many_is_selected():
+    assert np.array_equal(MANY.select(-1).q, 9 * WAVES)
+    assert MANY.select(2).alarms == ()
+    with pytest.raises(IndexError, match='trajectory 10: expected 0 to 9'):
+        MANY.select(10)
+    assert PLAIN.select(0) is PLAIN
+
+
+def test_plot_has_labelled_axes_with_units_and_the_samples(run):
+    figure = run.plot()
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        'angle [rad]', 'p_angle [kg m²/s]', 'H - H(0) [J]']
+    assert figure.axes[-1].get_xlabel() == 't [s]'
+    assert np.array_equal(figure.axes[0].lines[0].get_ydata(), run.q[:, 0])
+    # The event is a line in every panel, and is named once.
+    assert len(run.events) == 1
+    assert all(axes.lines[1].get_xdata() == [run.events[0].t] * 2 for axes in figure.axes)
+    assert figure.axes[0].get_legend().get_texts()[1].get_text() == 'event angle = 0'
+
+
+def test_plot_has_a_panel_for_each_unit_and_names_every_curve():
+    figure = PLAIN.plot()
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        'q [m]', 'turn [rad]', 'p [kg m/s]', 'p_turn [kg m²/s]', 'H - H(0) [J]']
+    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ['x', 'y']
+    assert len(PLAIN.plot(['y']).axes) == 3
+    with pytest.raises(ValueError, match="no coordinate 'z'; valid: x, y, turn"):
+        PLAIN.plot(['z'])
+
+
+def test_plot_of_many_shades_them_and_names_the_first_and_the_last():
+    axes = MANY.plot(['x']).axes[0]
+    assert len(axes.lines) == 10 > MOST_NAMED
+    # Lighter from each to the next: the order is seen in grey, too.
+    shades = [lightness(line.get_color()) for line in axes.lines]
+    assert (np.diff(shades) > 0.0).all()
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [
+        'trajectory 0', '... trajectory 9']
+
+
+def test_colours_differ_in_lightness_which_grey_and_colour_blind_readers_see():
+    # Two CIE units are just seen side by side; thin lines apart from each other take ten times.
+    for one, other in combinations(COLOURS, 2):
+        assert abs(lightness(one) - lightness(other)) > 20.0
+    assert ALARM in COLOURS
+
+
+def test_portrait_has_momentum_over_coordinate_and_level_sets_of_H(run):
+    axes, = run.phase_portrait().axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ('angle [rad]', 'p_angle [kg m²/s]')
+    assert np.array_equal(axes.lines[0].get_xydata(), np.hstack([run.q, run.p]))
+    levels = axes.collections[0].get_segments()
+    energies = [run.hamiltonian().energy(line[:, :1], line[:, 1:]) for line in levels]
+    # H along each line is one value, but for the grid on which it was looked for.
+    assert max(np.ptp(energy) for energy in energies) < 0.01 * max(map(np.max, energies))
+
+
+def test_portraits_of_several_coordinates_stand_side_by_side():
+    assert [axes.get_xlabel() for axes in PLAIN.phase_portrait().axes] == [
+        'x [m]', 'y [m]', 'turn [rad]']
+    assert len(MANY.phase_portrait(['x']).axes[0].lines) == 10
+    with pytest.raises(ValueError, match='body turns; plot'):
+        TURNING.phase_portrait()
+
+
+def test_animation_moves_the_mechanism_to_its_samples(run, tmp_path):
+    animation = run.animate(speed=1.0, rate=5.0)
+    path = tmp_path / 'swing.gif'
+    animation.save(path, writer='pillow')
+    with Image.open(path) as image:
+        assert image.n_frames == 11
+    (axes,) = animation._fig.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ('x [m]', 'z [m]')
+    bob = axes.patches[-1]
+    # The last picture shows the last sample.
+    assert bob.center == pytest.approx([np.sin(run.q[-1, 0]), -np.cos(run.q[-1, 0])], abs=1e-12)
+
+
+def test_animation_without_a_mechanism_moves_points_in_the_portraits(tmp_path):
+    animation = PLAIN.animate(rate=2.0)
+    animation.save(tmp_path / 'waves.gif', writer='pillow')
+    points = [axes.lines[-1].get_xydata()[0] for axes in animation._fig.axes]
+    assert np.allclose(points, np.stack([WAVES[-1], -WAVES[-1]], axis=1), atol=0.0)
+    with pytest.raises(ValueError, match='10 trajectories .*select'):
+        MANY.animate()
+    with pytest.raises(ValueError, match='speed = 0 must be above 0'):
+        PLAIN.animate(speed=0)
+
+
+def test_recording_for_rerun_holds_the_samples_and_the_events(run, tmp_path):
+    run.to_rerun(str(tmp_path / 'run.rrd'))
+    found = read(tmp_path / 'run.rrd')
+    q = found['/state/q']
+    assert np.ravel(q['Scalars:scalars']).tolist() == run.q[:, 0].tolist()
+    assert q['step'] == list(range(41))
+    assert len(found['/events']['step']) == 1 and '/world/bob' in found
+    with pytest.raises(ValueError, match='knows no scene'):
+        PLAIN.to_rerun(tmp_path / 'plain.rrd')
+
+
+def test_dataframe_has_a_column_each_and_the_units(run):
+    pytest.importorskip('pandas', reason='pandas is not installed; see `make test`')
+    frame = run.to_dataframe()
+    assert list(frame.columns) == ['angle', 'p_angle', 'H'] and frame.index.name == 't'
+    assert frame.attrs['units']['p_angle'] == 'kg m2/s'
+    assert np.array_equal(frame['angle'], run.q[:, 0])
+    many = MANY.to_dataframe()
+    assert np.array_equal(many.loc[3, 'x'], MANY.q[:, 3, 0])
+
+
+def test_dataset_has_dimensions_and_units():
+    pytest.importorskip('xarray', reason='xarray is not installed; see `make test`')
+    data = MANY.to_xarray()
+    assert data['x'].dims == ('t', 'trajectory') and data['x'].attrs == {'units': 'm'}
+    assert np.array_equal(data['x'].sel(trajectory=3), MANY.q[:, 3, 0])
+    assert PLAIN.to_xarray()['H'].dims == ('t',)
+
+
+@pytest.mark.parametrize('package, call', [
+    ('matplotlib', Trajectory.plot), ('matplotlib', Trajectory.phase_portrait),
+    ('matplotlib', Trajectory.animate), ('pandas', Trajectory.to_dataframe),
+    ('xarray', Trajectory.to_xarray)])
+def test_package_that_is_not_installed_is_named_in_one_line(package, call, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingPackage, match=f'-m pip install "{package}"') as caught:
+        call(PLAIN)
+    assert '\n' not in str(caught.value)
