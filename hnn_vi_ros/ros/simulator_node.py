@@ -13,7 +13,7 @@ import time
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.announcing import announced
-from hnn_vi_ros.ros.parameters import arguments as command_lines
+from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.parameters.node_parameters import Parameters
 from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings

@@ -28,7 +28,7 @@ from pathlib import Path
 import time
 from hnn_vi_ros.hamiltonians.tao import Tao
 from hnn_vi_ros.kernels.announcing import NotKept
-from hnn_vi_ros.ros import preparation
+from hnn_vi_ros.ros.run import preparation
 from hnn_vi_ros.simulation.stepping import Stepping
 
 compile_rescue = Stepping.compile_rescue
@@ -82,9 +82,13 @@ def test_step_waits_for_what_takes_it_while_services_answer_and_changes_no_bit(f
         future = other.call_async(Trigger, 'step')
         assert other.trigger('start_recording').success is False
         assert not future.done()
-        (folder / 'go').touch()
         other.spin_until(future.done)
-        assert '"steps": 1, "step": 3' in future.result().message
+        assert not future.result().success
+        assert future.result().message.startswith(
+            'a step fails, and what takes such steps is being compiled: ask again: {"steps": 0, ')
+        (folder / 'go').touch()
+        other.spin_until(lambda: other.trigger('step').success)
+        assert other.trigger('step').message.startswith('{"steps": 1, "step": 4, ')
         other.pause(False)
         status, _, _ = finish(process)
     assert status == 0

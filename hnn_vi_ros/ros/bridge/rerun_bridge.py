@@ -11,8 +11,8 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.bridge.bridge_picture import BridgePicture, NEEDED, target_of
-from hnn_vi_ros.ros.parameters import arguments
 from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
 from hnn_vi_ros.ros.parameters.settings import BRIDGE_PARAMETERS, BridgeSettings

@@ -3,7 +3,7 @@
 """The example controller: flies the scene quadrotor to a place and holds it there."""
 
 from geometry_msgs.msg import Quaternion, Vector3
-from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
 from hnn_vi_ros.ros.parameters.settings import HOVER_PARAMETERS, HoverSettings

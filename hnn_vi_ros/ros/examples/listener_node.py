@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The example subscriber: prints the energy of a running simulator once a second."""
 
-from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import (

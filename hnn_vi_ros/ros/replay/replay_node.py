@@ -11,7 +11,7 @@ import sys
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
-from hnn_vi_ros.ros.parameters import arguments
+from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
 from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
 from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS, ReplaySettings, Value

@@ -22,6 +22,8 @@ from rclpy.timer import Timer
 
 # Wall time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
+# A service is answered within two seconds: so long it waits for what takes a failing step [s].
+_LONGEST_WAIT = 1.0
 
 
 class Answer(NamedTuple):
@@ -71,6 +73,7 @@ class Control:
         # Steps of the request that is being worked on, and who waits for its end.
         self._left, self._asked, self._waiting = 0, 0, None
         self._progress: Callable[[int, int], None] | None = None
+        self._moved = 0.0
 
     @property
     def running(self) -> bool:
@@ -130,7 +133,9 @@ class Control:
         count : int
             How many: what others ask for from now on does not change it.
         progress : callable, optional
-            Told after each batch how many were taken, and how many are left.
+            Told after each batch how many were taken, and how many are left. Who hears of
+            progress waits as long as a failing step takes to compile its rescue; others are
+            told to ask again.
 
         """
         future = Future()
@@ -141,7 +146,7 @@ class Control:
         elif count < 1:
             future.set_result(Answer(False, 'expected at least one step'))
         else:
-            self._left = self._asked = count
+            self._left, self._asked, self._moved = count, count, time.monotonic()
             self._waiting, self._progress, self.stopped = future, progress, False
             self._schedule()
         return future
@@ -236,8 +241,12 @@ class Control:
         taken = self._run.step(self._left)
         if taken is None:
             time.sleep(LONGEST_CALL)
+            if time.monotonic() - self._moved > _LONGEST_WAIT and self._progress is None:
+                self._end_request(Answer(False, 'a step fails, and what takes such steps is '
+                                         'being compiled: ask again'))
+                self._schedule()
             return
-        self._left -= taken
+        self._left, self._moved = self._left - taken, time.monotonic()
         if taken and self._progress is not None:
             self._progress(self._asked - self._left, self._left)
         if taken == 0:
