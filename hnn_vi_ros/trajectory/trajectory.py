@@ -67,7 +67,7 @@ class Trajectory(TrajectoryData):
             No such coordinate.
 
         """
-        from hnn_vi_ros.trajectory.series import draw_series
+        from hnn_vi_ros.trajectory.figures import draw_series
         return draw_series(self.of(coordinates))
 
     def phase_portrait(self, coordinates: Sequence[str] | None = None) -> 'Figure':
@@ -92,7 +92,7 @@ class Trajectory(TrajectoryData):
             No such coordinate, or none that has a plane with its momentum.
 
         """
-        from hnn_vi_ros.trajectory.portrait import draw_portrait
+        from hnn_vi_ros.trajectory.figures import draw_portrait
         return draw_portrait(self.of(coordinates), contours=len(self.coordinates) == 1)
 
     def animate(self, speed: float = 1.0, rate: float = 25.0) -> 'FuncAnimation':
@@ -119,7 +119,7 @@ class Trajectory(TrajectoryData):
             Several trajectories (see ``select``), or speed or rate not above 0.
 
         """
-        from hnn_vi_ros.trajectory.animation import animate
+        from hnn_vi_ros.trajectory.figures import animate
         return animate(self, speed, rate)
 
     def to_dataframe(self) -> 'pandas.DataFrame':
@@ -138,7 +138,7 @@ class Trajectory(TrajectoryData):
             pandas is not installed.
 
         """
-        from hnn_vi_ros.trajectory.tables import dataframe_of
+        from hnn_vi_ros.trajectory.exports import dataframe_of
         return dataframe_of(self)
 
     def to_xarray(self) -> 'xarray.Dataset':
@@ -157,7 +157,7 @@ class Trajectory(TrajectoryData):
             xarray is not installed.
 
         """
-        from hnn_vi_ros.trajectory.tables import dataset_of
+        from hnn_vi_ros.trajectory.exports import dataset_of
         return dataset_of(self)
 
     def to_rerun(self, target: str | Path | int) -> None:
@@ -181,7 +181,7 @@ class Trajectory(TrajectoryData):
 
         """
         with optional('rerun', 'to_rerun'):
-            from hnn_vi_ros.trajectory.recording import record
+            from hnn_vi_ros.trajectory.exports import record
         record(self, target)
 
     def __repr__(self) -> str:

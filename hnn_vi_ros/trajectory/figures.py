@@ -1,0 +1,342 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of trajectories: series over time, phase portraits, animations of mechanisms."""
+
+from collections.abc import Callable, Sequence
+import math
+import re
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
+from hnn_vi_ros.phase_space import Coordinate, momentum_name
+from hnn_vi_ros.trajectory.data import TrajectoryData
+from hnn_vi_ros.viewer.phase_portrait import contours as level_sets, Frame
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# P. Tol, Colour Schemes (2021), "high contrast", and black: told apart by colour-blind readers,
+# and in grey, where their lightness L* is 29, 73, 50 and 0. A dash each besides.
+COLOURS = ('#004488', '#ddaa33', '#bb5566', '#000000')
+DASHES = ('-', (0, (5, 1.5)), (0, (5, 1.5, 1, 1.5)), (0, (1, 1.2)))
+EVENT, ALARM, CONTOUR = '0.55', '#bb5566', '0.82'
+# More curves than this in one panel are not told apart one by one: they are shaded by number.
+MOST_NAMED = 8
+_SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
+
+
+def new_figure(width: float, height: float) -> 'Figure':
+    """
+    Return an empty figure of this size [inch], which a window shows if the user has any.
+
+    Where there are no windows, as in a notebook or a script without a screen, pyplot keeps no
+    hold of it: it would be shown twice, or never freed.
+    """
+    with optional('matplotlib', 'drawing a trajectory'):
+        from matplotlib import get_backend, pyplot
+    figure = pyplot.figure(figsize=(width, height), layout='constrained')
+    if 'inline' in get_backend().lower() or get_backend().lower() == 'agg':
+        pyplot.close(figure)
+    return figure
+
+
+def label(name: str, unit: str) -> str:
+    """Return a name with its unit, whose powers are superscripts; that of a number is left out."""
+    if unit == '1':
+        return name
+    raised = re.sub(r'(?<=[A-Za-z])-?\d+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
+    return f'{name} [{raised}]'
+
+
+def draw_curves(axes: 'Axes', curves: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> None:
+    """
+    Draw curves, each a name, x and y.
+
+    More than MOST_NAMED are shaded from dark to light, and the first and the last are named.
+    """
+    from matplotlib import colormaps
+    shades = colormaps['cividis']
+    for i, (name, x, y) in enumerate(curves):
+        style: dict[str, Any]
+        if len(curves) > MOST_NAMED:
+            style = {'color': shades(0.9 * i / (len(curves) - 1)), 'linewidth': 0.8}
+            if i > 0:
+                name = f'... {name}' if i == len(curves) - 1 else '_nolegend_'
+        else:
+            style = {'color': COLOURS[i % len(COLOURS)], 'linewidth': 1.4,
+                     'linestyle': DASHES[(i + i // len(COLOURS)) % len(DASHES)]}
+        axes.plot(x, y, label=name, **style)
+
+
+def name_curves(axes: 'Axes') -> None:
+    """Name the marks of a panel in a legend to its right; its axis names a single one."""
+    if len(axes.get_legend_handles_labels()[1]) > 1:
+        axes.legend(loc='center left', bbox_to_anchor=(1.01, 0.5), frameon=False,
+                    fontsize='small', handlelength=2.6)
+
+
+# Size of a panel, and of the margins around all of them [inch].
+_WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
+
+
+class _Panel(NamedTuple):
+    """Curves that share an axis, by name, and its label."""
+
+    label: str
+    curves: list[tuple[str, np.ndarray]]
+
+
+def draw_series(trajectory: TrajectoryData) -> 'Figure':
+    """Draw the figure of ``Trajectory.plot``."""
+    panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), _energy_panel(trajectory)]
+    figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _AROUND)
+    rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(rows, panels, strict=True):
+        draw_curves(axes, [(name, trajectory.t, values) for name, values in panel.curves])
+        axes.set_ylabel(panel.label)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0.0)
+    _draw_instants(rows, trajectory)
+    for axes in rows:
+        name_curves(axes)
+    rows[-1].set_xlabel('t [s]')
+    figure.align_ylabels(rows)
+    begin = '' if trajectory.energy.ndim == 2 else f', H(0) = {trajectory.energy[0]:.6g} J'
+    figure.suptitle(f'{trajectory.title}{begin}')
+    return figure
+
+
+def _panels(trajectory: TrajectoryData, half: int) -> list[_Panel]:
+    """Return a panel for each unit of q (half 0) or p (half 1), of many for each column."""
+    values, units = (trajectory.q, trajectory.p)[half], trajectory.units
+    names = trajectory.names[half]
+    if values.ndim == 3:
+        return [_Panel(label(name, units[name]), [
+            (f'trajectory {k}', values[:, k, i]) for k in range(values.shape[1])])
+            for i, name in enumerate(names)]
+    panels = []
+    for unit in dict.fromkeys(units[name] for name in names):
+        own = [(name, values[:, i]) for i, name in enumerate(names) if units[name] == unit]
+        panels.append(_Panel(label(own[0][0] if len(own) == 1 else 'qp'[half], unit), own))
+    return panels
+
+
+def _energy_panel(trajectory: TrajectoryData) -> _Panel:
+    """Return the change of H, whose digits H itself would hide."""
+    change = trajectory.energy - trajectory.energy[:1]
+    if change.ndim == 2:
+        return _Panel('H - H(0) [J]', [
+            (f'trajectory {k}', change[:, k]) for k in range(change.shape[1])])
+    return _Panel('H - H(0) [J]', [('H', change)])
+
+
+def _draw_instants(rows: np.ndarray, trajectory: TrajectoryData) -> None:
+    """Draw a line at each event, in every panel, and at each alarm that tells its step."""
+    for number, axes in enumerate(rows):
+        named = set()
+        for event in trajectory.events:
+            axes.axvline(event.t, color=EVENT, linewidth=0.8, zorder=0, label=(
+                f'event {event.when}' if number == 0 and event.when not in named else None))
+            named.add(event.when)
+        if trajectory.q.ndim == 3 or trajectory.scene is None:
+            continue
+        for alarm in trajectory.alarms:
+            axes.axvline(alarm.step * trajectory.scene.known_step_size, color=ALARM,
+                         linewidth=1.2, linestyle=':', zorder=0,
+                         label=f'alarm: {alarm.kind}' if number == len(rows) - 1 else None)
+
+
+# Side of a panel [inch], and the most panels in a row.
+_SIDE, _MOST_IN_A_ROW = 3.6, 3
+# Room around the path, in shares of its extent.
+_MARGIN = 0.08
+
+
+def portrayed(trajectory: TrajectoryData) -> list[tuple[Coordinate, int, int]]:
+    """
+    Return the coordinates that have a plane with their momentum, with their columns of q and p.
+
+    Raises
+    ------
+    ValueError
+        There is none: all of them are rotations or poses.
+
+    """
+    q, p = (list(names) for names in trajectory.names)
+    found = [(own, q.index(own.name), p.index(momentum_name(own.name)))
+             for own in trajectory.coordinates if own.kind == 'scalar']
+    if not found:
+        raise ValueError('no coordinate has a plane with its momentum: '
+                         f'{", ".join(own.name for own in trajectory.coordinates)} turns; '
+                         'plot() draws its columns')
+    return found
+
+
+def draw_portrait(trajectory: TrajectoryData, contours: bool) -> 'Figure':
+    """Draw what ``Trajectory.phase_portrait`` tells; contours: level sets of H, too."""
+    shown = portrayed(trajectory)
+    across = min(len(shown), _MOST_IN_A_ROW)
+    down = math.ceil(len(shown) / across)
+    figure = new_figure(_SIDE * across + 1.4, _SIDE * down + 0.4)
+    grid = figure.subplots(down, across, squeeze=False)
+    for axes in grid.flat[len(shown):]:
+        axes.remove()
+    for axes, (own, i, k) in zip(grid.flat, shown, strict=False):
+        q, p = trajectory.q[..., i], trajectory.p[..., k]
+        axes.set(xlabel=label(own.name, own.q_unit),
+                 ylabel=label(momentum_name(own.name), own.p_unit))
+        axes.margins(_MARGIN)
+        _draw_paths(axes, q, p)
+        if contours and trajectory.scene is not None:
+            draw_contours(axes, trajectory)
+        axes.grid(alpha=0.3)
+    # The marks are the same in every panel.
+    name_curves(grid[0, across - 1])
+    figure.suptitle(trajectory.title)
+    return figure
+
+
+def _draw_paths(axes: 'Axes', q: np.ndarray, p: np.ndarray) -> None:
+    """Draw paths of shape (N,) or (N, m), where each begins, and where it ends."""
+    paths = [('path', q, p)] if q.ndim == 1 else [
+        (f'trajectory {k}', q[:, k], p[:, k]) for k in range(q.shape[1])]
+    draw_curves(axes, paths)
+    if len(paths) > MOST_NAMED:
+        return
+    for name, at, inside in (('start', 0, 'white'), ('end', -1, COLOURS[-1])):
+        axes.plot(q[at], p[at], 'o', color=COLOURS[-1], markerfacecolor=inside, markersize=6.0,
+                  zorder=3, label=name)
+
+
+def draw_contours(axes: 'Axes', trajectory: TrajectoryData) -> None:
+    """Draw level sets of H behind the path of a single coordinate, over what the axes show."""
+    from matplotlib.collections import LineCollection
+    q, p = trajectory.q.reshape(-1, 1), trajectory.p.reshape(-1, 1)
+    frame = Frame(0, axes.get_xlim(), axes.get_ylim())
+    levels = level_sets(trajectory.hamiltonian(), frame, q[0], p[0])
+    lines = LineCollection([line for _, own in levels for line in own], colors=CONTOUR,
+                           linewidths=0.8, zorder=0, label='level sets of H')
+    axes.add_collection(lines, autolim=False)
+    axes.set(xlim=frame.q, ylim=frame.p)
+
+
+# More pictures than this would take minutes and gigabytes to draw.
+MOST_FRAMES = 10_000
+# Side of a picture of a mechanism [inch], and width of its lines on paper [points].
+_FRAME_SIDE, _LINE_WIDTH = 5.0, 3.0
+# Room around a mechanism, in shares of its extent.
+_FRAME_MARGIN = 0.06
+_GROUND = '#0d1117'
+_AXES = ('x [m]', 'y [m]', 'z [m]')
+
+# Moves what is drawn to the sample of a number.
+_Show = Callable[[int], None]
+
+
+def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnimation':
+    """Return what ``Trajectory.animate`` tells."""
+    run = trajectory.single()
+    for name, value in (('speed', speed), ('rate', rate)):
+        if not value > 0.0:
+            raise ValueError(f'{name} = {value} must be above 0')
+    times = np.arange(run.t[0], run.t[-1] + 0.5 * speed / rate, speed / rate)
+    if len(times) > MOST_FRAMES:
+        raise ValueError(f'{len(times)} pictures are more than {MOST_FRAMES}: take a larger speed '
+                         'or a smaller rate')
+    # The newest sample that is not later; half a rounding error of time does not matter.
+    samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
+    mechanism = run.scene.mechanism if run.scene is not None else None
+    figure, show = _mechanism(run, MECHANISMS[mechanism]) if mechanism else _portrait(run)
+    figure.suptitle(run.title)
+    clock = figure.axes[0].set_title('', loc='left', fontsize='medium')
+
+    def update(k: int) -> None:
+        clock.set_text(f't = {run.t[k]:.3f} s')
+        show(k)
+
+    # Laid out once, which takes as long as drawing: nothing changes its size from then on.
+    update(int(samples[0]))
+    figure.draw_without_rendering()
+    figure.set_layout_engine('none')
+    from matplotlib.animation import FuncAnimation
+    return FuncAnimation(figure, update, frames=samples.tolist(), interval=1000.0 / rate)
+
+
+def _portrait(run: TrajectoryData) -> tuple['Figure', _Show]:
+    """Return a figure of the phase portraits, in which a point follows each path."""
+    shown = portrayed(run)
+    figure = draw_portrait(run, contours=len(run.coordinates) == 1)
+    points = [axes.plot([], [], 'o', color=COLOURS[2], markersize=9.0, zorder=4)[0]
+              for axes in figure.axes]
+
+    def show(k: int) -> None:
+        for point, (_, i, j) in zip(points, shown, strict=True):
+            point.set_data([run.q[k, i]], [run.p[k, j]])
+    return figure, show
+
+
+def _mechanism(run: TrajectoryData, mechanism: Mechanism) -> tuple['Figure', _Show]:
+    """Return a figure of the mechanism, seen along the axis in which it extends least."""
+    parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
+    bounds = bounds_of(parts)
+    moved = bounds_of({name: part for name, part in parts.items() if part.moves})
+    # A tie hides y, so that x is to the right and z up; see REP 103.
+    extents = np.ptp(moved, axis=0)
+    hidden = 1 if extents[1] <= extents.min() * (1.0 + 1e-9) else int(extents.argmin())
+    across, up = (axis for axis in range(3) if axis != hidden)
+    size = np.ptp(bounds, axis=0)
+    share = float(np.clip(size[up] / size[across], 0.4, 1.6))
+    figure = new_figure(_FRAME_SIDE, _FRAME_SIDE * share + 0.9)
+    axes = figure.subplots()
+    low, high = bounds - _FRAME_MARGIN * size.max() * np.array([[1.0], [-1.0]])
+    axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect='equal',
+             xlabel=_AXES[across], ylabel=_AXES[up])
+    # Parts have the viewer's colours, on its dark ground.
+    axes.set_facecolor(_GROUND)
+    drawn = [_draw(axes, part, across, up) for part in parts.values()]
+
+    def show(k: int) -> None:
+        for move in drawn:
+            move(k)
+    return figure, show
+
+
+def _draw(axes: 'Axes', part: Part, across: int, up: int) -> _Show:
+    """Draw a part, and return what moves it to the place of a sample."""
+    colour = tuple(value / 255.0 for value in part.color)
+    if isinstance(part, Line):
+        line, = axes.plot([], [], color=colour, linewidth=_LINE_WIDTH, solid_capstyle='round',
+                          zorder=2)
+
+        def move_line(k: int) -> None:
+            points = part.points[k] if part.moves else part.points
+            line.set_data(points[:, across], points[:, up])
+        return move_line
+    if isinstance(part, Trail):
+        path = np.reshape(part.point, (-1, 3))
+        trail, = axes.plot([], [], color=colour, linewidth=0.5 * _LINE_WIDTH, zorder=1)
+
+        def move_trail(k: int) -> None:
+            trail.set_data(path[:k + 1, across], path[:k + 1, up])
+        return move_trail
+    from matplotlib.patches import Circle, Rectangle
+    if isinstance(part, Ball):
+        ball = Circle((0.0, 0.0), part.radius, color=colour, zorder=3)
+        axes.add_patch(ball)
+
+        def move_ball(k: int) -> None:
+            ball.center = (part.center[k] if part.moves else part.center)[[across, up]]
+        return move_ball
+    half = np.array(part.half_size)[[across, up]]
+    box = Rectangle((0.0, 0.0), *2.0 * half, color=colour, zorder=3)
+    axes.add_patch(box)
+
+    def move_box(k: int) -> None:
+        center = part.center[k] if part.moves else part.center
+        box.set_xy(center[[across, up]] - half)
+    return move_box
