@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch a simulated arm under ros2_control: ``ros2 launch hnn_vi_ros robot.launch.py``."""
 
-from hnn_vi_ros.ros.launching.robot_launching import describe_robot
+from hnn_vi_ros.ros.launching import describe_robot
 from launch import LaunchDescription
 
 

@@ -35,8 +35,8 @@ FLOORS = (
 INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports', 'tasks',
                  'train', 'evaluate', 'scene_numbers'),
-    'ros': ('plumbing', 'parameters', 'arguments', 'sinks', 'topics', 'replay', 'run', 'bridge',
-            'services', 'examples', 'launching', 'simulator_node')}
+    'ros': ('plumbing', 'parameters', 'arguments', 'sinks', 'topics', 'replay', 'run',
+            'rerun_bridge', 'services', 'examples', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):
@@ -50,7 +50,7 @@ REGISTRIES = {'effects': EFFECTS, 'hamiltonians': HAMILTONIANS | ROBOTS}
 CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'safetensors'}
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
-    'launch': r'ros/launching/\w+\.py', 'launch_ros': r'ros/launching/\w+\.py',
+    'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
     'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
              r'|lockstep/\w+\.py|trajectory/devices\.py|gradients/torch_functions\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',

@@ -13,7 +13,7 @@ from typing import Any
 
 from ensembles import ensemble
 import hnn_vi_ros
-from hnn_vi_ros.companions.spread import simulate_spread
+from hnn_vi_ros.companions.members import simulate_spread
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, StoppedByEvent
 from hnn_vi_ros.files.resources import shipped_names

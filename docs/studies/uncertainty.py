@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.companions.spread import deviation
+from hnn_vi_ros.companions.members import deviation
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError

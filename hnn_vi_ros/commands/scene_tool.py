@@ -18,7 +18,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.run.effect_cost import EffectCosts
+    from hnn_vi_ros.run.scene_report import EffectCosts
 
 # What simulates is imported by what needs it: a list and a schema are there without it at once.
 
@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
     from hnn_vi_ros.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.companions.spread import ensemble_card
+    from hnn_vi_ros.companions.members import ensemble_card
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     status = 0
@@ -111,7 +111,7 @@ def explain(scene: Scene) -> Iterator[str]:
 
     """
     from hnn_vi_ros.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.run.effect_cost import measure_effects
+    from hnn_vi_ros.run.scene_report import measure_effects
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     if isinstance(scene.integrator, AutoChoice):

@@ -18,7 +18,7 @@ EXECUTABLES = {
     'listener': 'hnn_vi_ros.ros.examples.listener_node',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
     'replay': 'hnn_vi_ros.ros.replay.replay_node',
-    'rerun_bridge': 'hnn_vi_ros.ros.bridge.rerun_bridge',
+    'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
     'scene': 'hnn_vi_ros.commands.scene_tool',
     'simulator': 'hnn_vi_ros.ros.simulator_node',
     'sweep': 'hnn_vi_ros.sweeps.sweep',

@@ -2,16 +2,226 @@
 # SPDX-License-Identifier: Apache-2.0
 """The members of an ensemble as companions of its mean, and how far they come apart."""
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
 import warnings
 
-from hnn_vi_ros.companions.spread import (
-    deviation, ensemble_card, measured_momenta, members_of, same_velocity)
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import ModelError, StepFailure
-from hnn_vi_ros.scene import Parts
+from hnn_vi_ros.errors import AlarmWarning, ModelError, SceneError, StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.confined import ConfinedHamiltonian
+from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.models.model_card import EnsembleCard
+from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.trajectory.simulate import changed_parts, simulate
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
+
+
+@dataclass(frozen=True)
+class SpreadTrajectory:
+    """
+    The trajectories of the mean of an ensemble and of its members.
+
+    Parameters
+    ----------
+    mean : Trajectory
+        Of the mean Hamiltonian.
+    members : tuple of Trajectory
+        Of each member, from the same initial state; where momenta are the members' own, from the
+        same q and q', with p and energy of its own.
+    spread_q, spread_p : np.ndarray, shape (n, d)
+        Half-widths of the bands around q and p of the mean: the standard deviation over the
+        members, times the factors of the card (1 if it was not calibrated), where p is that of
+        the mean for a member's q and q'. Infinite from where a member failed.
+    level : float or None
+        Share of errors that the bands cover in motions like the calibration's; None without a
+        calibration.
+
+    """
+
+    mean: Trajectory
+    members: tuple[Trajectory, ...]
+    spread_q: np.ndarray
+    spread_p: np.ndarray
+    level: float | None
+
+
+def ensemble_card(parts: Parts) -> EnsembleCard:
+    """
+    Return the card of the ensemble that a scene runs the mean of.
+
+    Raises
+    ------
+    ModelError, SceneError
+        Its Hamiltonian is no such mean.
+
+    """
+    scene, hamiltonian, *_ = parts
+    if isinstance(hamiltonian, ConfinedHamiltonian):
+        raise SceneError(f'{scene.place("hamiltonian")}: confined to its training domain, by '
+                         'walls of its own for each member, so that their spread means nothing; '
+                         'write confine: false')
+    card = getattr(getattr(hamiltonian, 'checkpoint', None), 'card', None)
+    if card is None or card.ensemble is None or getattr(scene.hamiltonian, 'member', None):
+        raise SceneError(f'{scene.place("hamiltonian")}: no mean of an ensemble, whose members '
+                         'could come apart; name the file of one, made by train --ensemble N, '
+                         'without member')
+    found: EnsembleCard = card.ensemble
+    return found
+
+
+def member_scenes(scene: Scene, count: int) -> list[Scene]:
+    """
+    Return the scene with each of the first members of its ensemble in place of the mean.
+
+    So in effects that take friction or an input map from the same file. Initial states are that
+    of the mean; see ``members_of``.
+    """
+    choice, files = scene.hamiltonian.model_dump(), scene.model_files()
+
+    def effect_of(effect: Any, k: int) -> dict[str, Any]:
+        found: dict[str, Any] = effect.model_dump()
+        name, whole = found.get('model'), found.get('member', 0) is None
+        if whole and name is not None and files[name] == files[choice['model']]:
+            found['member'] = k
+        return found
+    return [scene.changed({
+        'hamiltonian': {**choice, 'member': k}, 'uncertainty': None, 'events': [],
+        'effects': [effect_of(effect, k) for effect in scene.effects]})
+        for k in range(1, count + 1)]
+
+
+def members_of(parts: Parts) -> list[Parts]:
+    """Return each member in place of the mean; where momenta are its own, p is that of same q'."""
+    scene, count = parts.scene, len(ensemble_card(parts).members)
+    members = [own.parts() for own in member_scenes(scene, count)]
+    if measured_momenta(parts.hamiltonian):
+        return members
+    mean, state = build(parts).hamiltonian, scene.initial_state
+    q, p = np.array(state.q), np.array(state.p)
+    return [own._replace(scene=own.scene.changed({'initial_state': {'q': state.q, 'p': (
+        same_velocity(mean, build(own).hamiltonian, q, p).tolist())}})) for own in members]
+
+
+def measured_momenta(hamiltonian: Hamiltonian) -> bool:
+    """Return whether members of an ensemble have the momenta of their mean."""
+    checkpoint: Checkpoint = getattr(hamiltonian, 'checkpoint')  # noqa: B009
+    return FAMILIES[checkpoint.card.family].measured_momenta
+
+
+def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndarray
+                  ) -> np.ndarray:
+    """
+    Return the momenta of another Hamiltonian for the velocities that p has by one.
+
+    Parameters
+    ----------
+    of, other : Hamiltonian
+        Of p, and of the result.
+    q, p : np.ndarray, shape (..., d)
+        States.
+
+    Raises
+    ------
+    ModelError
+        A velocity has no momentum.
+
+    """
+    return momentum(other, q, of.gradient(q, p)[1], p)
+
+
+def deviation(members: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """
+    Return the standard deviation over members, (sum_k (x_k - mean)^2 / (N - 1))^(1/2).
+
+    Parameters
+    ----------
+    members : array, shape (N, ...)
+        Values of each; one that is not finite makes the spread infinite.
+
+    """
+    values = np.asarray(members)
+    finite = np.isfinite(values).all(axis=0)
+    with np.errstate(invalid='ignore', over='ignore'):
+        return np.where(finite, values.std(axis=0, ddof=1), np.inf)
+
+
+def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: float | None = None,
+                    integrator: str | None = None,
+                    initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+                    effects: Sequence[Mapping[str, Any]] | None = None, **options: Any
+                    ) -> SpreadTrajectory:
+    """
+    Simulate the mean of an ensemble and each of its members, from one initial state.
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        See ``simulate``; its Hamiltonian is an ensemble.
+    duration : float
+        Simulated time [s]; an event of the scene at which the mean stops ends the members as well.
+    step_size, integrator, initial_state, effects
+        In place of the scene's; see ``simulate``.
+    **options
+        Further arguments of ``simulate``.
+
+    Returns
+    -------
+    SpreadTrajectory
+        The mean, the members, and the band.
+
+    Raises
+    ------
+    HnnViRosError, ValueError, TypeError
+        See ``simulate``; the Hamiltonian is no mean of an ensemble. A member whose step fails
+        does not raise: its band is infinite from there on.
+
+    """
+    parts = changed_parts(scene, step_size, integrator, initial_state, effects)
+    card = ensemble_card(parts)
+    mean, own = simulate(parts, duration, **options), members_of(parts)
+    if parts.scene.events:
+        # They may have ended the mean before.
+        duration = min(duration, float(mean.t[-1]))
+        options |= {'times': mean.t} if 'times' in options else {}
+    with warnings.catch_warnings():
+        # The mean raises all alarms; the band shows a member that leaves its box.
+        warnings.simplefilter('ignore', AlarmWarning)
+        members = [_or_failed(partial(simulate, one, duration, **options), mean) for one in own]
+    of_q, of_p = np.split(np.array(card.factors or [1.0, 1.0]), 2)
+    momenta = [one.p for one in members]
+    if not measured_momenta(parts.hamiltonian):
+        whole = build(parts).hamiltonian
+        momenta = [_by_mean(whole, build(made).hamiltonian, one)
+                   for made, one in zip(own, members, strict=True)]
+    return SpreadTrajectory(
+        mean, tuple(members), of_q * deviation([one.q for one in members]),
+        of_p * deviation(momenta), card.level if card.factors else None)
+
+
+def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:
+    """Return the momenta that the mean has for the velocities of a member; NaN if it failed."""
+    if not np.isfinite(found.p).all():
+        return found.p
+    return same_velocity(member, mean, found.q, found.p)
+
+
+def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
+    """Return a trajectory; of one that failed, none of whose numbers is finite."""
+    try:
+        found = simulated()
+    except StepFailure:
+        return replace(like, q=np.full_like(like.q, np.nan), p=np.full_like(like.p, np.nan),
+                       energy=np.full_like(like.energy, np.nan))
+    return found
 
 
 class Members:

@@ -8,17 +8,41 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.gradients.checkpoints import Checkpoints
+from hnn_vi_ros.gradients.checkpoints import Block, Checkpoints, Recorded, Segment, segments_of
 from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, OnNumber
-from hnn_vi_ros.gradients.differentiable_methods import check_unknowns, differentiable_tableau
-from hnn_vi_ros.gradients.recorded import Block, Recorded, Segment, segments_of
-from hnn_vi_ros.gradients.stage_work import StageWork
-from hnn_vi_ros.gradients.stages import entry_of, find_stages, pull_back, push_forward
+from hnn_vi_ros.gradients.stages import entry_of, find_stages, pull_back, push_forward, StageWork
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau
+from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
+
+
+def differentiable_tableau(hamiltonian: Hamiltonian, integrator: Integrator) -> PartitionedTableau:
+    """Return the tableau of a method, or raise UnsupportedSystem."""
+    tableau = integrator.partitioned
+    if tableau is None:
+        able = methods_that(lambda method: method.partitioned is not None, hamiltonian)
+        raise UnsupportedSystem(f'{method_name(integrator)} is not differentiable yet; methods '
+                                f'that are: {able}')
+    if not hamiltonian.canonical:
+        raise UnsupportedSystem('a model of the family symplectic_form is not differentiable yet: '
+                                'its second derivatives are differences')
+    return tableau
+
+
+def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) -> None:
+    """Raise UnsupportedSystem if a step of d coordinates has too many unknowns in its stages."""
+    unknowns = 2 * tableau.stages * d
+    if unknowns > LARGEST_MATRIX:
+        raise UnsupportedSystem(
+            f'{method_name(integrator)} has {tableau.stages} stages of {d} coordinates, '
+            f'{unknowns} unknowns, of which up to {LARGEST_MATRIX} are differentiable; take a '
+            'method of fewer stages')
+
 
 # Most snapshots that are kept, unless fewer are asked for.
 _SNAPSHOTS = 1000

@@ -16,18 +16,92 @@ the s stages one after another, then p.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.gradients.stage_work import Acting, StageWork
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.solvers import anderson
+from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
+
+
+class StageWork(NamedTuple):
+    """
+    Workspace of one step's derivatives, of s stages of d coordinates.
+
+    Parameters
+    ----------
+    solver : SolverWork
+        Of the equation for the stages.
+    change : np.ndarray, shape (2 d,)
+        The mean rate of change in the step.
+    v_q, v_p, product_q, product_p : np.ndarray, shape (s d,)
+        A direction, and H'' times it or H' itself, at each stage.
+    slopes : np.ndarray, shape (s, 2 d, 2 d)
+        H'' at each stage.
+    matrix : np.ndarray, shape (2 s d, 2 s d)
+        I - G_Z, or its transpose; or its factors.
+    pivots : np.ndarray of int, shape (2 s d,)
+        The exchanges of rows of these factors.
+    right : np.ndarray, shape (2 s d,)
+        The right-hand side, then the solution.
+    start, end : np.ndarray, shape (2 d,)
+        A state, a tangent or a cotangent between the flows around a step.
+
+    """
+
+    solver: SolverWork
+    change: np.ndarray
+    v_q: np.ndarray
+    v_p: np.ndarray
+    product_q: np.ndarray
+    product_p: np.ndarray
+    slopes: np.ndarray
+    matrix: np.ndarray
+    pivots: np.ndarray
+    right: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+
+    @classmethod
+    def empty(cls, s: int, d: int) -> 'StageWork':
+        """Return the working space."""
+        n = 2 * s * d
+        v_q, v_p, product_q, product_p = np.zeros((4, s * d))
+        return cls(SolverWork.empty(n), np.zeros(2 * d), v_q, v_p, product_q, product_p,
+                   np.zeros((s, 2 * d, 2 * d)), np.zeros((n, n)),
+                   np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(2 * d), np.zeros(2 * d))
+
+
+class Acting(NamedTuple):
+    """
+    Input of effects that do work in K steps, and what they do around each.
+
+    Parameters
+    ----------
+    clock, command : np.ndarray
+        Arrays of the kernel's EffectState, restored for each step.
+    times : np.ndarray, shape (K,)
+        At the starts of the steps [s].
+    commands : np.ndarray, shape (K, size of command)
+        In the steps.
+    flow : np.ndarray, shape (2 d,)
+        Factors of friction on a state before a step, and after it; 0 for channels, which start
+        over.
+
+    """
+
+    clock: np.ndarray
+    command: np.ndarray
+    times: np.ndarray
+    commands: np.ndarray
+    flow: np.ndarray
+
 
 _MOST = 20
 # Relative to a state: a step that ends further from the next one was not taken by the tableau.

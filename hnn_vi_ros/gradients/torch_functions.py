@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.gradients.checkpoints import Recorded
 from hnn_vi_ros.gradients.dependences import Dependence
 from hnn_vi_ros.gradients.derivatives import Change
-from hnn_vi_ros.gradients.recorded import Recorded
 from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
 import numpy as np
 import torch

@@ -14,11 +14,10 @@ from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.parameters.node_parameters import Parameters
+from hnn_vi_ros.ros.parameters.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
-from hnn_vi_ros.ros.plumbing.lifecycle import ManagedNode, SUCCESS
+from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
 from hnn_vi_ros.ros.plumbing.starting import init_ros, note_signals, own_arguments
 from hnn_vi_ros.ros.run.control import Answer, Control

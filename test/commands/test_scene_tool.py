@@ -14,7 +14,7 @@ from hnn_vi_ros.commands.scene_tool import lyapunov_line, main
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.run.effect_cost import measure_effects
+from hnn_vi_ros.run.scene_report import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 import pytest
 

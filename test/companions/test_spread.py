@@ -8,8 +8,7 @@ from pathlib import Path
 from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate, simulate_spread
 from hnn_vi_ros.companions.base import Accompanied
-from hnn_vi_ros.companions.members import Members
-from hnn_vi_ros.companions.spread import deviation
+from hnn_vi_ros.companions.members import deviation, Members
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.guards.spread import SpreadGuard

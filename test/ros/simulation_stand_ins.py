@@ -145,7 +145,8 @@ class Simulator:
         for name, module in modules.items():
             monkeypatch.setitem(sys.modules, name, module)
         # An action server of rclpy needs the type support of real messages.
-        monkeypatch.setattr('hnn_vi_ros.ros.services.simulate_steps.ActionServer', self._serve)
+        monkeypatch.setattr(
+            'hnn_vi_ros.ros.services.simulation_interfaces.ActionServer', self._serve)
 
     def create_service(self, kind: type, name: str, handler: Callable, callback_group) -> None:
         self.offered[name] = kind, handler

@@ -4,9 +4,9 @@
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.ros.bridge import bridge_picture
-from hnn_vi_ros.ros.bridge.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics.outputs import EVENTS
 import numpy as np
 from peer import peer, SIMULATOR
@@ -70,13 +70,13 @@ def assert_bridge_shows(folder, monkeypatch):
     """Show the bag by the bridge, and compare the times of its events."""
     shown = []
 
-    class Sink(bridge_picture.RerunSink):
+    class Sink(rerun_bridge.RerunSink):
 
         def event(self, text, level='INFO', at=None):
             shown.append((text, level, at))
             super().event(text, level, at)
 
-    monkeypatch.setattr(bridge_picture, 'RerunSink', Sink)
+    monkeypatch.setattr(rerun_bridge, 'RerunSink', Sink)
     rclpy.init(args=['--ros-args', '-p', 'rerun_sink:=file', '-p',
                      f'rerun_path:={folder / "bag.rrd"}'])
     try:

@@ -10,9 +10,8 @@ import time
 from types import SimpleNamespace
 
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
-from hnn_vi_ros.ros.plumbing.lifecycle import ManagedNode
-from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions
-from lifecycle_msgs.srv import GetState
+from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
 from peer import (
     ACTIVATE, ACTIVE_SHUTDOWN, CLEANUP, CONFIGURE, DEACTIVATE, INACTIVE_SHUTDOWN, peer, SIMULATOR,
     stamp, state_of, UNCONFIGURED_SHUTDOWN)

@@ -6,8 +6,7 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS

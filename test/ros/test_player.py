@@ -6,8 +6,8 @@ import threading
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.ros.plumbing.clock_publisher import CLOCK_PERIOD
 from hnn_vi_ros.ros.replay.player import Player, read_ahead
+from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 from processes import wait_until
 import pytest

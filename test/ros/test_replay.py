@@ -12,10 +12,9 @@ import time
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
-from hnn_vi_ros.ros.replay.replay_node import find_type, main
+from hnn_vi_ros.ros.replay.replay_node import find_type, main, recorded_qos
 from hnn_vi_ros.ros.topics.messages import qos_yaml
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from hnn_vi_ros.ros.topics.recorded_qos import recorded_qos
 from mcap.writer import Writer
 import numpy as np
 from peer import wait_for_way_back

@@ -14,10 +14,10 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.kernels.identity import identity
-from hnn_vi_ros.ros.bridge.bridge_picture import BridgePicture
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.rerun_bridge import BridgePicture
 from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build

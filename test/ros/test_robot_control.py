@@ -12,7 +12,7 @@ from types import ModuleType, SimpleNamespace
 
 from ament_index_python.packages import PackageNotFoundError
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.launching import robot_launching
+from hnn_vi_ros.ros import launching
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -92,7 +92,7 @@ def described(monkeypatch, installed: set[str]) -> tuple[list, list]:
             raise PackageNotFoundError(package)
         return str(ROOT)
 
-    monkeypatch.setattr(robot_launching, 'get_package_share_directory', share)
+    monkeypatch.setattr(launching, 'get_package_share_directory', share)
     description = runpy.run_path(
         str(ROOT / 'launch' / 'robot.launch.py'))['generate_launch_description']()
     *arguments, function = description

@@ -13,8 +13,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.parameters.settings import Settings
-from hnn_vi_ros.ros.run.health import Health, STEP_FAILED
-from hnn_vi_ros.ros.run.run_status import RunStatus
+from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.sinks.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor

@@ -10,7 +10,7 @@ from hnn_vi_ros.accuracy import calibration
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import Choice
 from hnn_vi_ros.accuracy.trials import Tolerance
-from hnn_vi_ros.ros.run.selection import report
+from hnn_vi_ros.ros.run.preparation import report
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from processes import finish, start

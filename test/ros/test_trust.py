@@ -17,11 +17,10 @@ from hnn_vi_ros.files import yaml_text
 from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.ros.bridge.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
-from hnn_vi_ros.ros.replay.replay_node import find_type
-from hnn_vi_ros.ros.replay.replay_node import main as replay
+from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
+from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics.messages import TICK_TOPICS
 from hnn_vi_ros.run.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.scene import Scene

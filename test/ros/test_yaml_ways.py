@@ -11,9 +11,9 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.commands.scene_tool import check
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.ros.bridge import rerun_bridge
+from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.topics.recorded_qos import recorded_qos
+from hnn_vi_ros.ros.replay.replay_node import recorded_qos
 from hnn_vi_ros.run.scene_report import resolved_scene
 from hnn_vi_ros.simulation.build import build
 from hypothesis import given, HealthCheck, settings, strategies

@@ -9,7 +9,7 @@ from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.run.energy_record import EnergyRecord
+from hnn_vi_ros.run.monitor import EnergyRecord
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

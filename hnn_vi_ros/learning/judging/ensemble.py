@@ -11,8 +11,7 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.companions.base import Accompanied
-from hnn_vi_ros.companions.members import Members
-from hnn_vi_ros.companions.spread import deviation, member_scenes
+from hnn_vi_ros.companions.members import deviation, member_scenes, Members
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum

@@ -4,10 +4,9 @@
 
 from geometry_msgs.msg import Quaternion, Vector3
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import HOVER_PARAMETERS, HoverSettings
-from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
+from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import (
     init_ros, note_signals, own_arguments, plain_ros_errors)
 from nav_msgs.msg import Odometry

@@ -1,19 +1,130 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of a table in a node: declared, checked, and changed where they may."""
+"""Parameters of a node: those given at its start, declared, checked, and changed later."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TypeVar
 
-from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.errors import did_you_mean, ParameterError
+from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
 from hnn_vi_ros.ros.parameters.settings import (
     PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
+from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected, parameter_names, PREFIX
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+
+# What rclpy declares in every node.
+ROS_OWN = ('use_sim_time', 'start_type_description_service')
+_SECTION = 'ros__parameters'
+
+
+def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterable[Endpoint],
+                   arguments: Sequence[str]) -> None:
+    """
+    Refuse parameters that a node was given and does not have, before they run the default.
+
+    A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
+    A parameter there that the node lacks belongs to another node: it is reported if it looks like
+    a misspelling, and left. So is a section named nearly like the node, if none is its own.
+
+    Parameters
+    ----------
+    node : Node
+        Whose own parameters are declared.
+    table : iterable of Specification
+        Its own parameters.
+    endpoints : iterable of Endpoint
+        Its topics, whose QoS can be set.
+    arguments : sequence of str
+        The command line, which names the parameter files.
+
+    Raises
+    ------
+    ParameterError
+        It was given one that it does not have, or a QoS policy that does not exist; one line.
+
+    """
+    own = [*(item.name for item in table), *ROS_OWN]
+    policies = parameter_names(node, endpoints)
+    sections = list(_sections(arguments))
+    _warn_of_misspelt_node(node, [name for name, _ in sections])
+    shared = {name for section, parameters in sections if '*' in section
+              for name in _flat(parameters, '')}
+    for name, parameter in sorted(node.get_parameters_by_prefix('').items()):
+        if name in ROS_OWN and type(parameter.value) is not bool:
+            raise ParameterError(f'parameter {name} = {parameter.value!r}: expected true or false')
+        if name in own:
+            continue
+        # Those of QoS are declared by rclpy, with their topic.
+        node.undeclare_parameter(name)
+        if name in policies:
+            if wanted := expected(name, parameter.value):
+                raise ParameterError(f'parameter {name} = {parameter.value!r}: expected {wanted}')
+            continue
+        hint, valid = _remedy(name, own, policies)
+        if name not in shared:
+            raise ParameterError(f'parameter {name}: {node.get_name()} has none of this name'
+                                 f'{hint or valid}')
+        if hint:
+            node.get_logger().warning(
+                f'parameter {name}, which a file gives to several nodes, is none of this node'
+                f'{hint}')
+
+
+def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str, str]:
+    """Return the known name that an unknown one is near, if any, and what there is."""
+    if not name.startswith(PREFIX):
+        return did_you_mean(name, own), f'; it has: {", ".join(own)}'
+    # In the name of a topic there is no point.
+    topic, _, policy = name.removeprefix(PREFIX).partition('.')
+    known: dict[str, list[str]] = {}
+    for each in policies:
+        there, _, rest = each.removeprefix(PREFIX).partition('.')
+        known.setdefault(there, []).append(rest)
+    if topic in known:
+        return did_you_mean(policy, known[topic]), f'; {topic} has: {", ".join(known[topic])}'
+    return did_you_mean(topic, known), f'; QoS can be set of: {", ".join(known) or "none"}'
+
+
+def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
+    name = node.get_name()
+    if not any(section == name or '*' in section for section in sections):
+        for section in filter(lambda section: did_you_mean(section, [name]), sections):
+            node.get_logger().warning(
+                f'parameters of {section} in a file are not of this node; did you mean {name}?')
+
+
+def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
+    """Yield the name of each node in parameter files, not where it is, and its parameters."""
+    for option, path in pairwise(arguments):
+        if option == '--params-file':
+            # ROS has read it already, and refused what is no parameter file. Only names count.
+            with open(path, 'rb') as stream:
+                content, _ = parse_mapping(stream.read(MAX_BYTES + 1), path, ParameterError)
+            yield from _sections_in(content, '')
+
+
+def _sections_in(content: Mapping, node: str) -> Iterator[tuple[str, object]]:
+    for key, value in content.items():
+        if key == _SECTION:
+            yield node.rpartition('/')[2], value
+        elif isinstance(value, Mapping):
+            yield from _sections_in(value, f'{node}/{key}')
+
+
+def _flat(parameters: object, prefix: str) -> Iterator[str]:
+    """Yield the names of parameters; ``a: {b: 1}`` means ``a.b``."""
+    for key, value in parameters.items() if isinstance(parameters, Mapping) else ():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f'{prefix}{key}.')
+        else:
+            yield f'{prefix}{key}'
+
 
 _BY_NAME = {item.name: item for item in PARAMETERS}
 _Declared = TypeVar('_Declared')

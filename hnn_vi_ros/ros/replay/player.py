@@ -10,7 +10,7 @@ import threading
 import time
 from typing import Protocol
 
-from hnn_vi_ros.ros.plumbing.clock_publisher import CLOCK_PERIOD
+from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 
 # Read ahead: so many batches, each of so many messages and bytes at most.

@@ -2,41 +2,97 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
 import sys
+from typing import Any
 
 from ament_index_python.resources import has_resource
+from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.parameters.given_parameters import refuse_unknown
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters
+from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS, ReplaySettings, Value
-from hnn_vi_ros.ros.plumbing.clock_publisher import clock_message, CLOCK_QOS, CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
+from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
-from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import (
     init_ros, note_signals, own_arguments, plain_ros_errors)
 from hnn_vi_ros.ros.replay.player import Player, read_ahead
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.messages import type_hash
-from hnn_vi_ros.ros.topics.recorded_qos import recorded_qos
+from hnn_vi_ros.ros.topics.messages import clock_message, CLOCK_QOS, type_hash
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy)
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
+
+_DEPTH = 10
+# rosbag2 writes for ever as the largest time there is.
+_FOR_EVER = 9_000_000_000
+
+
+def recorded_qos(text: str) -> QoSProfile:
+    """
+    Return the QoS with which to publish a recorded topic.
+
+    Of several publishers' profiles the first is taken; where a policy is missing, unknown or left
+    to the system, what a publisher has by default: reliable, volatile, keep last 10.
+
+    Parameters
+    ----------
+    text : str
+        YAML list of profiles, with policies by name or, as older bags have them, by number.
+
+    """
+    first = next(iter(qos_profiles(text)), {})
+    profile: Mapping[str, Any] = first if isinstance(first, dict) else {}
+    depth = profile.get('depth')
+    history = _policy(HistoryPolicy, profile.get('history'), HistoryPolicy.KEEP_LAST)
+    return QoSProfile(
+        history=history, depth=depth if depth and _is_count(depth, 2**31) else _DEPTH,
+        reliability=_policy(ReliabilityPolicy, profile.get('reliability'),
+                            ReliabilityPolicy.RELIABLE),
+        durability=_policy(DurabilityPolicy, profile.get('durability'),
+                           DurabilityPolicy.VOLATILE),
+        # Nobody would assert that a replay lives.
+        liveliness=LivelinessPolicy.AUTOMATIC,
+        deadline=_duration(profile.get('deadline')), lifespan=_duration(profile.get('lifespan')))
+
+
+def _policy(policies: type, value: object, default: Any) -> Any:
+    """Return a policy from its name or number, the default if none such can be offered."""
+    offered = {policy.short_key: policy for policy in policies
+               if policy.name not in ('SYSTEM_DEFAULT', 'UNKNOWN', 'BEST_AVAILABLE')}
+    if isinstance(value, int):
+        return next((policy for policy in offered.values() if policy.value == value), default)
+    return offered.get(value, default) if isinstance(value, str) else default
+
+
+def _duration(value: object) -> Duration:
+    """Return a time; zero, which means none, for one that is endless or not given."""
+    if not isinstance(value, dict):
+        return Duration()
+    seconds, nanoseconds = value.get('sec', 0), value.get('nsec', 0)
+    if not (_is_count(seconds, _FOR_EVER) and _is_count(nanoseconds, 10**9)):
+        return Duration()
+    return Duration(seconds=seconds, nanoseconds=nanoseconds)
+
+
+def _is_count(value: object, beyond: int) -> bool:
+    return type(value) is int and 0 <= value < beyond
 
 
 class ReplayNode(RobustNode):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Preparation of a run, which takes long: for another thread than the one that serves."""
+"""Prepare a run, which takes long, in another thread than the one that serves."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -8,7 +8,9 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.accuracy.automatic_choice import Chosen
+from hnn_vi_ros.accuracy.automatic_choice import Chosen, resolve, tolerance_of
+from hnn_vi_ros.accuracy.calibration import Choice
+from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
@@ -18,16 +20,68 @@ from hnn_vi_ros.kernels.announcing import announced, kept_only, NotKept
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
-from hnn_vi_ros.ros.run.selection import LogLine, select
 from hnn_vi_ros.ros.sinks.recording import Recording
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Parts, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
+
+
+class LogLine(NamedTuple):
+    """A line to log and to show with the samples; level is INFO, WARN or ERROR."""
+
+    text: str
+    level: str
+
+
+def select(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
+           ) -> tuple[Scene, Chosen | None, list[LogLine]]:
+    """
+    Return a scene that names its method and step size, the choice, and what to report of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the integrator auto or any other.
+    largest_step : float
+        A time that the step must divide where the scene names none [s].
+    real_time_factor : float
+        The pace that is asked for; 0 for as fast as possible.
+    logger : Logger
+        Told before, since trying methods takes a while.
+
+    Raises
+    ------
+    HnnViRosError
+        No method holds the tolerance, or the scene cannot be built.
+
+    """
+    if isinstance(scene.integrator, AutoChoice):
+        tolerance = tolerance_of(scene.integrator)
+        logger.info(
+            f'scene {scene.source}: calibrating for {tolerance.kind} {tolerance.error:g} up to '
+            f'{tolerance.horizon:g} s; some seconds once, longer where methods are to be compiled')
+    scene, chosen = resolve(scene, largest_step)
+    return scene, chosen, report(*chosen, real_time_factor) if chosen else []
+
+
+def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
+    """Return what to report of a choice at a pace."""
+    lines = [LogLine(choice.explain(tolerance), 'INFO')]
+    cost = choice.seconds_per_simulated_second
+    if cost * real_time_factor > 1.0:
+        lines.append(LogLine(
+            f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s '
+            f'at real_time_factor {real_time_factor:g} on this machine: the cheapest takes '
+            f'{cost:.3g} s for each simulated second; use a real_time_factor of at most about '
+            f'{1.0 / cost:.2g}, or allow a larger error', 'WARN'))
+    return lines
+
 
 # The last stage, from which on there are files.
 OPENING = 'opening the files'

@@ -18,9 +18,8 @@ from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.scale import SampledScale
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
-from hnn_vi_ros.ros.run.health import Health, STEP_FAILED
+from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
-from hnn_vi_ros.ros.run.run_status import RunStatus
 from hnn_vi_ros.ros.topics.diagnostics_publisher import DiagnosticsPublisher
 from hnn_vi_ros.ros.topics.event_topic import EventTopic
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS

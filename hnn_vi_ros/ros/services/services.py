@@ -6,7 +6,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.run.control import Answer, Simulator
-from hnn_vi_ros.ros.services.simulation_services import offer_simulation_interfaces
+from hnn_vi_ros.ros.services.simulation_interfaces import offer_simulation_interfaces
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger

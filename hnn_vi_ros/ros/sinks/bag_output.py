@@ -13,8 +13,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
-from hnn_vi_ros.run.reported_files import bag_lines
-from hnn_vi_ros.run.run_folder import RunFiles
+from hnn_vi_ros.run.run_folder import bag_lines, RunFiles
 from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.run.sinks import Beginning, Sink
 from hnn_vi_ros.simulation.sample import Sample

@@ -9,8 +9,7 @@ from typing import final
 from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.parameters.settings import Settings
-from hnn_vi_ros.run.reported_files import picture_lines
-from hnn_vi_ros.run.run_folder import RunFiles
+from hnn_vi_ros.run.run_folder import picture_lines, RunFiles
 from hnn_vi_ros.run.sinks import Beginning, Sink
 from hnn_vi_ros.run.timing import Figures
 from hnn_vi_ros.simulation.sample import Sample

@@ -11,8 +11,7 @@ from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.sinks.bag_output import BagOutput
 from hnn_vi_ros.ros.sinks.picture_output import PictureOutput
-from hnn_vi_ros.run.reported_files import report_files
-from hnn_vi_ros.run.run_folder import RunFiles
+from hnn_vi_ros.run.run_folder import report_files, RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.sinks import Beginning, Sink
 from hnn_vi_ros.run.timing import Figures

@@ -5,22 +5,29 @@
 from array import array
 from collections.abc import Callable, Sequence
 import json
+import math
 import re
 from typing import Any
 
+from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.state_message import state_names
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.package_uri import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
+from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import Template
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from rclpy.duration import Duration, Infinite
-from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # Makes the messages of a sample on one topic, serialised: usually one.
 Encode = Callable[[Sample], Sequence[Any]]
@@ -243,3 +250,121 @@ def _offered_duration(duration: Duration) -> dict[str, int]:
     # Zero means "not specified"; publishers and rosbag2 treat it as infinite.
     seconds, nanoseconds = divmod(duration.nanoseconds or Infinite.nanoseconds, 10**9)
     return {'sec': seconds, 'nsec': nanoseconds}
+
+
+# The entries of its message.
+ENTRIES = (
+    'H', 'modified_H', 'energy_error', 'work', 'energy_balance', 'residual', 'iterations',
+    'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
+    'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale',
+    'local_error')
+# Samples from one estimate of the local error to the next: an estimate takes three steps more.
+_ESTIMATED = 64
+
+
+class AccuracyEncoder:
+    """
+    Serialise the accuracy of a sample, in the order of ENTRIES.
+
+    ``energy_balance`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
+    step; ``iterations`` are the gradients that each step since the sample before took, on average.
+    What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
+    the size of the energies in play [J], by which an error is judged; see EnergyScale.
+    ``local_error`` is the estimated error that a step adds, at the first and then at every 64th
+    sample; see local_error. The invariants of the scene follow, each under its name.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state.
+    monitor : Monitor
+        Its measurements.
+
+    """
+
+    def __init__(self, simulation: Simulation, monitor: Monitor):
+        self._simulation, self._monitor = simulation, monitor
+        self._energy0 = simulation.energy
+        self._last = (simulation.steps, simulation.gradients)
+        self._samples, self._local_error = 0, math.nan
+        self._invariants = simulation.hamiltonian.invariants
+        self._message = Template(array_message((*ENTRIES, *self._invariants)))
+
+    def encode(self, sample: Sample) -> list[bytes]:
+        """Return the serialised message that belongs to a sample, the newest one."""
+        steps, gradients = self._simulation.steps, self._simulation.gradients
+        if self._samples % _ESTIMATED == 0:
+            self._local_error = local_error(self._simulation)
+        self._samples += 1
+        taken, spent = steps - self._last[0], gradients - self._last[1]
+        self._last = (steps, gradients)
+        record, figures = self._monitor.energy, self._monitor.timing.figures
+        self._message.numbers[0][:] = (
+            sample.energy, sample.modified_energy, sample.energy_error, sample.work,
+            sample.energy - self._energy0 - sample.work, self._simulation.residual,
+            spent / taken if taken else 0.0, record.band, record.drift_per_hour,
+            figures.microseconds_per_step_median, figures.microseconds_per_step_p99,
+            figures.gradients_per_step, figures.largest_real_time_factor,
+            self._monitor.energy_scale, self._local_error,
+            *(function(sample.q, sample.p) for function in self._invariants.values()))
+        return [self._message.serialized()]
+
+
+class TrajectoryFeedback:
+    """
+    Serialise ~/joint_trajectory_state: three points, the reference, what is, and their difference.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        With a servo, whose joints are always the same.
+
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, names = simulation, simulation.motors.aim.names
+        zeros = array('d', [0.0] * len(names))
+        self._template = Template(JointTrajectory(joint_names=list(names), points=[
+            JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
+            JointTrajectoryPoint(positions=zeros, velocities=zeros, effort=zeros),
+            JointTrajectoryPoint(positions=zeros, velocities=zeros)]))
+
+    def encode(self, sample: Sample) -> list[bytes]:
+        """Return the message of a sample, the newest one, if the servo follows a path there."""
+        aim = self._simulation.motors.aim
+        if not aim.on_path:
+            return []
+        position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
+        effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
+        for numbers, values in zip(self._template.numbers, (
+                *aim.targets, position, velocity, effort, aim.targets[0] - position,
+                aim.targets[1] - velocity), strict=True):
+            numbers[:] = values
+        self._template.set_stamp(sample.stamp)
+        return [self._template.serialized()]
+
+
+CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Each message costs every node with use_sim_time; 100 Hz of simulated time [ns].
+CLOCK_PERIOD = 10_000_000
+
+
+class ClockEncoder:
+    """Encode the stamps [ns] of samples, none twice and at most a hundred per simulated second."""
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def encode(self, sample: Sample) -> list[bytes]:
+        """Return the message of a sample, if it is due; one before the last starts over."""
+        if 0 <= sample.stamp - self._last < CLOCK_PERIOD:
+            return []
+        self._last = sample.stamp
+        return [clock_message(sample.stamp)]
+
+
+def clock_message(stamp: int) -> bytes:
+    """Return the message of a stamp [ns]."""
+    message = Clock()
+    message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
+    return serialize_message(message)

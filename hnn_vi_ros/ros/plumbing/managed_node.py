@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A managed node whose transitions may take long and may be refused, and that outlives both."""
+"""Nodes that outlive a wrong /clock, and whose slow transitions may be refused."""
 
 from collections.abc import Awaitable, Callable
 import sys
@@ -10,13 +10,40 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
-from hnn_vi_ros.ros.plumbing.robust_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+
+CLOCK_TOPIC = '/clock'
+
+
+class RobustNode(Node):
+    """A node that ignores impossible times on /clock, and logs that."""
+
+    def create_subscription(self, kind: type, topic: str, callback: Callable[..., None],
+                            *args: Any, **more: Any) -> Subscription:
+        """See Node, which subscribes to /clock by it wherever use_sim_time asks for that."""
+        if topic == CLOCK_TOPIC:
+            callback = self._heeding(callback)
+        return super().create_subscription(kind, topic, callback, *args, **more)
+
+    def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
+        def on_clock(message: Clock) -> None:
+            seconds, nanoseconds = message.clock.sec, message.clock.nanosec
+            if seconds >= 0 and nanoseconds < 10**9:
+                callback(message)
+            else:
+                self.get_logger().error(
+                    f'/clock: message ignored: {seconds} s and {nanoseconds} ns: expected at '
+                    'least 0 s and less than 10^9 ns', throttle_duration_sec=1.0)
+        return on_clock
+
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 # What others may ask for; the rest are steps inside of a transition.
