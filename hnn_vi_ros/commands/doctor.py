@@ -18,7 +18,7 @@ from hnn_vi_ros.files.optional_package import pip_command
 from hnn_vi_ros.files.resources import share_folder, shipped_names
 from hnn_vi_ros.files.user_folders import cache_folder, can_be_written
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.ros.plumbing.starting import check_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
 from hnn_vi_ros.version import __version__
 
 # Import names with the names on PyPI: packages that simulating needs, and optional ones.

@@ -97,8 +97,9 @@ class Loop:
             loop = compiled_loop(self.function, kernel, name, (step, options), method.layer_own)
             arguments = (step, kernel, h, options, first, second, z, z1, self._taken(memory),
                          *others)
-        self.function, self._step, self._options = loop, step, options
-        self._entry = entry_point(loop, *arguments)
+        entry = entry_point(loop, *arguments)
+        # Nothing has changed if that was refused: it is compiled when it is asked for again.
+        self.function, self._step, self._options, self._entry = loop, step, options, entry
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces of the method as the loop takes them; of the same arrays."""

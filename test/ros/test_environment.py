@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.plumbing.starting import check_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
 import pytest
 
 NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')

@@ -16,7 +16,8 @@ from effect_table import create_effect
 from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.kernels.announcing import NotKept
+from hnn_vi_ros.simulation import assembly, Simulation
 import numpy as np
 import pytest
 
@@ -65,6 +66,7 @@ import sys
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
+from hnn_vi_ros.kernels.announcing import NotKept
 from hnn_vi_ros.simulation import Simulation
 from numba.core.event import install_recorder
 
@@ -200,3 +202,16 @@ def test_error_in_an_effect_by_address_reaches_python():
                             [0.0], [0.0], [Inverse()], 'stop')
     with pytest.raises(ZeroDivisionError):
         simulation.advance(1)
+
+
+def test_loop_whose_compilation_was_refused_is_compiled_when_asked_again(tmp_path, monkeypatch):
+    run = simulation('an equation', tmp_path)
+    run.compile()
+
+    def refuse(*arguments):
+        raise NotKept
+    with monkeypatch.context() as change:
+        change.setattr(assembly, 'entry_point', refuse)
+        with pytest.raises(NotKept):
+            run.compile_rescue()
+    run.compile_rescue()

@@ -1,15 +1,14 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start ROS in a process: check its environment and arguments, handle its errors and signals."""
+"""Starting ROS in a process: its arguments, its errors in a line, and signals."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import os
-from pathlib import Path
 import signal
 import warnings
 
-from hnn_vi_ros.errors import did_you_mean, ParameterError
+from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.standard_streams import ENDING, spare_output
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log_plainly, UnknownROSArgsError
 import rclpy
@@ -17,44 +16,6 @@ from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.logging import get_logger_effective_level, LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-
-_RANGES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
-# Beyond it the ports of DDS are none of UDP (DDSI-RTPS 2.5, 9.6.1: 7400 + 250 d + 1 <= 65535).
-_LARGEST_DOMAIN = 232
-
-
-def check_ros_environment() -> None:
-    """
-    Raise ParameterError, one line, where a variable of ROS has a value that ROS cannot take.
-
-    Some ROS ignores, or takes for another: a domain of -1, a range that is misspelt.
-    """
-    domain = os.environ.get('ROS_DOMAIN_ID', '')
-    if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= _LARGEST_DOMAIN):
-        raise ParameterError(f'ROS_DOMAIN_ID={domain!r} is no domain of ROS; set a number from 0 '
-                             f'to {_LARGEST_DOMAIN}, or unset it, which is 0')
-    reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', '')
-    if reach and reach not in _RANGES:
-        raise ParameterError(
-            f'ROS_AUTOMATIC_DISCOVERY_RANGE={reach!r} is none{did_you_mean(reach, _RANGES)}; '
-            f'valid: {", ".join(_RANGES)}')
-    middleware, installed = os.environ.get('RMW_IMPLEMENTATION', ''), sorted({*_middlewares()})
-    if middleware and installed and middleware not in installed:
-        raise ParameterError(
-            f'RMW_IMPLEMENTATION={middleware!r} is not installed'
-            f'{did_you_mean(middleware, installed)}; there: {", ".join(installed)}; set one of '
-            'them, or unset it')
-
-
-def _middlewares() -> Iterator[str]:
-    """Yield the names of the middlewares that the index of ament has; nothing without one."""
-    for prefix in filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
-        folder = Path(prefix, 'share', 'ament_index', 'resource_index', 'rmw_typesupport')
-        if folder.is_dir():
-            # The package that loads one of them is in the index as well.
-            yield from (path.name for path in folder.iterdir()
-                        if path.name != 'rmw_implementation')
-
 
 _SYNTAX = 'parameters are given as: --ros-args -p NAME:=VALUE, remaps as: --ros-args -r FROM:=TO'
 
