@@ -55,6 +55,9 @@ def _columns(trajectory: TrajectoryData) -> dict[str, np.ndarray]:
 
 def record(trajectory: TrajectoryData, target: str | Path | int) -> None:
     """Send what ``Trajectory.to_rerun`` tells."""
+    # Tables need no rerun.
+    with optional('rerun', 'to_rerun'):
+        from hnn_vi_ros.viewer.rerun_sink import RerunSink
     run, simulation = trajectory.single(), trajectory.simulation()
     scene = run.scene
     hamiltonian = simulation.hamiltonian
@@ -64,8 +67,6 @@ def record(trajectory: TrajectoryData, target: str | Path | int) -> None:
     h, first = scene.known_step_size, float(run.energy[0])
     stamps = [round(t * 1e9) for t in run.t.tolist()]
     dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p)
-    # Tables need no rerun.
-    from hnn_vi_ros.viewer.rerun_sink import RerunSink
     # The work of effects is not part of a trajectory: its error is that of H alone.
     sink = RerunSink(
         scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,

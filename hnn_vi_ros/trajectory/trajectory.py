@@ -8,7 +8,6 @@ from html import escape
 from pathlib import Path
 from typing import final, TYPE_CHECKING
 
-from hnn_vi_ros.files.optional_package import optional
 from hnn_vi_ros.trajectory.data import TrajectoryData
 
 if TYPE_CHECKING:
@@ -180,8 +179,7 @@ class Trajectory(TrajectoryData):
             Several trajectories (see ``select``), or one that knows no scene.
 
         """
-        with optional('rerun', 'to_rerun'):
-            from hnn_vi_ros.trajectory.exports import record
+        from hnn_vi_ros.trajectory.exports import record
         record(self, target)
 
     def __repr__(self) -> str:
