@@ -10,7 +10,7 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import AlarmWarning, ModelError, SceneError, StepFailure
+from hnn_vi_ros.errors import AlarmWarning, SceneError, StateError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.models.checkpoint import Checkpoint
@@ -131,7 +131,7 @@ def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndar
 
     Raises
     ------
-    ModelError
+    StateError
         A velocity has no momentum.
 
     """
@@ -295,7 +295,7 @@ class Members:
                 p = simulation.p if self._mean is None else same_velocity(
                     self._mean, own.hamiltonian, simulation.q, simulation.p)
                 own.restart(simulation.q, p, step=simulation.steps)
-            except (ModelError, StepFailure, ValueError):
+            except (StepFailure, ValueError):
                 self._failed.add(k)
 
     @property
@@ -317,5 +317,5 @@ class Members:
             return own.q, own.p
         try:
             return own.q, same_velocity(own.hamiltonian, self._mean, own.q, own.p)
-        except ModelError:
+        except StateError:
             return own.q, np.full_like(own.p, np.inf)

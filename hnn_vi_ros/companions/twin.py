@@ -8,7 +8,7 @@ import warnings
 
 from hnn_vi_ros.effects.commands import Command, Observation, select
 from hnn_vi_ros.effects.splitting import largest_gain
-from hnn_vi_ros.errors import ModelError, StepFailure
+from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import Scene
@@ -264,7 +264,7 @@ class Twin:
         try:
             p = momentum(simulation.hamiltonian, q, v, own.p.copy())
             simulation.restart(q, p, step=own.steps, held=own.snapshot())
-        except (ModelError, StepFailure, ValueError):
+        except (StepFailure, ValueError):
             self.failed += 1
             return
         waiting[0].began = self._now + delay

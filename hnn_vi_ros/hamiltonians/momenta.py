@@ -1,47 +1,74 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The momentum that belongs to a velocity."""
+"""The inverse of the Legendre transform: momenta of given velocities."""
 
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
-# Newton's steps for the momentum of a velocity; H is quadratic in p as a rule, where one is all.
-_ITERATIONS = 20
+_ITERATIONS, _HALVINGS = 50, 20
+# Residuals relative to the larger of 1 and the velocities: at the first the search ends, at the
+# second, the rounding of a gradient with room, its result is accepted.
+_AIM, _TOLERANCE = 1e-12, 1e-10
 
 
 def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.ndarray
              ) -> np.ndarray:
     """
-    Return p with H_p(q, p) = v, by Newton's method.
+    Return p with H_p(q, p) = v, by Newton's method with halved steps.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
         H of d coordinates.
-    q, v, start : np.ndarray, shape (..., d)
-        Coordinates, velocities, and momenta to begin from.
+    q, v : np.ndarray, shape (..., d)
+        Coordinates, and the velocities q' that are wanted there.
+    start : np.ndarray, shape (..., d)
+        Where to begin; of several solutions one near it is found.
+
+    Returns
+    -------
+    np.ndarray, shape (..., d)
+        The momenta, with H_p(q, p) as close to the velocities as rounding allows.
 
     Raises
     ------
-    ModelError
+    StateError
         A velocity has no momentum.
 
     """
-    p, zero = start.copy(), np.zeros_like(q)
-    least = 1e-12 * np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
+    p, zero = np.array(start, dtype=np.float64), np.zeros_like(q)
+    scale = np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
+    missing = v - hamiltonian.gradient(q, p)[1]
     for _ in range(_ITERATIONS):
-        missing = v - hamiltonian.gradient(q, p)[1]
-        wrong = ~(np.abs(missing) <= least).all(axis=-1)
-        if not wrong.any():
+        size = np.abs(missing).max(axis=-1, keepdims=True)
+        if (size <= _AIM * scale).all():
             return p
-        inverse = np.stack([
+        mass_inverse = np.stack([
             hamiltonian.hessian_vector(q, p, zero, np.broadcast_to(unit, q.shape))[1]
             for unit in np.eye(q.shape[-1])], axis=-1)
         try:
-            p = p + np.linalg.solve(inverse, missing[..., None])[..., 0]
+            change = np.linalg.solve(mass_inverse, missing[..., None])[..., 0]
         except np.linalg.LinAlgError:
             break
-    raise ModelError(f'no momentum belongs to the velocity {v[wrong][0].tolist()} at q = '
-                     f'{q[wrong][0].tolist()}: H_p(q, p) = v has no solution; the state is '
-                     'outside what the model learned')
+        share = np.ones_like(size)
+        for _ in range(_HALVINGS):
+            trial = p + share * change
+            found = v - hamiltonian.gradient(q, trial)[1]
+            worse = ~(np.abs(found).max(axis=-1, keepdims=True) < size) & ~(size <= _AIM * scale)
+            if not worse.any():
+                break
+            share[worse] *= 0.5
+        p, missing = np.where(worse, p, trial), np.where(worse, missing, found)
+        # As close as rounding allows, or stuck.
+        if worse.all():
+            break
+    size = np.abs(missing).max(axis=-1, keepdims=True)
+    # NaN is no solution.
+    if not (size <= _TOLERANCE * scale).all():
+        first = np.unravel_index(np.argmax(~(size <= _TOLERANCE * scale)), size.shape)[:-1]
+        raise StateError(
+            f'no momentum belongs to the velocity {v[first].tolist()} at q = '
+            f'{q[first].tolist()}: H_p misses it by {float(size[first][0]):.3g}; the state is '
+            'outside what the model learned')
+    return p

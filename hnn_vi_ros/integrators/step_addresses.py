@@ -20,12 +20,11 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.integrators.base import Point, Step
 from hnn_vi_ros.integrators.workspaces import MemoryByAddress
 from hnn_vi_ros.kernels.blocks import (
-    address_of, array_at, Block, block, call_entry, check_words, load)
+    address_of, array_at, Block, block, call_entry, check_words, load, type_of)
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part, part, Whole
 from hnn_vi_ros.kernels.sources import digest_of, reached
-from hnn_vi_ros.kernels.value_types import type_of
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import numpy as np

@@ -18,13 +18,12 @@ import re
 from types import FunctionType
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.kernels.blocks import array_at, Block, check_words, flat, load
+from hnn_vi_ros.kernels.blocks import array_at, Block, check_words, flat, load, type_of
 from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
-from hnn_vi_ros.kernels.value_types import type_of
 from llvmlite import ir
 import numba
 from numba.core import types

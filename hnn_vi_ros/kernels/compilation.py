@@ -9,12 +9,11 @@ from threading import Lock
 from types import FunctionType
 from typing import Any, TypeVar
 
+from hnn_vi_ros.kernels.blocks import kind_of, type_of
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import (
-    aside, find, keep, keep_loop, Part, set_identity, Whole)
+from hnn_vi_ros.kernels.linking import aside, find, keep, keep_loop, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
-from hnn_vi_ros.kernels.value_types import kind_of, type_of
 import numba
 from numba.core.dispatcher import Dispatcher
 

@@ -15,9 +15,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
 from hnn_vi_ros.networks.perceptron_memory import (
     PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
-from hnn_vi_ros.networks.vector_sine import sine_and_cosine
-from hnn_vi_ros.networks.vector_softplus import softplus_and_slope
-from hnn_vi_ros.networks.vector_tanh import tanh
+from hnn_vi_ros.networks.vector_functions import sine_and_cosine, softplus_and_slope, tanh
 from numba.extending import overload
 import numpy as np
 

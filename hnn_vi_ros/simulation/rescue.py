@@ -17,8 +17,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget, separate
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.simulation.assembly import Loop
-from hnn_vi_ros.simulation.loops import advance, take_substeps
+from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 

@@ -9,12 +9,10 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.integrators.base import (
-    BEYOND, IN_DOUBT, NO_SOLUTION, OK, Point, step_failure)
+from hnn_vi_ros.integrators.base import BEYOND, IN_DOUBT, NO_SOLUTION, OK, Point, step_failure
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.processors import heed
-from hnn_vi_ros.simulation.assembly import Loop
-from hnn_vi_ros.simulation.loops import advance
+from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.system import System
 import numpy as np

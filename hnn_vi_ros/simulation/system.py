@@ -16,13 +16,45 @@ from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS, REDUNDANT
-from hnn_vi_ros.kernels.addresses import by_address, fill_energies, Target
+from hnn_vi_ros.kernels.addresses import by_address, fill_energies, original, provide, Target
+from hnn_vi_ros.kernels.blocks import Block, flat, kind_of
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.simulation.motors import Motors
-from hnn_vi_ros.simulation.refilling import refill
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+def refill(kernel: Kernel, other: Kernel) -> bool:
+    """
+    Let a kernel by address have the parameters of another one, where it stands.
+
+    Parameters
+    ----------
+    kernel : Kernel
+        From ``by_address``; what runs it finds the other numbers.
+    other : Kernel
+        Of a Hamiltonian that differs in numbers alone, by address or not.
+
+    Returns
+    -------
+    bool
+        False, and nothing has changed, where more than that differs or nothing is by address.
+
+    """
+    if not isinstance(kernel.parameters, Target):
+        return False
+    memory: Any = Block.of(kernel.parameters.words)
+    own, other = memory.kernel, original(other)
+    if own[:3] != other[:3] or own[4:] != other[4:] \
+            or kind_of(own.parameters) != kind_of(other.parameters):
+        return False
+    kernel.parameters.words[3:] = flat(other.parameters)
+    memory.kernel = other
+    # And what it calls by address in its turn.
+    provide(kernel, *memory.entries)
+    return True
+
 
 _KINDS = {effect: kind for kind, effect in EFFECTS.items()}
 

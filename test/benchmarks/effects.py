@@ -16,8 +16,8 @@ from hnn_vi_ros.kernels.addresses import by_address, provide_for
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.assembly import advance
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.loops import advance
 import numpy as np
 
 _H = 0.01

@@ -24,7 +24,7 @@ from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
 from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
-from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
+from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import check_state, Coordinate
 from hnn_vi_ros.simulation import Simulation

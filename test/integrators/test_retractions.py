@@ -3,7 +3,7 @@
 """Retractions from rotation vectors to rotations, and their tangents, against their definition."""
 
 from helpers import EPS, exact, jacobian
-from hnn_vi_ros.integrators.lie.retractions import Coefficients, RETRACTIONS
+from hnn_vi_ros.integrators.lie.rotations import Coefficients, RETRACTIONS
 from mpmath import mp, mpf
 import numpy as np
 import pytest

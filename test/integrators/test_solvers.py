@@ -19,8 +19,7 @@ from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.assembly import Loop
-from hnn_vi_ros.simulation.loops import advance
+from hnn_vi_ros.simulation.assembly import advance, Loop
 import numba
 import numpy as np
 import pytest

@@ -19,7 +19,7 @@ from hnn_vi_ros.kernels.compilation import compiled_loop, identify
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import reached
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.loops import advance
+from hnn_vi_ros.simulation.assembly import advance
 import numba
 import numpy as np
 import pytest

@@ -12,7 +12,7 @@ from hnn_vi_ros.kernels.bare_arrays import bare
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, kept
 from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.loops import advance
+from hnn_vi_ros.simulation.assembly import advance
 import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.event import install_recorder
@@ -134,7 +134,7 @@ def test_loop_counts_no_references_makes_no_texts_and_shares_no_functions():
     loop = compiled_loop(copy, HAMILTONIANS['tao']().kernel, 'any', own=False)
     recorder, *end = run(loop)
     modules = {event.data['dispatcher'].py_func.__module__ for _, event in recorder.buffer}
-    assert 'hnn_vi_ros.simulation.loops' in modules and 'numba.cpython.unicode' not in modules
+    assert 'hnn_vi_ros.simulation.assembly' in modules and 'numba.cpython.unicode' not in modules
     (code,) = loop.inspect_llvm().values()
     bodies = dict(re.findall(
         r'^define [^@]*@"?([\w.$]+)"?\([^\n]*\{\n(.*?)^\}', code, re.M | re.S))

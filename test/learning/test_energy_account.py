@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.data.runs import Run, smoothed
@@ -91,5 +91,5 @@ def test_velocity_without_a_momentum_is_one_line():
         def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
                            ) -> tuple[np.ndarray, np.ndarray]:
             return np.zeros_like(q), np.zeros_like(p)
-    with pytest.raises(ModelError, match=r'no momentum belongs to the velocity \[2.0\]'):
+    with pytest.raises(StateError, match=r'no momentum belongs to the velocity \[2.0\]'):
         momentum(Flat(), np.array([[0.1], [0.2]]), np.array([[0.0], [2.0]]), np.zeros((2, 1)))

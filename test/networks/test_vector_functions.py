@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS
-from hnn_vi_ros.networks import vector_sine, vector_softplus
+from hnn_vi_ros.networks import vector_functions
 from mpmath import mp, mpf
 import numba
 import numpy as np
@@ -21,7 +21,7 @@ def both(function: Callable) -> Callable:
     return loop
 
 
-SINE, SOFTPLUS = both(vector_sine.sine_and_cosine), both(vector_softplus.softplus_and_slope)
+SINE, SOFTPLUS = both(vector_functions.sine_and_cosine), both(vector_functions.softplus_and_slope)
 
 
 def evaluate(loop: Callable, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,11 +76,11 @@ def test_softplus_keeps_not_a_number_and_its_limits():
 
 
 @pytest.mark.parametrize('coefficients, function, end', [
-    (vector_sine._S, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+    (vector_functions._SIN, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
      lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_sine._C, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
+    (vector_functions._COS, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
      lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_softplus._L, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+    (vector_functions._LOG, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
      lambda: mpf('1.0001') / 9),
 ], ids=['sine', 'cosine', 'artanh'])
 def test_polynomials_interpolate_in_chebyshev_nodes_to_an_eighth_of_eps(

@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.integrators.base import REASONS, TURNED
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
+from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest

@@ -7,7 +7,7 @@ from typing import Any
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.equations import GroupWork, LieOptions
-from hnn_vi_ros.integrators.lie.retractions import RETRACTIONS
+from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 import numpy as np
 
 

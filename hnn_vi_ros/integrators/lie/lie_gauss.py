@@ -11,8 +11,7 @@ from hnn_vi_ros.integrators.gauss import Collocation, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, fill_forces, is_beyond, is_too_far, move, set_turn_scale)
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.integrators.lie.retractions import cayley
-from hnn_vi_ros.integrators.lie.rotations import cross, dot
+from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.workspaces import SolverWork

@@ -8,7 +8,7 @@ from functools import partial
 from hnn_vi_ros.effects.commands import printable
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.legendre import momenta
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.ros.run.control import Answer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.topics.diagnostics_publisher import (
@@ -61,7 +61,7 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
         values.append(array[places])
     q, velocity = values
     with np.errstate(all='ignore'):
-        p = momenta(hamiltonian, q, velocity, p0)
+        p = momentum(hamiltonian, q, velocity, p0)
         finite = np.isfinite([hamiltonian.energy(q, p), *np.ravel(hamiltonian.gradient(q, p))])
     if not finite.all():
         raise ValueError(f'H has no finite value and gradient at q = {q.tolist()}, velocity '
