@@ -14,13 +14,11 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
-from hnn_vi_ros.learning.scene_numbers.correlation import (
-    _polynomials, _Restricted, Process, processes)
 from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
-from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, free_scene, FreeScene
+from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
-from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, profile
-from hnn_vi_ros.learning.scene_numbers.scene import edited
+from hnn_vi_ros.learning.scene_numbers.intervals import (
+    _polynomials, _Restricted, Estimates, estimates_of, Process, processes, profile)
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np

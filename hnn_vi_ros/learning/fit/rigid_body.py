@@ -11,9 +11,8 @@ form of the Levenberg-Marquardt method.
 from collections.abc import Callable, Sequence
 
 from hnn_vi_ros.learning.data.runs import Run
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.choices import Structure, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, Windows, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
