@@ -568,6 +568,8 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     (['length'], {'q': np.full((100, 1), np.nan)}, '100 lack a number of q'),
     (['length'], {'q': np.zeros((100, 1))}, 'nothing moves in it'),
     (['length', '--bounds', 'length', 'nan', '2'], {}, 'two numbers, the lower one first'),
+    (['length', '--config', str(shipped_file('training', 'two_joint_arm'))], {},
+     'its data are computed, and do not say how --data is read'),
 ])
 def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
     t = 0.02 * np.arange(100)

@@ -287,8 +287,12 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.fit.config import load_machine
-        path, data = options.config, load_machine(options.config).data
+        from hnn_vi_ros.learning.fit.config import ExcitationData, load_machine
+        path, found = options.config, load_machine(options.config).data
+        if isinstance(found, ExcitationData):
+            raise DataError(f'{path}: its data are computed, and do not say how --data is read; '
+                            'leave out --config, or take one whose data are measured')
+        data: MotionSource = found
     else:
         path, data = split_runs(options.data[0])[0], guessed(options.data[0])
         data = _arrays(path, data) if isinstance(data, ArraysData) else data

@@ -482,7 +482,7 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.
     shares = np.abs(null / scale[:, None])
     largest = shares.max(axis=0, initial=0.0, keepdims=True)
     shares = shares / np.where(largest > 0.0, largest, 1.0)
-    blind = (shares > _SHARE).any(axis=1)
+    blind = np.asarray((shares > _SHARE).any(axis=1))
     error, factor = errors_of(covariances, freedom), quantile(freedom)
     mean = covariances.mean(axis=0)
     spread = np.sqrt(np.diag(mean))

@@ -110,8 +110,8 @@ def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
     return whole[row] + rest * (tau[row] + 0.5 * np.where(rest > 0.0, rest, 0.0) * slope[row])
 
 
-def command_names(effect: ExternalForce, coordinates: Sequence, motions: Sequence[Motion]
-                  ) -> Sequence[str]:
+def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
+                  motions: Sequence[Motion]) -> Sequence[str]:
     """Return the coordinates on which the measured forces act, or raise DataError."""
     names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
     if not effect.names:
