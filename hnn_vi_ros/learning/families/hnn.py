@@ -13,7 +13,24 @@ import numpy as np
 import torch
 
 
-class HNN(EnergyFamily):
+class _OneNetwork(EnergyFamily):
+    """H(q, p) is one network of all of the state."""
+
+    def __init__(self, hidden: list[int], scales: Scales, seed: int):
+        super().__init__()
+        self.network = Perceptron(
+            hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
+
+    def energy(self, z: torch.Tensor) -> torch.Tensor:
+        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
+        return self.network(z)[:, 0]
+
+    def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
+        """Return the network; see Trainable."""
+        return {'energy': self.network.layers(z0, energy0)}
+
+
+class HNN(_OneNetwork):
     """
     One network H(q, p).
 
@@ -35,17 +52,7 @@ class HNN(EnergyFamily):
     """
 
     def __init__(self, choice: HNNChoice, hidden: list[int], scales: Scales, seed: int):
-        super().__init__()
-        self.network = Perceptron(
-            hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
-
-    def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
-        return self.network(z)[:, 0]
-
-    def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network; see Trainable."""
-        return {'energy': self.network.layers(z0, energy0)}
+        super().__init__(hidden, scales, seed)
 
 
 class SeparableHNN(EnergyFamily):
@@ -154,7 +161,7 @@ class DissipativeHNN(EnergyFamily):
                 'dissipation': self.dissipation.layers(z0, 0.0)}
 
 
-class DGNet(EnergyFamily):
+class DGNet(_OneNetwork):
     """
     One network H(q, p), and friction: q' = H_p, p' = -H_q - gamma p.
 
@@ -177,9 +184,7 @@ class DGNet(EnergyFamily):
     """
 
     def __init__(self, choice: DGNetChoice, hidden: list[int], scales: Scales, seed: int):
-        super().__init__()
-        self.network = Perceptron(
-            hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
+        super().__init__(hidden, scales, seed)
         # Squared, for it is never negative; it begins at a tenth of the data's fastest rates.
         self.register_buffer('unit', torch.tensor(scales.p_rate / scales.p_half), persistent=False)
         self.root = torch.nn.Parameter(
@@ -190,10 +195,6 @@ class DGNet(EnergyFamily):
     def friction(self) -> torch.Tensor:
         """Return gamma, shape (d,) [1/s]."""
         return self.unit * self.root.square()
-
-    def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
-        return self.network(z)[:, 0]
 
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
@@ -214,10 +215,6 @@ class DGNet(EnergyFamily):
         square = change.square().sum(dim=1).clamp_min(torch.finfo(change.dtype).tiny)
         D_q, D_p = (slope + (rest / square)[:, None] * change).chunk(2, dim=1)
         return torch.cat([D_p, -D_q - self.friction * middle.chunk(2, dim=1)[1]], dim=1)
-
-    def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network; see Trainable."""
-        return {'energy': self.network.layers(z0, energy0)}
 
     def constants(self) -> dict[str, Any]:
         """Return the friction."""
