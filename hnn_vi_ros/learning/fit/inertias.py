@@ -20,9 +20,9 @@ from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.machine import (
-    acceleration_errors, samples_of, window_errors, Windows, windows_of)
-from hnn_vi_ros.learning.fit.rigid_body import fit_errors, inverse_softplus, LEAST, spread
+from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
+from hnn_vi_ros.learning.fit.rigid_body import (
+    fit_errors, inverse_softplus, LEAST, loss_of, spread, window_fits)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.model_card import ModelCard
@@ -447,16 +447,10 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
     tries += [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
               for one, _, found in tries if found is not None]
     x, directions, found = min(tries, key=lambda one: np.inf if one[2] is None else one[2].cost)
-    losses['rigid_body_forward'] = _loss_of(found)
-    for stage in loss.windows:
-        windows, starts = windows_of(loss, stage, samples)
-        chosen = spread(starts, _WINDOWS)
-
-        def errors(solutions: Solutions, windows: Windows = windows,
-                   chosen: torch.Tensor = chosen) -> torch.Tensor:
-            return window_errors(network, samples, chosen, windows, solutions)
+    losses['rigid_body_forward'] = loss_of(found)
+    for name, chosen, errors in window_fits(network, loss, samples, _WINDOWS):
         x, directions, found = _fit(unknowns, equations, x, errors)
-        losses[f'rigid_body_{stage.duration:g}'] = _loss_of(found)
+        losses[name] = loss_of(found)
         if found is None:
             continue
         # Errors of one window after another, as soft as they count.
@@ -483,10 +477,6 @@ def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
         lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z),
         np.zeros(len(least)), least, errors)
     return (x if found is None else x + directions @ found.x), directions, found
-
-
-def _loss_of(found: OptimizeResult | None) -> float:
-    return np.inf if found is None else 2.0 * float(found.cost) / len(found.fun)
 
 
 def _directions(unknowns: Unknowns, inertial: np.ndarray) -> np.ndarray:
