@@ -94,7 +94,7 @@ else:
 
 @pytest.mark.parametrize('module', [
     'bags.recover_bag', 'commands.cost', 'commands.scene_tool', 'envs',
-    'learning.scene_numbers.identify', 'learning.import_checkpoint', 'ros.hover_node', 'ros.listener_node', 'ros.replay_node',
-    'ros.simulator_node', 'run.spread', 'torch'])
+    'learning.scene_numbers.identify', 'learning.import_checkpoint', 'ros.hover_node',
+    'ros.listener_node', 'ros.replay_node', 'ros.simulator_node', 'run.spread', 'torch'])
 def test_what_works_without_rerun_and_pyarrow_does_not_import_them(module):
     assert status_of(f'import hnn_vi_ros.{module}', {'rerun', 'pyarrow'}) == 0
