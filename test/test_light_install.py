@@ -94,7 +94,7 @@ else:
 
 @pytest.mark.parametrize('module', [
     'bags.recover_bag', 'commands.cost', 'commands.scene_tool', 'envs',
-    'learning.scene_numbers.identify', 'learning.imports.import_checkpoint',
+    'learning.scene_numbers.identify', 'learning.import_checkpoint',
     'ros.examples.hover_node', 'ros.examples.listener_node', 'ros.replay.replay_node',
     'ros.simulator_node', 'companions.members', 'torch'])
 def test_what_works_without_rerun_and_pyarrow_does_not_import_them(module):

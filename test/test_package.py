@@ -33,7 +33,7 @@ FLOORS = (
     '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
-    'learning': ('arguments', 'data', 'families', 'fit', 'inertias', 'judging', 'imports', 'tasks',
+    'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
                  'train', 'evaluate', 'scene_numbers'),
     'ros': ('plumbing', 'parameters', 'arguments', 'sinks', 'topics', 'replay', 'run',
             'rerun_bridge', 'services', 'examples', 'launching', 'simulator_node')}

@@ -18,10 +18,10 @@ import time
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.runs import Motion, smoothed
-from hnn_vi_ros.learning.scene_numbers.correlation import covariances, processes
 from hnn_vi_ros.learning.scene_numbers.fit import fit
 from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
-from hnn_vi_ros.learning.scene_numbers.intervals import errors_of, estimates_of, quantile
+from hnn_vi_ros.learning.scene_numbers.intervals import (
+    covariances, errors_of, estimates_of, processes, quantile)
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.trajectory.simulate import simulate
 import numpy as np

@@ -12,9 +12,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.fit.body import joined, published_loss
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.tasks.body import INTERVALS
+from hnn_vi_ros.learning.tasks.body import INTERVALS, joined, published_loss
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian

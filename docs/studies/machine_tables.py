@@ -17,7 +17,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.runs import Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.families.plain_network import PlainNetwork
+from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import (

@@ -144,8 +144,7 @@ def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, A
     # Imported late: torch takes seconds, which a mistake should not wait for.
     from hnn_vi_ros.learning.data.sources import make_dataset
     from hnn_vi_ros.learning.fit.config import FieldConfig
-    from hnn_vi_ros.learning.fit.field import FieldProblem
-    from hnn_vi_ros.learning.tasks.field import describe
+    from hnn_vi_ros.learning.tasks.field import describe, FieldProblem
     names = COORDINATES[(table.shape[1] - 2) // 4]
     momenta = [f'p_{name}' for name in names]
     rates = [[f'd{name}' for name in part] for part in (names, momenta)]

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.data.runs import Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.inertias.identification_report import force_errors
+from hnn_vi_ros.learning.fit.inertias import force_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 import numpy as np

@@ -14,7 +14,7 @@ EXECUTABLES = {
     'evaluate': 'hnn_vi_ros.learning.evaluate',
     'hover': 'hnn_vi_ros.ros.examples.hover_node',
     'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
-    'import_checkpoint': 'hnn_vi_ros.learning.imports.import_checkpoint',
+    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
     'listener': 'hnn_vi_ros.ros.examples.listener_node',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
     'replay': 'hnn_vi_ros.ros.replay.replay_node',

@@ -17,18 +17,17 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
-from hnn_vi_ros.learning.data.motion_bags import BagMotions
+from hnn_vi_ros.learning.data.bag_signals import BagMotions
 from hnn_vi_ros.learning.data.runs import Run, RunData
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
-from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
-from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
-from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
-from hnn_vi_ros.learning.judging.energy_account import unaccounted
+from hnn_vi_ros.learning.fit.config import (
+    BodyConfig, ExcitationData, excited_motions, FieldConfig, find_config, load_config)
+from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, judge, linear_model, names_of, parts_of, predicted_by, score, Scores,
-    simulation_of, table, verdict)
+    simulation_of, table, unaccounted, verdict)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation

@@ -22,11 +22,10 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
     AnyConfig, BodyConfig, FieldConfig, find_config, load_config, MachineConfig)
-from hnn_vi_ros.learning.fit.keeping import Keeper, kept, member_files, members_kept
-from hnn_vi_ros.learning.fit.loop import Fit
+from hnn_vi_ros.learning.fit.loop import Fit, Keeper, kept, member_files, members_kept
 from hnn_vi_ros.learning.judging.ensemble import check_count
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
-from hnn_vi_ros.learning.tasks.base import Task
+from hnn_vi_ros.learning.tasks import Task
 from hnn_vi_ros.learning.tasks.body import BodyTask
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.learning.tasks.machine import MachineTask

@@ -1,18 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An ensemble of trajectories of one scene that takes its steps in torch."""
+"""An ensemble of trajectories of one scene that takes its steps in torch, on a given device."""
 
 from collections.abc import Sequence
 from typing import NamedTuple, NoReturn
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK
 from hnn_vi_ros.integrators.gauss import Tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.lockstep.devices import open_device
 from hnn_vi_ros.lockstep.gradient import make_gradient
 from hnn_vi_ros.lockstep.steps import first_state, Progress, State, step_of, System
 from hnn_vi_ros.processors import heed
@@ -20,6 +19,47 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
 import torch
+
+VALID = 'cpu, cuda, cuda:N'
+
+
+def open_device(name: str) -> torch.device:
+    """
+    Return a device that is there.
+
+    Parameters
+    ----------
+    name : str
+        ``'cpu'``, ``'cuda'``, or ``'cuda:N'`` for the N-th GPU, counted from 0.
+
+    Raises
+    ------
+    ValueError
+        Another name.
+    ParameterError
+        There is no such GPU.
+
+    """
+    kind, _, number = name.partition(':')
+    if name != 'cpu' and (kind != 'cuda' or (name != 'cuda' and not number.isdecimal())):
+        raise ValueError(f'device = {name!r} is not known; valid: {VALID}')
+    if kind == 'cuda':
+        there = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        if int(number or 0) >= there:
+            raise ParameterError(
+                f'device = {name}: torch {torch.__version__} finds {there or "no"} CUDA '
+                f'device{"s" * (there != 1)}; take device = cpu, or leave device out for the '
+                'compiled loops; a GPU takes its driver and a torch built for CUDA')
+    return torch.device(name)
+
+
+def description(name: str) -> dict[str, str]:
+    """Return what the last digits of results depend on: the device and the libraries."""
+    device = open_device(name)
+    found = {'kind': device.type, 'torch': torch.__version__}
+    if device.type == 'cuda':
+        found |= {'name': torch.cuda.get_device_name(device), 'cuda': str(torch.version.cuda)}
+    return found
 
 
 class Counts(NamedTuple):

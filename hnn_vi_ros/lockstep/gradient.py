@@ -14,11 +14,10 @@ what comes of a state does not depend on which others there are.
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import Any
 
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.lockstep.devices import captured
-from hnn_vi_ros.lockstep.solvers import dot
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.ensemble import MeanHamiltonian
@@ -35,10 +34,24 @@ import torch
 _NUMBERS, _MOST, _LEAST = 80_000, 960, 192
 # Sizes of batches on a GPU; each has a graph of its own.
 _BUCKETS = tuple(2**k for k in range(8, 18))
+# Runs before the capture: libraries allocate in the first ones.
+_WARM_UP = 3
 FAMILIES = 'hnn, dissipative_hnn (its energy), dgnet, separable_hnn, vin'
 # (H_q, H_p), shape (2 d, m), at states (q, p) of that shape.
 Gradient = Callable[[torch.Tensor], torch.Tensor]
 _Slope = Callable[[torch.Tensor, torch.Tensor], None]
+
+
+def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """
+    Return the sum of the products of rows, added one after another.
+
+    ``torch.sum`` adds in an order that depends on how many trajectories there are.
+    """
+    total = a[0] * b[0]
+    for k in range(1, len(a)):
+        total = total + a[k] * b[k]
+    return total
 
 
 def make_gradient(hamiltonian: Hamiltonian, device: torch.device) -> Gradient:
@@ -206,3 +219,30 @@ class _Batch:
         # NaN stays NaN.
         torch.where(z > 0.0, self._one, torch.where(z <= 0.0, 0.0 * self._one, z), out=slope)
         torch.clamp_min(z, 0.0, out=z)
+
+
+def captured(run: Callable[[], None], device: torch.device) -> Callable[[], Any]:
+    """
+    Return what repeats a run on the same arrays: on a GPU a CUDA graph, launched as a whole.
+
+    Parameters
+    ----------
+    run : callable
+        Works on arrays that stay where they are, and waits for nothing.
+    device : torch.device
+        Of the arrays.
+
+    """
+    if device.type != 'cuda':
+        return run
+    stream = torch.cuda.Stream(device)
+    stream.wait_stream(torch.cuda.current_stream(device))
+    with torch.cuda.stream(stream):
+        for _ in range(_WARM_UP):
+            run()
+    torch.cuda.current_stream(device).wait_stream(stream)
+    graph = torch.cuda.CUDAGraph()
+    # On a stream of this device: the default one is of whichever device captured first.
+    with torch.cuda.device(device), torch.cuda.graph(graph, stream=stream):
+        run()
+    return graph.replay

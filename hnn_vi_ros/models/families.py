@@ -93,30 +93,30 @@ FAMILIES = {
         dissipation='energy', averaged='models.ensemble:EnsembleHamiltonian'),
     'separable_hnn': Family(
         {'kinetic': Network(1), 'potential': Network(1)}, 'models.separable:SeparableHamiltonian',
-        'learning.families.separable_hnn:SeparableHNN',
+        'learning.families.hnn:SeparableHNN',
         averaged='models.ensemble:EnsembleHamiltonian'),
     'dissipative_hnn': Family(
         {'energy': Network(2), 'dissipation': Network(2)}, 'models.neural:NeuralHamiltonian',
-        'learning.families.dissipative_hnn:DissipativeHNN', conservative=False,
+        'learning.families.hnn:DissipativeHNN', conservative=False,
         dissipation='dissipation'),
     'dgnet': Family(
-        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.dgnet:DGNet',
+        {'energy': Network(2)}, 'models.neural:NeuralHamiltonian', 'learning.families.hnn:DGNet',
         constants=('friction',), conservative=False),
     'vin': Family(
         {'potential': Network(1)}, 'models.variational:VariationalHamiltonian',
-        'learning.families.vin:VIN', constants=('mass',)),
+        'learning.families.lagrangian:VIN', constants=('mass',)),
     'lagrangian': Family(
         {'lagrangian': Network(2)}, 'models.lagrangian:LagrangianHamiltonian',
         'learning.families.lagrangian:LagrangianNetwork', constants=('mass', 'velocities')),
     'symplectic_form': Family(
         {'one_form': Network(2, lambda d, found: 2 * d), 'energy': Network(2)},
         'models.symplectic_form:SymplecticFormHamiltonian',
-        'learning.families.symplectic_form:SymplecticForm', constants=('mass',), canonical=False),
+        'learning.families.lagrangian:SymplecticForm', constants=('mass',), canonical=False),
     'control_affine': Family(
         {'mass_inverse': Network(1, lambda d, found: d * (d + 1) // 2), 'potential': Network(1),
          'input_map': Network(1, lambda d, found: -(-found // d) * d)},
         'models.control_affine:ControlAffineHamiltonian',
-        'learning.families.control_affine:ControlAffine', conservative=False),
+        'learning.families.hnn:ControlAffine', conservative=False),
     # The inputs of its networks are features of q, by the card's ``mechanical``, which tells
     # whether there is a third, of friction.
     'mechanical': Family(

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
-from hnn_vi_ros.lockstep.devices import open_device
-from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, Recorded
+from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, open_device, Recorded
 from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation import Simulation

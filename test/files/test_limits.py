@@ -71,7 +71,7 @@ READERS = {
     'state': (STATE, "restore_state(simulation, path.read_bytes()[:2**26], 'bag')"),
     'family': ('from hnn_vi_ros.learning.fit.config import load_config', 'load_config(path)'),
     'scene': ('from hnn_vi_ros.scene import load_scene', 'load_scene(path)'),
-    'network': ('from hnn_vi_ros.learning.imports.state_dict import read_networks',
+    'network': ('from hnn_vi_ros.learning.import_checkpoint import read_networks',
                 'read_networks(path)'),
 }
 

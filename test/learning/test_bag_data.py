@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.bag_data import BagData, BLOCKS, read_bags
-from hnn_vi_ros.learning.data.motion_bags import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bag_signals import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -14,9 +14,9 @@ from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
 from hnn_vi_ros.learning.families.choices import BodyStage
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.fit import body
-from hnn_vi_ros.learning.fit.body import BodyProblem, joined, network_of, published_loss
 from hnn_vi_ros.learning.fit.config import load_config
+from hnn_vi_ros.learning.tasks import body
+from hnn_vi_ros.learning.tasks.body import BodyProblem, joined, network_of, published_loss
 from hnn_vi_ros.learning.train import main as train
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import load_checkpoint

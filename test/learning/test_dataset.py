@@ -3,8 +3,8 @@
 """Training data: exact samples, measured logs, and the error that each unusable row gives."""
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.dataset import differentiate, SavitzkyGolay, SmoothingSpline
-from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.dataset import (
+    differentiate, ExactData, sample_exact, SavitzkyGolay, SmoothingSpline)
 from hnn_vi_ros.learning.data.text import MeasuredData, read_measured_log
 from hypothesis import given, settings, strategies as st
 import numpy as np

@@ -12,8 +12,7 @@ from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.judging.energy_account import balance, energy_mismatch, unaccounted
-from hnn_vi_ros.learning.judging.evaluation import momentum
+from hnn_vi_ros.learning.judging.evaluation import balance, energy_mismatch, momentum, unaccounted
 from hnn_vi_ros.models.confined import load_learned
 import mechanical_models
 import numpy as np

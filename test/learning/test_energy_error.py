@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import EnergyFamily
-from hnn_vi_ros.learning.judging.energy_account import friction_work
+from hnn_vi_ros.learning.judging.evaluation import friction_work
 from hnn_vi_ros.learning.tasks.field import model_work
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint

@@ -9,8 +9,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.fit import config as schemas
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.fit.keeping import Keeper
-from hnn_vi_ros.learning.fit.loop import Fit
+from hnn_vi_ros.learning.fit.loop import Fit, Keeper
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np

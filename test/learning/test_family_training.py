@@ -9,15 +9,13 @@ from helpers import python_step, random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.exact_data import sample_exact
+from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.choices import HNNChoice, Steps
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.fit.config import load_config
-from hnn_vi_ros.learning.fit.field import FieldProblem
 from hnn_vi_ros.learning.fit.steps import step
-from hnn_vi_ros.learning.tasks.field import describe, judge_energy
+from hnn_vi_ros.learning.tasks.field import describe, FieldProblem, judge_energy
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -11,11 +11,11 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
-from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.fit.config import load_machine, MachineConfig
-from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
-from hnn_vi_ros.learning.inertias.rigid_body import fit_errors
+from hnn_vi_ros.learning.families.priors import RigidTree
+from hnn_vi_ros.learning.fit.config import (
+    ExcitationData, excited_motions, load_machine, MachineConfig)
+from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
+from hnn_vi_ros.learning.fit.rigid_body import fit_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian

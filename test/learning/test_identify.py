@@ -14,13 +14,11 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
-from hnn_vi_ros.learning.scene_numbers.correlation import (
-    _polynomials, _Restricted, Process, processes)
 from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
-from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, free_scene, FreeScene
+from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
-from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, profile
-from hnn_vi_ros.learning.scene_numbers.scene import edited
+from hnn_vi_ros.learning.scene_numbers.intervals import (
+    _polynomials, _Restricted, Estimates, estimates_of, Process, processes, profile)
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
@@ -570,6 +568,8 @@ def test_fitted_robot_is_written_beside_its_scene(tmp_path):
     (['length'], {'q': np.full((100, 1), np.nan)}, '100 lack a number of q'),
     (['length'], {'q': np.zeros((100, 1))}, 'nothing moves in it'),
     (['length', '--bounds', 'length', 'nan', '2'], {}, 'two numbers, the lower one first'),
+    (['length', '--config', str(shipped_file('training', 'two_joint_arm'))], {},
+     'its data are computed, and do not say how --data is read'),
 ])
 def test_what_cannot_be_fitted_is_one_line(free, data, said, tmp_path):
     t = 0.02 * np.arange(100)

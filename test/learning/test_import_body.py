@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.imports.import_checkpoint import main
+from hnn_vi_ros.learning.import_checkpoint import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from lie_group_models import random_states

@@ -9,8 +9,7 @@ import tarfile
 import zipfile
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
-from hnn_vi_ros.learning.imports.import_checkpoint import main
-from hnn_vi_ros.learning.imports.state_dict import MAX_BYTES, read_layers
+from hnn_vi_ros.learning.import_checkpoint import main, MAX_BYTES, read_layers
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hypothesis import given, settings, strategies as st

@@ -13,8 +13,8 @@ from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.runs import smoothed
 from hnn_vi_ros.learning.data.text import LogMotions
+from hnn_vi_ros.learning.families.choices import Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.learning.tasks.machine import describe, learn

@@ -13,9 +13,8 @@ from helpers import random_checkpoint
 from hnn_vi_ros.errors import DataError, HnnViRosError, ModelError, RecordingError, StepFailure
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import train as training
-from hnn_vi_ros.learning.fit import keeping
-from hnn_vi_ros.learning.fit.keeping import kept
-from hnn_vi_ros.learning.fit.loop import Fit
+from hnn_vi_ros.learning.fit import loop
+from hnn_vi_ros.learning.fit.loop import Fit, kept
 from hnn_vi_ros.learning.judging import ensemble as ensembles
 from hnn_vi_ros.learning.judging.evaluation import numbers, Scores
 from hnn_vi_ros.learning.tasks import field, machine
@@ -112,7 +111,7 @@ def test_members_trained_before_one_that_fails_are_kept(
 
 def test_model_that_cannot_be_written_where_it_should_be_is_kept_elsewhere(
         tmp_path: Path, monkeypatch):
-    monkeypatch.setattr(keeping, 'mkdtemp', lambda prefix: str(tmp_path))
+    monkeypatch.setattr(loop, 'mkdtemp', lambda prefix: str(tmp_path))
     model = tmp_path / 'file' / 'm.safetensors'
     (tmp_path / 'file').touch()  # no folder, by now
     with pytest.raises(ModelError, match='cannot be written: .*; the trained model is in '), \

@@ -13,9 +13,9 @@ from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import Scales, Trainable
 from hnn_vi_ros.learning.families.choices import (
     DGNetChoice, DiscreteGradient, DiscreteLagrangian, VINChoice)
-from hnn_vi_ros.learning.families.dgnet import DGNet
-from hnn_vi_ros.learning.families.vin import VIN
-from hnn_vi_ros.learning.fit.field import LOSSES
+from hnn_vi_ros.learning.families.hnn import DGNet
+from hnn_vi_ros.learning.families.lagrangian import VIN
+from hnn_vi_ros.learning.tasks.field import LOSSES
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.variational import VariationalHamiltonian

@@ -11,10 +11,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
-from hnn_vi_ros.learning.families.choices import combination
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.plain_network import PlainNetwork
-from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.learning.families.choices import combination, Structure
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,

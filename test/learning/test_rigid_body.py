@@ -11,7 +11,7 @@ from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body
+from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.simulation import Simulation

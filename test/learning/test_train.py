@@ -9,12 +9,11 @@ import time
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.learning.families.base import Scales
+from hnn_vi_ros.learning.families.base import Perceptron, Scales
 from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.families.perceptron import Perceptron
 from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.fit.field import mean_square, nonlinearity
+from hnn_vi_ros.learning.tasks.field import mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -9,9 +9,8 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, load_config
-from hnn_vi_ros.learning.fit.field import FieldProblem
-from hnn_vi_ros.learning.fit.keeping import Interrupted, Keeper
-from hnn_vi_ros.learning.fit.loop import Fit, INTERVAL, LossHistory
+from hnn_vi_ros.learning.fit.loop import Fit, Interrupted, INTERVAL, Keeper, LossHistory
+from hnn_vi_ros.learning.tasks.field import FieldProblem
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

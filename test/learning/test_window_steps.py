@@ -8,9 +8,8 @@ from types import SimpleNamespace
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.families.linearised import Linearised
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.structure import Structure
+from hnn_vi_ros.learning.families.choices import Structure
+from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows

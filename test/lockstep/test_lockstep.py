@@ -6,10 +6,8 @@ from pathlib import Path
 
 from helpers import EPS
 from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.lockstep import devices
-from hnn_vi_ros.lockstep.devices import captured, open_device
-from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
-from hnn_vi_ros.lockstep.gradient import make_gradient
+from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble, open_device
+from hnn_vi_ros.lockstep.gradient import captured, make_gradient
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -188,7 +186,7 @@ def test_gpu_that_is_not_there_is_one_line(monkeypatch):
 
 
 def test_graphs_are_for_a_gpu_alone(monkeypatch):
-    monkeypatch.setattr(devices.torch, 'cuda', None)
+    monkeypatch.setattr(torch, 'cuda', None)
     ran = []
     captured(lambda: ran.append(1), CPU)()
     assert ran == [1]

@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.fit.body import LieSteps, Node
+from hnn_vi_ros.learning.tasks.body import LieSteps, Node
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.confined import load_learned

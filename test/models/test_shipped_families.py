@@ -3,7 +3,7 @@
 """Shipped models of every family, each by its fitting method: T = 1000 s without drift."""
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.learning.data.exact_data import sample_exact
+from hnn_vi_ros.learning.data.dataset import sample_exact
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.scene import Scene

@@ -12,7 +12,7 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.dataset import ExactData, sample_exact
 from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, load_checkpoint, save_checkpoint

@@ -6,7 +6,7 @@ import json
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.inertias import rigid_body
+from hnn_vi_ros.learning.fit import rigid_body
 import numpy as np
 import pytest
 from studies import machine_tables, published_tables, simulated_arm

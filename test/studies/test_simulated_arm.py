@@ -5,12 +5,11 @@
 from hnn_vi_ros.learning.data.runs import smoothed, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_machine
-from hnn_vi_ros.learning.judging.energy_account import balance
+from hnn_vi_ros.learning.judging.evaluation import balance
 import numpy as np
 import pytest
 from studies import simulated_arm
-from studies.simulated_arm import (
-    followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm)
+from studies.simulated_arm import followed_times, JOINTS, LEAST, MEAN, the_arm, write_arm
 
 
 def test_messages_are_late_lost_and_quantised_and_obey_the_arm(tmp_path, monkeypatch):

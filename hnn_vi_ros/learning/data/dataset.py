@@ -1,15 +1,19 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data to learn from: states (q, p) with their rates of change, measured or estimated."""
+"""Data to learn from: states (q, p) with their rates of change, measured, estimated or exact."""
 
 from dataclasses import dataclass, replace
+from inspect import signature
 from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.models.model_card import Box
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.models.model_card import Box, Interval
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field, model_validator
+from scipy.integrate import solve_ivp
 from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
 
@@ -238,3 +242,258 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
     splines = [make_smoothing_spline(t, column, lam=method.smoothing) for column in values.T]
     return (np.stack([spline(t) for spline in splines], axis=-1),
             np.stack([spline.derivative()(t) for spline in splines], axis=-1))
+
+
+_MOST_DRAWS = 10_000
+MAX_STATES = 1_000_000
+# Tolerances of the motions, relative and absolute.
+_TOLERANCES = 1e-10, 1e-12
+
+
+class ExactHamiltonian(StrictModel):
+    """An analytic Hamiltonian by name; further keys are its parameters, as in a scene."""
+
+    model_config = ConfigDict(extra='allow')
+    __pydantic_extra__: dict[str, float]
+
+    kind: Literal[tuple(HAMILTONIANS)]  # type: ignore[valid-type]
+
+    @model_validator(mode='after')
+    def _check(self) -> 'ExactHamiltonian':
+        valid = list(signature(HAMILTONIANS[self.kind]).parameters)
+        unknown = sorted(set(self.__pydantic_extra__) - set(valid))
+        if unknown:
+            raise ValueError(f'unknown key {unknown[0]}; valid keys: {", ".join(valid) or "none"}')
+        if self.create().rotations:
+            raise ValueError(f'{self.kind} turns: no family of models has rotations; take another')
+        return self
+
+    def create(self) -> Hamiltonian:
+        """Build the Hamiltonian."""
+        return HAMILTONIANS[self.kind](**self.__pydantic_extra__)
+
+
+class EvenTimes(StrictModel):
+    """Sampling of a motion: its states at even times, from 0 to the duration."""
+
+    duration: float = Field(gt=0.0, description='of each motion [s]')
+    spacing: float = Field(gt=0.0, description='from one state to the next [s]')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'EvenTimes':
+        if not 1.0 <= self.duration / self.spacing < MAX_STATES:
+            raise ValueError(f'spacing = {self.spacing:g} must be between duration / {MAX_STATES} '
+                             f'and the duration, {self.duration:g}')
+        return self
+
+    @property
+    def times(self) -> np.ndarray:
+        """Return the instants [s]."""
+        return self.spacing * np.arange(int(self.duration / self.spacing * (1.0 + 1e-12)) + 1)
+
+
+class Commands(StrictModel):
+    """Commands u drawn evenly from [-largest, largest], which add B u to dp/dt."""
+
+    input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(
+        min_length=1, description='B: one row for each coordinate, one column for each command')
+    largest: float = Field(gt=0.0, description='bound of every command')
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Return B, shape (d, m)."""
+        return np.array(self.input_map)
+
+    @model_validator(mode='after')
+    def _check(self) -> 'Commands':
+        if len({len(row) for row in self.input_map}) > 1:
+            raise ValueError('input_map has rows of different lengths')
+        return self
+
+
+class ExactData(StrictModel):
+    """States drawn at random from a box, their rates computed from an exact Hamiltonian."""
+
+    kind: Literal['exact']
+    hamiltonian: ExactHamiltonian
+    box: Box
+    samples: int = Field(1000, ge=MIN_ROWS, le=1_000_000)
+    edge_share: float = Field(0.0, ge=0.0, lt=1.0, description=(
+        'chance of each value to lie on a bound: corners of many dimensions are else left empty'))
+    radius: Interval | None = Field(None, description=(
+        'bounds of the length of q: an annulus of the box, for an H that is singular at q = 0'))
+    energy: Interval | None = Field(None, description=(
+        'bounds of H: the part of the box that motions of these energies visit'))
+    velocities: bool = Field(False, description=(
+        'whether dq/dt takes the place of p, in the box too, as where masses are unknown'))
+    trajectory: EvenTimes | None = Field(None, description=(
+        'follow the motion that begins at each of the samples, and learn from all its states'))
+    damping: float = Field(0.0, ge=0.0, description='gamma [1/s]: dp/dt = -H_q - gamma p')
+    commands: Commands | None = Field(None, description=(
+        'what drives the system, another at each of the samples'))
+    noise: float = Field(0.0, ge=0.0, description=(
+        'standard deviation of the noise of each coordinate and momentum; rates have none'))
+
+    @model_validator(mode='after')
+    def _check(self) -> 'ExactData':
+        for name in ('radius', 'energy'):
+            bounds = getattr(self, name)
+            if bounds is not None and not bounds[0] < bounds[1]:
+                raise ValueError(f'{name} = {bounds} must be [low, high] with low < high')
+        if self.commands is not None and len(self.commands.input_map) != len(self.box.q):
+            raise ValueError(f'commands.input_map has {len(self.commands.input_map)} rows, '
+                             f'expected {len(self.box.q)}, one for each coordinate')
+        if self.trajectory is not None:
+            states = self.samples * len(self.trajectory.times)
+            if states > MAX_STATES:
+                raise ValueError(f'{states} states are more than {MAX_STATES}; give fewer samples '
+                                 'or a larger trajectory.spacing')
+        return self
+
+
+def sample_exact(data: ExactData, seed: int) -> Dataset:
+    """
+    Draw states from a box and compute their rates, dq/dt = H_p and dp/dt = -H_q.
+
+    With ``trajectory``, each state is the first of a motion. With ``noise``, the rates are those
+    of the states without it, as in the data of Greydanus, Dzamba and Yosinski (NeurIPS 2019).
+
+    Parameters
+    ----------
+    data : ExactData
+        The Hamiltonian, the box and the number of samples.
+    seed : int
+        Of the random numbers; the same seed gives the same data.
+
+    Raises
+    ------
+    DataError
+        The box has another number of coordinates than the Hamiltonian, or a motion cannot be
+        followed.
+
+    """
+    hamiltonian = data.hamiltonian.create()
+    if len(data.box.q) != hamiltonian.dimension:
+        raise DataError(f'data.box has {len(data.box.q)} coordinates, but {data.hamiltonian.kind} '
+                        f'has {hamiltonian.dimension}; give one interval of q and of p for each')
+    rng = np.random.default_rng(seed)
+    q, p = _draw_states(data, hamiltonian, rng)
+    trajectory, t, commands = np.arange(data.samples), None, None
+    if data.commands is not None:
+        m = data.commands.matrix.shape[1]
+        commands = data.commands.largest * rng.uniform(-1.0, 1.0, (data.samples, m))
+    if data.trajectory is not None:
+        times = data.trajectory.times
+        q, p = _follow(data, hamiltonian, q, p, times, commands)
+        t, trajectory = np.tile(times, data.samples), np.repeat(trajectory, len(times))
+        commands = None if commands is None else commands[trajectory]
+    dq_dt, dp_dt = _rates(data, hamiltonian, q, p, commands)
+    _, accelerations = hamiltonian.hessian_vector(q, p, dq_dt, dp_dt)
+    energies = hamiltonian.energy(q, p)
+    if data.velocities:
+        p, dq_dt, dp_dt = dq_dt, dq_dt, accelerations
+    if data.noise > 0.0:
+        q, p = (part + data.noise * rng.normal(size=part.shape) for part in (q, p))
+    return Dataset(q, p, dq_dt, dp_dt, trajectory, _describe(data), t, trajectory,
+                   accelerations, commands, energies).checked()
+
+
+def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
+           commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return dq/dt and dp/dt, of the shape of q, with damping and commands."""
+    dH_dq, dH_dp = hamiltonian.gradient(q, p)
+    dp_dt = -dH_dq
+    if data.damping:
+        dp_dt -= data.damping * p
+    if commands is not None and data.commands is not None:
+        dp_dt += commands @ data.commands.matrix.T
+    return dH_dp, dp_dt
+
+
+def _describe(data: ExactData) -> str:
+    parameters = ', '.join(
+        f'{key}={value:g}' for key, value in data.hamiltonian.__pydantic_extra__.items())
+    system = f'{data.hamiltonian.kind}({parameters})'
+    text = f'{data.samples} exact samples of {system}'
+    if data.trajectory is not None:
+        text = (f'{data.samples} exact motions of {system}, of {data.trajectory.duration:g} s in '
+                f'steps of {data.trajectory.spacing:g} s')
+    text += f', damped at {data.damping:g} /s' if data.damping else ''
+    text += f', with commands up to {data.commands.largest:g}' if data.commands else ''
+    text += ', with dq/dt in place of p' if data.velocities else ''
+    return text + (f', noise {data.noise:g}' if data.noise > 0.0 else '')
+
+
+def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
+            times: np.ndarray, commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (q, p) of the motions from these ones, one motion after another."""
+    d, motions = hamiltonian.dimension, []
+    for i, z in enumerate(np.hstack([q, p])):
+        command = None if commands is None else commands[i]
+
+        def rates(_: float, z: np.ndarray) -> np.ndarray:
+            return np.concatenate(_rates(data, hamiltonian, z[:d], z[d:], command))  # noqa: B023
+
+        motion = solve_ivp(rates, (0.0, times[-1]), z, 'DOP853', times, rtol=_TOLERANCES[0],
+                           atol=_TOLERANCES[1])
+        if not motion.success:
+            raise DataError(f'data.trajectory: the motion from {z.tolist()} cannot be followed '
+                            f'({motion.message}); give a smaller box or a shorter duration')
+        motions.append(motion.y.T)
+    z = np.concatenate(motions)
+    return z[:, :d], z[:, d:]
+
+
+def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
+                 ) -> tuple[np.ndarray, np.ndarray]:
+    """Return q and p of shape (samples, d), drawn again until all are within the bounds."""
+    q = _draw(data.box.q, data, rng)
+    p = _momenta(data, hamiltonian, q, _draw(data.box.p, data, rng))
+    bad = ~_is_within(data, hamiltonian, q, p)
+    for _ in range(_MOST_DRAWS):
+        if not bad.any():
+            return q, p
+        again = np.flatnonzero(bad)
+        q[again] = _draw(data.box.q, data, rng)[again]
+        p[again] = _momenta(data, hamiltonian, q[again], _draw(data.box.p, data, rng)[again])
+        bad[again] = ~_is_within(data, hamiltonian, q[again], p[again])
+    raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
+                    'data.box is within these bounds; give wider ones or a smaller box')
+
+
+def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np.ndarray
+             ) -> np.ndarray:
+    """Return p of shape (N, d), where velocities may have been drawn in its place."""
+    if not data.velocities:
+        return drawn
+    zero = np.zeros_like(q)
+    columns = [hamiltonian.hessian_vector(q, zero, zero, np.tile(unit, (len(q), 1)))[1]
+               for unit in np.eye(q.shape[1])]
+    rest = hamiltonian.gradient(q, zero)[1]
+    # Exact, since dq/dt is linear in p in all of these Hamiltonians.
+    return np.linalg.solve(np.stack(columns, axis=2), (drawn - rest)[:, :, None])[:, :, 0]
+
+
+def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray
+               ) -> np.ndarray:
+    """Return which states are within the bounds of radius and energy."""
+    within = np.ones(len(q), dtype=bool)
+    if data.radius is not None:
+        low, high = data.radius
+        length = np.linalg.norm(q, axis=1)
+        within &= (low <= length) & (length <= high)
+    if data.energy is not None:
+        low, high = data.energy
+        energy = hamiltonian.energy(q, p)
+        within &= (low <= energy) & (energy <= high)
+    return within
+
+
+def _draw(bounds: list[list[float]], data: ExactData, rng: np.random.Generator) -> np.ndarray:
+    """Return values of shape (samples, d), uniform between the bounds or on one of them."""
+    low, high = np.transpose(bounds)
+    values = rng.uniform(low, high, size=(data.samples, len(bounds)))
+    if data.edge_share > 0.0:
+        edges = np.where(rng.random(values.shape) < 0.5, low, high)
+        values = np.where(rng.random(values.shape) < data.edge_share, edges, values)
+    return values

@@ -1,15 +1,191 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of a family to the training loop and to the model file."""
+"""Parts of all families: their interface, perceptrons in torch, and Newton's method."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
+
+# Steps end where they change unknowns by less than this share of their usual sizes: the error
+# that is left is the square of it. The first steps take the matrix that the caller has, which
+# costs a third of a step with a new one. Where friction jumps there are more steps than
+# elsewhere, and some of them are halved.
+ENOUGH = 1e-6
+_CHEAP, _MOST = 2, 40
+
+
+def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor,
+           matrix: torch.Tensor | None, unit: torch.Tensor, residual_unit: torch.Tensor,
+           enough: float = ENOUGH) -> tuple[torch.Tensor, torch.Tensor]:
+    """
+    Return the roots of equations, shape (N, d), and their matrices, by Newton's method.
+
+    Parameters
+    ----------
+    residual : callable
+        Of shape (N, d), at unknowns of that shape, row by row.
+    guess : torch.Tensor, shape (N, d)
+        Where to begin.
+    matrix : torch.Tensor, shape (N, d, d), optional
+        About the derivative of the residual, for the first steps.
+    unit, residual_unit : torch.Tensor, shape (d,)
+        Usual sizes of the unknowns, and of the residual.
+    enough : float
+        Share of the unknowns' sizes below which a step is the last one. The matrices returned
+        are those before that step, so derivatives that they make are off by about this share.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Roots, NaN where none was found, and the derivatives of the residual at them.
+
+    """
+    best = w = guess
+    least = torch.full(guess.shape[:1], torch.inf, dtype=guess.dtype)
+    share, step = torch.ones_like(least), torch.zeros_like(guess)
+    for k in range(_MOST):
+        cheap = matrix is not None and k < _CHEAP
+        value, slopes = (_value(residual, w), matrix) if cheap else _with_slopes(residual, w)
+        size = (value / residual_unit).square().sum(dim=1)
+        # Halve a step that makes the residual worse, or not a number.
+        better = size < least
+        least, share = torch.where(better, size, least), torch.where(better, 1.0, 0.5 * share)
+        best = torch.where(better[:, None], w, best)
+        step = torch.where(better[:, None], _solve(slopes, value), step)
+        w = best - share[:, None] * step
+        # This also ends where only rounding is left, and no step improves the residual.
+        done = (step.abs() <= enough * unit).all(dim=1)
+        if not cheap and done.all():
+            break
+    return torch.where(done[:, None], w, torch.nan), slopes
+
+
+def _value(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor) -> torch.Tensor:
+    with torch.no_grad():
+        return residual(w)
+
+
+def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor
+                 ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return r, shape (N, d), and r_w, shape (N, d, d), by one backward pass for all rows."""
+    with torch.enable_grad():
+        w = w.detach().requires_grad_()
+        value = residual(w)
+        units = torch.eye(w.shape[1], dtype=w.dtype)[:, None, :].expand(-1, len(w), -1)
+        (rows,) = torch.autograd.grad(value, w, units, is_grads_batched=True)
+    return value.detach(), rows.transpose(0, 1)
+
+
+def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.solve_ex(matrix, right[:, :, None])[0][:, :, 0]
+
+
+class Perceptron(torch.nn.Module):
+    """
+    f(x) = E MLP((x - c) / s), in float64.
+
+    The centre c, the scale s and the scale E of the outputs make the inputs and the slope of the
+    perceptron of order one; they are constants, and ``layers`` folds them into the weights.
+
+    Parameters
+    ----------
+    hidden : sequence of int
+        Widths of the hidden layers.
+    centre, scale : np.ndarray, shape (inputs,)
+        c and s, in the units of x.
+    output_scale : np.ndarray, shape (outputs,)
+        E, in the units of f.
+    seed : int
+        Of the initial weights.
+
+    """
+
+    def __init__(self, hidden: Sequence[int], centre: np.ndarray, scale: np.ndarray,
+                 output_scale: np.ndarray, seed: int):
+        super().__init__()
+        self.widths = [len(centre), *hidden, len(output_scale)]
+        for name, values in (('centre', centre), ('scale', scale), ('output_scale', output_scale)):
+            self.register_buffer(name, torch.tensor(values), persistent=False)
+        self.linears = torch.nn.ModuleList(
+            torch.nn.Linear(inputs, outputs, dtype=torch.float64)
+            for inputs, outputs in pairwise(self.widths))
+        generator = torch.Generator().manual_seed(seed)
+        for linear in self.linears:
+            torch.nn.init.xavier_normal_(linear.weight, generator=generator)
+            # Spread biases: with zero ones every unit is odd, a poor start for an energy.
+            torch.nn.init.normal_(linear.bias, std=0.5, generator=generator)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return f, shape (N, outputs), of points x, shape (N, inputs)."""
+        a = (x - self.centre) / self.scale
+        for linear in self.linears[:-1]:
+            a = torch.tanh(linear(a))
+        return self.output_scale * self.linears[-1](a)
+
+    def slope(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the derivatives of f, shape (N, outputs, inputs), at points of (N, inputs)."""
+        a = (x - self.centre) / self.scale
+        tangent = torch.diag(1.0 / self.scale)
+        for linear in self.linears[:-1]:
+            a = torch.tanh(linear(a))
+            tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
+        return self.output_scale[:, None] * (self.linears[-1].weight @ tangent)
+
+    def gradient(self, x: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
+        """
+        Return the gradient of a sum of the outputs, shape (N, inputs), by one backward pass.
+
+        Parameters
+        ----------
+        x : torch.Tensor, shape (N, inputs)
+            Points.
+        weights : torch.Tensor, shape (N, outputs), optional
+            Of the outputs in the sum; none for the one output of a network.
+
+        """
+        a, activations = (x - self.centre) / self.scale, []
+        *hidden, last = self.linears
+        for linear in hidden:
+            a = torch.tanh(linear(a))
+            activations.append(a)
+        g = self.output_scale * last.weight if weights is None else \
+            (weights * self.output_scale) @ last.weight
+        for linear, a in zip(hidden[::-1], activations[::-1], strict=True):
+            g = (g * (1.0 - a.square())) @ linear.weight
+        return g / self.scale
+
+    def layers(self, x0: np.ndarray | None = None, value: float = 0.0) -> Layers:
+        """
+        Return a plain tanh perceptron of x that is f, or differs from it by a constant.
+
+        Parameters
+        ----------
+        x0 : np.ndarray, shape (inputs,), optional
+            A point with a given value; without it f stays unchanged.
+        value : float
+            What all outputs shall be there.
+
+        """
+        weights = [linear.weight.detach().numpy().copy() for linear in self.linears]
+        biases = [linear.bias.detach().numpy().copy() for linear in self.linears]
+        weights[0] /= self.scale.numpy()
+        biases[0] -= weights[0] @ self.centre.numpy()
+        scale = self.output_scale.numpy()
+        weights[-1] *= scale[:, None]
+        biases[-1] *= scale
+        if x0 is not None:
+            a = x0
+            for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+                a = np.tanh(weight @ a + bias)
+            biases[-1] = value - weights[-1] @ a
+        return Layers(tuple(weights), tuple(biases))
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hnn_vi_ros.learning.families.newton import newton
-from hnn_vi_ros.learning.families.perceptron import Perceptron
+from hnn_vi_ros.learning.families.base import newton, Perceptron
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np

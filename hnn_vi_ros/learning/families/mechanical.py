@@ -1,21 +1,346 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The mechanical network: mass matrix, potential and friction, learned from (q, v, tau)."""
+"""Networks of machines, learned from (q, v, tau): mass, potential, friction; and a plain one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import math
+from typing import Any, NamedTuple
 
-from hnn_vi_ros.learning.families.joint_friction import JointFriction
-from hnn_vi_ros.learning.families.linearised import Linearised, linearised
-from hnn_vi_ros.learning.families.perceptron import Perceptron
-from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain
-from hnn_vi_ros.learning.families.rigid_tree import RigidTree
-from hnn_vi_ros.learning.families.structure import Features, MotionScales, Structure
+from hnn_vi_ros.learning.families.base import Perceptron
+from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structure
+from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
 from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard
+from hnn_vi_ros.models.mechanical_card import (
+    CoulombTerm, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
 from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
 import torch
+
+# Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
+_NARROWEST, _WIDEST = 0.003, 1.0
+# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
+_LEAST = -5.0
+# The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
+_FIRST_ROOT = 0.2
+
+
+class JointFriction(torch.nn.Module):
+    """
+    b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
+
+    The entries of the lower triangular B are outputs of ``network``, so that D is positive
+    semidefinite for any outputs, and all friction dissipates energy.
+
+    Parameters
+    ----------
+    structure : Structure
+        What friction there is, and what D sees.
+    hidden : sequence of int
+        Widths of the hidden layers of D.
+    scales : MotionScales
+        Of the data.
+    seed : int
+        Of the initial weights.
+
+    """
+
+    def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
+                 seed: int):
+        super().__init__()
+        d = len(structure.kinds)
+        self.structure = structure
+        terms = structure.coulomb + structure.stribeck
+        force = scales.inertia * scales.a
+        for name, values in (
+                ('viscous_unit', force / scales.v), ('force_unit', force),
+                ('speed_unit', scales.v)):
+            self.register_buffer(name, torch.tensor(values), persistent=False)
+        # log(1 + exp(-3)) is 0.05: little friction at first.
+        self.raw_viscous = torch.nn.Parameter(torch.full((d,), -3.0, dtype=torch.float64))
+        self.raw_force = torch.nn.Parameter(torch.full((terms, d), -3.0, dtype=torch.float64))
+        # Widths at first spread over their bounds.
+        spread = torch.linspace(-1.0, 1.0, terms + 2, dtype=torch.float64)[1:-1, None]
+        self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
+        self.raw_speed = torch.nn.Parameter(
+            torch.zeros((structure.stribeck, d), dtype=torch.float64))
+        if structure.friction_features is not None:
+            self._make_network(structure.friction_features, hidden, scales, seed)
+
+    def _make_network(self, features: list[list[float]], hidden: Sequence[int],
+                      scales: MotionScales, seed: int) -> None:
+        rows, columns = np.tril_indices(len(scales.v))
+        d = len(scales.v)
+        place = np.zeros((len(rows), d * d))
+        place[np.arange(len(rows)), rows * d + columns] = 1.0
+        self.register_buffer('place', torch.tensor(place), persistent=False)
+        self.features = Features(self.structure.kinds, features)
+        root = np.sqrt(self.viscous_unit.numpy())[rows]
+        self.network = Perceptron(
+            hidden if features else [1], *self.features.units(scales), root, seed)
+        with torch.no_grad():
+            # Not zero, where the slope of B B^T would be none.
+            self.network.linears[-1].weight.mul_(0.1)
+            self.network.linears[-1].bias.copy_(torch.tensor(_FIRST_ROOT * (rows == columns)))
+
+    def coefficients(self) -> tuple[torch.Tensor, ...]:
+        """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
+        positive = torch.nn.functional.softplus
+        span = math.log(_WIDEST / _NARROWEST)
+        width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
+        return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
+                self.force_unit * positive(self.raw_force), width,
+                self.speed_unit * torch.sigmoid(self.raw_speed))
+
+    def roots(self, q: torch.Tensor) -> torch.Tensor:
+        """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
+        d = q.shape[1]
+        return (self.network(self.features(q)[0]) @ self.place).reshape(-1, d, d)
+
+    def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return the friction that is taken from tau, all of shape (N, d)."""
+        b, c, w, s = self.coefficients()
+        total = b * v
+        if len(c):
+            terms, n = c * torch.tanh(v[:, None, :] / w), self.structure.coulomb
+            if len(s):
+                ends = torch.exp(-(v[:, None, :] / s).square())
+                terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
+            total = total + terms.sum(dim=1)
+        if self.structure.friction_features is not None:
+            B = self.roots(q)
+            total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]
+        return total
+
+    def columns(self, v: torch.Tensor) -> torch.Tensor:
+        """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
+        _, _, widths, speeds = (part.detach() for part in self.coefficients())
+        found = [v] * self.structure.viscous
+        for k, width in enumerate(widths):
+            slower = k - self.structure.coulomb
+            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
+            found.append(torch.tanh(v / width) * ends)
+        identity = torch.eye(v.shape[1], dtype=v.dtype)
+        return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
+            if found else v[:, :, None][:, :, :0]
+
+    def raise_to_least(self) -> None:
+        """Clamp coefficients away from zero, where the gradient vanishes."""
+        with torch.no_grad():
+            for raw in (self.raw_viscous, self.raw_force):
+                raw.clamp_(min=_LEAST)
+
+    def scale(self, factor: float) -> None:
+        """Multiply all of it by a factor."""
+        for unit in (self.viscous_unit, self.force_unit):
+            unit *= factor
+        if self.structure.friction_features is not None:
+            self.network.output_scale *= math.sqrt(factor)
+
+    def card(self) -> FrictionCard:
+        """Return the coefficients for the model card."""
+        b, c, w, s = (part.detach().tolist() for part in self.coefficients())
+        n = self.structure.coulomb
+        return FrictionCard(
+            viscous=b, coulomb=[CoulombTerm(force=force, width=width)
+                                for force, width in zip(c[:n], w[:n], strict=True)],
+            stribeck=[StribeckTerm(force=force, width=width, speed=speed)
+                      for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
+
+
+class Linearised(NamedTuple):
+    """
+    p = M(q) v and F = dp/dt where tau is zero, with their derivatives.
+
+    Parameters
+    ----------
+    p, rate : torch.Tensor, shape (N, d)
+        p and F.
+    p_v, p_q, rate_q, rate_v : torch.Tensor, shape (N, d, d)
+        M, p_q, F_q and F_v.
+
+    """
+
+    p: torch.Tensor
+    rate: torch.Tensor
+    p_v: torch.Tensor
+    p_q: torch.Tensor
+    rate_q: torch.Tensor
+    rate_v: torch.Tensor
+
+
+class Layer(NamedTuple):
+    """Activations a of a layer, (N, n), 1 - a^2, and the derivatives of its z, (m, N, n)."""
+
+    a: torch.Tensor
+    slope: torch.Tensor
+    rates: torch.Tensor
+
+
+def linearised(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
+    """Return p and F of a mechanical network with their derivatives, at q and v, both (N, d)."""
+    found = []
+    if network.prior is None or network.structure.residual:
+        found.append(_of_networks(network, q, v))
+    if network.prior is not None:
+        values = network.prior.values().detach()
+        rate, rate_q, rate_v = _differentiated(
+            lambda q, v: network.prior.slopes(q, v, values)[1], q, v)
+        M = network.prior.mass(q, values)
+        # p = T_v and F = T_q - V_q of the same energy.
+        found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M, rate_v.transpose(1, 2),
+                                rate_q, rate_v))
+    both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
+    rubbing, by_q, by_v = _friction(network.friction, q, v)
+    return both._replace(rate=both.rate - rubbing, rate_q=both.rate_q - by_q,
+                         rate_v=both.rate_v - by_v)
+
+
+def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor
+              ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return friction, (N, d), and its derivatives by q and v, (N, d, d)."""
+    if friction.structure.friction_features is not None:
+        return _differentiated(friction, q, v)
+    with torch.enable_grad():
+        at = v.detach().requires_grad_()
+        value = friction(q, at)
+        # That of a joint depends on its own velocity alone.
+        (slope,) = torch.autograd.grad(value.sum(), at)
+    found = torch.diag_embed(slope)
+    return value.detach(), torch.zeros_like(found), found
+
+
+def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: torch.Tensor
+                    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return a function, (N, d), and its derivatives by q and v, by one backward pass."""
+    with torch.enable_grad():
+        at = q.detach().requires_grad_(), v.detach().requires_grad_()
+        value = function(*at)
+        units = torch.eye(q.shape[1], dtype=q.dtype)[:, None, :].expand(-1, len(q), -1)
+        rows = torch.autograd.grad(value, at, units, is_grads_batched=True, allow_unused=True)
+    none = torch.zeros_like(units)
+    by_q, by_v = ((none if part is None else part).transpose(0, 1) for part in rows)
+    return value.detach(), by_q, by_v
+
+
+def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
+    """
+    Return p and F of the networks' M and V, without friction.
+
+    The kinetic energy T(q, v) = |L^T S v|^2 / 2 has p = T_v and F = T_q - V_q, so that F_v is
+    the transpose of p_q.
+
+    With a = tanh(z) in each layer, the second derivatives of a network f(x) by the features i and
+    j of its inputs x are f_ij = sum over the layers of f_a tanh''(z) z_i z_j + f_x x_ij: one pass
+    forward, with the derivatives z_i, and one backward, for f_a, find them all.
+    """
+    S, on_diagonal = network.root_inertia, network.on_diagonal
+    inputs, layers = _layers(network.mass, network.mass_features, q)
+    last, scale = network.mass.linears[-1], network.mass.output_scale
+    y = scale * last(layers[-1].a)
+    y_rates = scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T)
+    share = torch.sigmoid(y)
+    rise = torch.where(on_diagonal, share, 1.0)
+    L, u = network.matrix(network.positive(y)), (S * v)[:, :, None]
+    w = L.transpose(1, 2) @ u
+    # The derivatives of T by the entries of L.
+    by_entries = (u * w.transpose(1, 2)).flatten(1) @ network.place.T
+    T_f, T_ff = _curvature(network.mass, network.mass_features, inputs, layers, by_entries * rise)
+    L_rates = ((rise * y_rates) @ network.place).unflatten(2, L.shape[1:])
+    w_rates = L_rates.transpose(2, 3) @ u
+    bend = torch.where(on_diagonal, share * (1.0 - share), 0.0) * by_entries
+    T_ff = (T_ff + _products(bend * y_rates, y_rates)
+            + _products(w_rates[..., 0], w_rates[..., 0]))
+    G, at = network.mass_features.features, network.potential_features.features
+    p_q = S[:, None] * ((L @ w_rates + L_rates @ w)[..., 0].permute(1, 2, 0) @ G)
+    V_f, V_ff = _curvature(network.potential, network.potential_features, *_layers(
+        network.potential, network.potential_features, q), torch.ones_like(q[:1, :1]))
+    M = S[:, None] * (L @ L.transpose(1, 2) + network.floor * network.identity) * S
+    return Linearised((M @ v[:, :, None])[:, :, 0], T_f @ G - V_f @ at, M, p_q,
+                      G.T @ T_ff @ G - at.T @ V_ff @ at, p_q.transpose(1, 2))
+
+
+def _layers(network: Perceptron, features: Features, q: torch.Tensor
+            ) -> tuple[tuple[torch.Tensor, torch.Tensor], list[Layer]]:
+    """Return the inputs with their derivatives by their rows, and the hidden layers."""
+    inputs = features(q)
+    a = (inputs[0] - network.centre) / network.scale
+    tangents = inputs[1] / network.scale * features.of_feature[:, None, :]
+    layers: list[Layer] = []
+    for linear in network.linears[:-1]:
+        if layers:
+            a, tangents = layers[-1].a, layers[-1].slope * layers[-1].rates
+        a = torch.tanh(linear(a))
+        layers.append(Layer(a, 1.0 - a.square(), tangents @ linear.weight.T))
+    return inputs, layers
+
+
+def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tensor, torch.Tensor],
+               layers: list[Layer], weights: torch.Tensor
+               ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the derivatives by features, (N, m) and (N, m, m), of weighted outputs (N, k)."""
+    *hidden, last = network.linears
+    back, curved = (weights * network.output_scale) @ last.weight, torch.zeros(())
+    for linear, (a, slope, rates) in zip(hidden[::-1], layers[::-1], strict=True):
+        back = slope * back
+        curved = curved + _products(-2.0 * a * back * rates, rates)
+        back = back @ linear.weight
+    back, (x, slope) = back / network.scale, inputs
+    own = features.of_feature.T.to(x.dtype)
+    # The second derivative of a sine is its negative.
+    return (back * slope) @ own, curved + torch.diag_embed(
+        (torch.where(features.periodic, -x, 0.0) * back) @ own)
+
+
+def _products(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return the products, shape (N, m, m), of m vectors of shape (N, n) each with m others."""
+    return (a[:, None] * b).sum(dim=-1).permute(2, 0, 1)
+
+
+class PlainNetwork(torch.nn.Module):
+    """
+    dv/dt = N(q, v, tau), a perceptron in float64: a neural ordinary differential equation.
+
+    The inputs are the sine and cosine of coordinates that turn over.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Of the coordinates.
+    hidden : sequence of int
+        Widths of the hidden layers.
+    scales : MotionScales
+        Of the data.
+    seed : int
+        Of the initial weights.
+
+    References
+    ----------
+    R. Chen, Y. Rubanova, J. Bettencourt, D. Duvenaud, Neural Ordinary Differential Equations,
+    NeurIPS 2018.
+
+    """
+
+    has_masses = False
+
+    def __init__(self, kinds: Sequence[Kind], hidden: Sequence[int], scales: MotionScales,
+                 seed: int):
+        super().__init__()
+        self.scales = scales
+        turns = np.array([kind == 'continuous' for kind in kinds])
+        self._turning, self._others = np.flatnonzero(turns), np.flatnonzero(~turns)
+        half = scales.q_half[~turns]
+        centre = np.concatenate([np.zeros(2 * turns.sum()), scales.q_centre[~turns],
+                                 np.zeros(len(kinds) + len(scales.command))])
+        unit = np.concatenate([np.ones(2 * turns.sum()), np.where(half > 0.0, half, 1.0),
+                               scales.v, scales.command])
+        self.perceptron = Perceptron(hidden, centre, unit, scales.a, seed)
+
+    def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        """Return dv/dt, shape (N, d), at q and v of that shape and commands of shape (N, m)."""
+        angles = q[:, self._turning]
+        return self.perceptron(torch.cat([
+            torch.sin(angles), torch.cos(angles), q[:, self._others], v, tau], dim=1))
+
 
 _NETWORKS = ('mass', 'potential')
 # Least eigenvalue of S^-1 M S^-1.

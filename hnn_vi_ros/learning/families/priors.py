@@ -1,15 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Priors of a mechanical network in torch: rigid links in a plane, and exact systems."""
+"""Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import FunctionType
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import exact_system, functions_of
-from hnn_vi_ros.models.mechanical_card import Quantity
+from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
 from hnn_vi_ros.models.planar_chain import chain_terms, parameter_names
+from hnn_vi_ros.models.rigid_body_card import (
+    EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
 import numpy as np
 import torch
 
@@ -244,3 +246,247 @@ def in_torch(function: Callable[..., Any]) -> Callable[..., Any]:
              if name in function.__code__.co_names}
     names |= {'np': torch} if 'np' in names else {}
     return FunctionType(function.__code__, function.__globals__ | names, function.__name__)
+
+
+# Bodies that weigh nothing have no logarithm: least mass, as a share of all, and least radius of
+# gyration [m], of what a fit begins with.
+_LEAST_MASS, _LEAST_RADIUS = 1e-4, 0.01
+# The indices of the moments about the origin, xx, xy, yy, xz, yz, zz.
+_ROWS, _COLUMNS = np.tril_indices(3)
+
+
+class Swept(NamedTuple):
+    """
+    Motions of a tree in N states, each body i in its own frame: (angular, linear).
+
+    Parameters
+    ----------
+    jacobian : torch.Tensor, shape (N, d, 6, d)
+        J_i of the velocities V_i = J_i v.
+    rate : torch.Tensor, shape (N, d, 6, d)
+        dJ_i/dt.
+    pull : torch.Tensor, shape (N, d, 6)
+        The acceleration that a body at rest feels, that of free fall turned about.
+
+    """
+
+    jacobian: torch.Tensor
+    rate: torch.Tensor
+    pull: torch.Tensor
+
+
+class RigidTree(Prior):
+    """
+    M and V of a tree of bodies, by unknowns for which all inertias are physically consistent.
+
+    The pseudo-inertia of each is U0 U(x) U(x)^T U0^T, that of the URDF being U0 U0^T and
+
+        U(x) = exp(x0) [[exp(x1), x4, x6, x7], [0, exp(x2), x5, x8], [0, 0, exp(x3), x9],
+                        [0, 0, 0, 1]]
+
+    its log-Cholesky parameters, so that x = 0 is the URDF and x does not depend on axes and units.
+    With the velocities V_i = J_i v of the bodies and their inertias I_i,
+
+        M = sum_i J_i^T I_i J_i
+        (M v)' - (v . M v)_q / 2 = sum_i J_i^T (I_i J_i' v + V_i x* I_i V_i)
+
+    Parameters
+    ----------
+    tree : TreeCard
+        Its bodies.
+    values : np.ndarray, shape (d, 12)
+        Their parameters in the URDF.
+
+    References
+    ----------
+    C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia, IEEE Robotics and
+    Automation Letters 7 (2022).
+    R. Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 2 and 5.
+
+    """
+
+    def __init__(self, tree: TreeCard, values: np.ndarray):
+        super().__init__()
+        self.tree, self.names = tree, [*tree.units]
+        d = len(tree.bodies)
+        least = _LEAST_MASS * max(values[:, 0].sum(), 1e-3)
+        roots = [_root(pseudo_inertia(row[:INERTIAL]), least) for row in values]
+        axes = np.zeros((d, 6))
+        for row, body in zip(axes, tree.bodies, strict=True):
+            row[3 * body.prismatic:][:3] = body.axis
+        for name, array in (
+                ('root', np.stack(roots)), ('axes', axes), ('gravity', np.array(tree.gravity)),
+                ('turns', np.array([body.rotation for body in tree.bodies])),
+                ('origins', np.array([body.origin for body in tree.bodies])),
+                ('across', np.stack([_across(axis) for axis in axes[:, :3]])),
+                ('units', _units())):
+            self.register_buffer(name, torch.tensor(array), persistent=False)
+        self.raw = torch.nn.Parameter(torch.zeros((d, INERTIAL), dtype=torch.float64))
+        self.rotor = torch.nn.Parameter(torch.tensor(values[:, INERTIAL]))
+        self.offset = torch.nn.Parameter(torch.zeros(d, dtype=torch.float64))
+        # What data tell of it, once it was identified.
+        self.identification: Identification | None = None
+
+    def values(self) -> torch.Tensor:
+        """Return the parameters of all bodies, shape (12 d,), in the order of their names."""
+        return torch.cat([self.inertial(self.raw), self.rotor[:, None], self.offset[:, None]],
+                         dim=1).flatten()
+
+    def inertial(self, x: torch.Tensor) -> torch.Tensor:
+        """Return (m, h, I) of bodies, shape (d, 10), of log-Cholesky parameters of that shape."""
+        zero, one = torch.zeros_like(x[:, 0]), torch.ones_like(x[:, 0])
+        a, b, c = torch.exp(x[:, 1:4]).unbind(dim=1)
+        rows = ((a, x[:, 4], x[:, 6], x[:, 7]), (zero, b, x[:, 5], x[:, 8]),
+                (zero, zero, c, x[:, 9]), (zero, zero, zero, one))
+        U = self.root @ torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
+        U = U * torch.exp(x[:, 0])[:, None, None]
+        moments = U @ U.transpose(1, 2)
+        second = moments[:, :3, :3]
+        trace = torch.diagonal(second, dim1=1, dim2=2).sum(dim=1)
+        about = trace[:, None, None] * torch.eye(3, dtype=x.dtype) - second
+        return torch.cat([moments[:, 3, 3, None], moments[:, :3, 3],
+                          about[:, _ROWS, _COLUMNS]], dim=1)
+
+    def quantities(self, p_unit: str) -> dict[str, Quantity]:
+        """Return the parameters with their SI units."""
+        return {name: Quantity(value=value, unit=unit) for (name, unit), value in zip(
+            self.tree.units.items(), self.values().tolist(), strict=True)}
+
+    def card(self, alone: bool) -> PriorCard:
+        """Return its entry in the model card."""
+        return PriorCard(kind=RIGID_BODY, parameters=self.quantities(''), tree=self.tree,
+                         alone=alone, identification=self.identification)
+
+    def sweep(self, q: torch.Tensor, v: torch.Tensor) -> Swept:
+        """Return where states (N, d) take the bodies, from the base outward."""
+        n, d = q.shape
+        none = torch.zeros((n, 6, d), dtype=q.dtype)
+        at_base = none, none, -self.gravity.expand(n, 3)
+        reached: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
+        for i, body in enumerate(self.tree.bodies):
+            J, J_dot, pull = reached[body.parent - 1] if body.parent else at_base
+            axis, value, speed = self.axes[i], q[:, body.coordinate], v[:, body.coordinate]
+            turn, origin = self._joint(i, value)
+            own = torch.zeros((6, d), dtype=q.dtype)
+            own[:, body.coordinate] = axis
+            J = _seen_from(turn, origin, J)
+            J_dot = _seen_from(turn, origin, J_dot)
+            J_dot = J_dot - speed[:, None, None] * (_cross_motion(axis) @ J)
+            reached.append((J + own, J_dot, (turn.transpose(1, 2) @ pull[:, :, None])[:, :, 0]))
+        jacobians, rates, pulls = zip(*reached, strict=True)
+        pull = torch.stack(pulls, dim=1)
+        return Swept(torch.stack(jacobians, dim=1), torch.stack(rates, dim=1),
+                     torch.cat([torch.zeros_like(pull), pull], dim=2))
+
+    def _joint(self, i: int, value: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return rotation (N, 3, 3) and origin (N, 3) of a link in the frame of its parent."""
+        turn, origin = self.turns[i].expand(len(value), 3, 3), self.origins[i]
+        if self.tree.bodies[i].prismatic:
+            return turn, origin + value[:, None] * (self.turns[i] @ self.axes[i, 3:])
+        across, angle = self.across[i], value[:, None, None]
+        about = (torch.eye(3, dtype=value.dtype) + torch.sin(angle) * across
+                 + (1.0 - torch.cos(angle)) * (across @ across))
+        return turn @ about, origin.expand(len(value), 3)
+
+    def _inertias(self, values: torch.Tensor) -> torch.Tensor:
+        """Return I_i, shape (d, 6, 6), of all parameters."""
+        return (values.reshape(-1, EACH)[:, :INERTIAL] @ self.units.flatten(1)).reshape(-1, 6, 6)
+
+    def _by_joint(self, values: torch.Tensor, column: int) -> torch.Tensor:
+        """Return a parameter of joints, shape (d,), in the order of the coordinates."""
+        order = torch.argsort(torch.tensor([body.coordinate for body in self.tree.bodies]))
+        return values.reshape(-1, EACH)[order, INERTIAL + column]
+
+    def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """Return M, shape (N, d, d)."""
+        J = self.sweep(q, torch.zeros_like(q)).jacobian
+        return ((J.transpose(2, 3) @ self._inertias(values) @ J).sum(dim=1)
+                + torch.diag(self._by_joint(values, 0)))
+
+    def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
+               ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
+        swept, inertias = self.sweep(q, v), self._inertias(values)
+        motion = swept.jacobian @ v[:, None, :, None]
+        momentum = inertias @ motion
+        drift = inertias @ (swept.rate @ v[:, None, :, None])
+        turned = (swept.rate.transpose(2, 3) @ momentum
+                  + swept.jacobian.transpose(2, 3) @ drift).sum(dim=1)[:, :, 0]
+        held = _cross_force(motion[..., 0], momentum[..., 0]) + (
+            inertias @ swept.pull[..., None])[..., 0]
+        slope = (swept.rate.transpose(2, 3) @ momentum
+                 - swept.jacobian.transpose(2, 3) @ held[..., None]).sum(dim=1)[:, :, 0]
+        return turned, slope - self._by_joint(values, 1)
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter where it alone is one, shape (N, d, 12 d)."""
+        swept = self.sweep(q, v)
+        motion = (swept.jacobian @ v[:, None, :, None])[..., 0]
+        change = (swept.jacobian @ a[:, None, :, None]
+                  + swept.rate @ v[:, None, :, None])[..., 0] + swept.pull
+        momenta = torch.einsum('kab,nib->nika', self.units, motion)
+        forces = torch.einsum('kab,nib->nika', self.units, change) + _cross_force(
+            motion[:, :, None, :].expand_as(momenta), momenta)
+        found = torch.einsum('niaj,nika->njik', swept.jacobian, forces)
+        n, d = q.shape
+        place = torch.zeros((d, d), dtype=q.dtype)
+        for i, body in enumerate(self.tree.bodies):
+            place[body.coordinate, i] = 1.0
+        rotors = (a[:, :, None] * place)[..., None]
+        offsets = place.expand(n, d, d)[..., None]
+        return torch.cat([found, rotors, offsets], dim=3).flatten(2)
+
+
+def _root(moments: np.ndarray, least: float) -> np.ndarray:
+    """Return the upper triangular U0 of U0 U0^T, about a pseudo-inertia."""
+    scale = np.sqrt(np.array([*3 * (_LEAST_RADIUS**2 * least,), least]))
+    values, vectors = np.linalg.eigh(moments / scale / scale[:, None])
+    if values[0] < 1.0:
+        moments = scale[:, None] * (vectors * np.maximum(values, 1.0)) @ vectors.T * scale
+    return np.linalg.cholesky(moments[::-1, ::-1])[::-1, ::-1].copy()
+
+
+def _units() -> np.ndarray:
+    """Return the inertias of parameters that are one, shape (10, 6, 6)."""
+    found = np.zeros((INERTIAL, 6, 6))
+    found[0, 3:, 3:] = np.eye(3)
+    for k, axis in enumerate(np.eye(3)):
+        found[1 + k, :3, 3:], found[1 + k, 3:, :3] = _across(axis), -_across(axis)
+    for k, (i, j) in enumerate(zip(_ROWS, _COLUMNS, strict=True)):
+        found[4 + k, i, j] = found[4 + k, j, i] = 1.0
+    return found
+
+
+def _across(a: np.ndarray) -> np.ndarray:
+    """Return the matrix of a x b."""
+    x, y, z = a
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _seen_from(turn: torch.Tensor, origin: torch.Tensor, motions: torch.Tensor) -> torch.Tensor:
+    """Return motions of a parent, shape (N, 6, d), in a frame that is fixed to it."""
+    angular, linear = motions[:, :3], motions[:, 3:]
+    moved = linear + torch.linalg.cross(angular, origin[:, :, None].expand_as(angular), dim=1)
+    back = turn.transpose(1, 2)
+    return torch.cat([back @ angular, back @ moved], dim=1)
+
+
+def _cross_motion(axis: torch.Tensor) -> torch.Tensor:
+    """Return the matrix of the change of a motion as a part of what moves by an axis."""
+    angular, linear = (torch.stack([*_rows_across(part)]) for part in (axis[:3], axis[3:]))
+    none = torch.zeros_like(angular)
+    return torch.cat([torch.cat([angular, none], dim=1), torch.cat([linear, angular], dim=1)])
+
+
+def _rows_across(a: torch.Tensor) -> Iterator[torch.Tensor]:
+    zero = torch.zeros_like(a[0])
+    yield torch.stack([zero, -a[2], a[1]])
+    yield torch.stack([a[2], zero, -a[0]])
+    yield torch.stack([-a[1], a[0], zero])
+
+
+def _cross_force(motion: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+    """Return the change of forces (..., 6) as parts of what moves so."""
+    turn, slide, moment, push = motion[..., :3], motion[..., 3:], force[..., :3], force[..., 3:]
+    return torch.cat([torch.linalg.cross(turn, moment) + torch.linalg.cross(slide, push),
+                      torch.linalg.cross(turn, push)], dim=-1)

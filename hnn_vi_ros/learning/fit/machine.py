@@ -10,10 +10,8 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.families.choices import (
-    Discrete, Forward, Inverse, Trajectory, WindowMethod, WindowStage)
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.plain_network import PlainNetwork
-from hnn_vi_ros.learning.families.structure import MotionScales
+    Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions

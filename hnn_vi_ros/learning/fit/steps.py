@@ -24,9 +24,9 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.partitioned import Node
+from hnn_vi_ros.learning.families.base import ENOUGH, newton
 from hnn_vi_ros.learning.families.choices import WindowMethod
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.newton import ENOUGH, newton
 import torch
 
 # Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the

@@ -15,8 +15,7 @@ from hnn_vi_ros.companions.members import deviation, member_scenes, Members
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.exact_data import ExactData, sample_exact
+from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.fit.config import TrainingConfig
-from hnn_vi_ros.learning.fit.field import Comparison
 from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.judging.evaluation import Fan
 from hnn_vi_ros.models.checkpoint import Checkpoint
@@ -18,7 +17,6 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_curves import write_curves
 from hnn_vi_ros.viewer.rerun_predictions import PredictedRun, write_predictions
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np
 import torch
@@ -138,7 +136,6 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
 def plot_history(history: LossHistory, name: str, path: Path) -> None:
     """Write the loss curves as a PNG, with a line where each stage begins."""
     figure = Figure(figsize=(7.0, 4.5), layout='constrained')
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.semilogy(history.train_step, history.train, label='training, with every term')
     if history.validation:
@@ -153,12 +150,38 @@ def plot_history(history: LossHistory, name: str, path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
+class Comparison(NamedTuple):
+    """
+    Predictions of a model for held-out data, next to the data.
+
+    Parameters
+    ----------
+    states : np.ndarray, shape (M, 2 d), or None
+        Where, in the loss's first rows; None where a prediction is not made from a state.
+    target, predicted : np.ndarray, shape (N, k)
+        Rates of change, or accelerations.
+    units : np.ndarray, shape (k,)
+        Root mean square of the target.
+    parts : tuple of str
+        Names of the equal parts of a row.
+    exact : bool
+        Whether the target is the field of an exact system.
+
+    """
+
+    states: np.ndarray | None
+    target: np.ndarray
+    predicted: np.ndarray
+    units: np.ndarray
+    parts: tuple[str, ...]
+    exact: bool
+
+
 def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
     """Write a picture of the learned against the true field, or of its residuals on data."""
     rows = min(len(card.coordinates), _MOST_ROWS)
     columns = 2 if comparison.states is not None else 1
     figure = Figure(figsize=(6.0 * columns, 4.0 * rows), layout='constrained')
-    FigureCanvasAgg(figure)
     figure.suptitle(f'{card.name}: learned field against '
                     f'{"the true one" if comparison.exact else "held-out data"}')
     grid = figure.subplots(rows, columns, squeeze=False)
@@ -264,7 +287,6 @@ def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     predicted = [(t, q) for t, q in run.predicted if t[0] >= window[0] and t[-1] <= window[1]]
     d = len(coordinates)
     figure = Figure(figsize=(11.0, 1.2 + max(2.0, 6.0 / d) * d), layout='constrained')
-    FigureCanvasAgg(figure)
     figure.suptitle(f'{name}: predictions of {length:.3g} s over run {run.name}')
     grid = figure.subplots(d, 1, sharex=True, squeeze=False)[:, 0]
     for i, (axes, coordinate) in enumerate(zip(grid, coordinates, strict=True)):

@@ -1,20 +1,31 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a scene that measured motions may tell, by the names that a user gives them."""
+"""The numbers of a scene and of its robot that motions may tell; and the scene with others."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import math
+import os
 from pathlib import Path
+import re
+import shutil
 from typing import Any
+from xml.etree import ElementTree
 
-from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ParameterError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
+from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.files.yaml_file import units_in
+from hnn_vi_ros.files.yaml_text import root_node
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.scene_numbers.robot import robot_numbers, with_robot_numbers
-from hnn_vi_ros.scene import Parts, Scene
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Units
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
+from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
 import numpy as np
+import yaml
 
 # Numbers outside the scene: the states that windows begin in, and how late forces come [s].
 STATES, DELAY = 'initial_state', 'input_delay'
@@ -232,3 +243,183 @@ def _unit(among: Sequence[str], kinds: set[str]) -> str:
         turning = [one for one in among if 'rad' in one or one in ('N m', 'kg m2', 'kg m^2')]
         among = turning if 'rad' in kinds else [one for one in among if one not in turning]
     return ' or '.join(among)
+
+
+_SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
+
+
+def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
+                 initial_state: Mapping[str, Sequence[float]] | None) -> None:
+    """
+    Write a scene, and next to it the URDF of its robot if numbers of that were free.
+
+    Parameters
+    ----------
+    path : Path
+        A new file.
+    free : FreeScene
+        The scene, from a file.
+    values : sequence of float
+        Of its free numbers; a delay is no number of a scene, and is told in a comment.
+    initial_state : mapping of str to sequence of float, or None
+        q and p, in place of the scene's.
+
+    Raises
+    ------
+    SceneError
+        The file exists already, or cannot be written.
+
+    """
+    scene, delay = free.at(values)
+    text = free.scene.source.read_text(encoding='utf-8')
+    changes: dict[tuple[str, ...], str] = {
+        tuple(number.place.split('.')): repr(float(value))
+        for number, value in zip(free.numbers, values, strict=True)
+        if number.place != DELAY and number.place not in free.robot}
+    if initial_state is not None:
+        changes |= {('initial_state', key): str([float(one) for one in part])
+                    for key, part in initial_state.items()}
+    if free.robot & {number.place for number in free.numbers}:
+        robot = path.with_suffix('.urdf')
+        if robot.exists():
+            raise SceneError(f'{robot}: exists already; name another scene file')
+        changes['hamiltonian', 'file'] = robot.name
+    for name, file in free.scene.model_files().items():
+        # Paths relative to its own folder would not lead anywhere from the new file's folder.
+        if '/' in name and '://' not in name:
+            text = text.replace(name, os.path.relpath(file.resolve(), path.resolve().parent))
+    text = edited(text, changes)
+    schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
+    text = _SCHEMA.sub(lambda line: schema, text)
+    if any(number.place == DELAY for number in free.numbers):
+        text += f'# Measured forces acted {delay:.9g} s late.\n'
+    write_new_scene(path, text)
+    if ('hamiltonian', 'file') in changes:
+        shutil.copy(robot_file(scene), path.with_suffix('.urdf'))
+    try:
+        load_scene(path).create_hamiltonian()
+    except HnnViRosError as problem:
+        raise SceneError(f'{path}: was written, but is no scene: {problem}') from problem
+
+
+def edited(text: str, changes: Mapping[tuple[str, ...], str]) -> str:
+    """Return YAML with other values of some keys; missing keys are added."""
+    root = root_node(text)
+    spans: list[tuple[int, int, str]] = []
+    for key, value in changes.items():
+        node = root
+        for k, part in enumerate(key):
+            if isinstance(node, yaml.SequenceNode):
+                node = node.value[int(part)]
+                continue
+            own = {name.value: item for name, item in node.value}
+            if part not in own:
+                spans.append(_added(text, node, '.'.join(key[k:]), value))
+                break
+            node = own[part]
+        else:
+            spans.append((node.start_mark.index, node.end_mark.index, value))
+    for start, end, value in sorted(spans, reverse=True):
+        text = text[:start] + value + text[end:]
+    return text
+
+
+def _added(text: str, node: yaml.MappingNode, key: str, value: str) -> tuple[int, int, str]:
+    """Return where a key is added to a mapping, and what."""
+    if node.flow_style:
+        end = node.end_mark.index - 1
+        return end, end, f', {key}: {value}'
+    first, item = node.value[0]
+    end = text.find('\n', item.end_mark.index - (item.end_mark.column == 0))
+    end = len(text) if end < 0 else end
+    return end, end, f'\n{" " * first.start_mark.column}{key}: {value}'
+
+
+_MOMENTS = 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'
+_AXES = 'xyz'
+# Where a number stands in a link or a joint: tags, an attribute, and which word of it.
+_Place = tuple[tuple[str, ...], str, int | None]
+_LINK: dict[str, _Place] = {
+    'mass': (('inertial', 'mass'), 'value', None),
+    **{f'centre_{axis}': (('inertial', 'origin'), 'xyz', k) for k, axis in enumerate(_AXES)},
+    **{name: (('inertial', 'inertia'), name, None) for name in _MOMENTS}}
+_JOINT: dict[str, _Place] = {
+    'damping': (('dynamics',), 'damping', None), 'friction': (('dynamics',), 'friction', None)}
+_UNITS = {'mass': 'kg', **{f'centre_{axis}': 'm' for axis in _AXES},
+          **dict.fromkeys(_MOMENTS, 'kg m2')}
+
+
+def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
+    """Return value and unit of each: ``forearm.mass``, ``forearm.centre_z``, ``elbow.damping``."""
+    if scene.hamiltonian.kind != 'urdf':
+        return {}
+    root = _parsed(robot_file(scene))
+    own = {joint.get('name'): Units.of(joint.get('type', '')) for joint in root.findall('joint')}
+    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS.get(name) or (
+        own[owner].damping if name == 'damping' else own[owner].force))
+            for owner, name, element, attribute, word in _numbers(root)}
+
+
+def robot_file(scene: Scene) -> Path:
+    """Return the file of the robot of a scene."""
+    return scene.model_files()[scene.hamiltonian.file]
+
+
+def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -> Scene:
+    """
+    Return a scene whose robot has other numbers, from a URDF that is written for it.
+
+    Raises
+    ------
+    ModelError
+        No body could be a link with these numbers, whatever it is fixed to.
+
+    """
+    root = _parsed(robot_file(scene))
+    for owner, name, element, attribute, word in _numbers(root):
+        place = f'{owner}.{name}'
+        if place not in numbers:
+            continue
+        text = repr(float(numbers[place]))
+        if word is not None:
+            words = element.get(attribute, '0 0 0').split()
+            words[word] = text
+            text = ' '.join(words)
+        element.set(attribute, text)
+    text = ElementTree.tostring(root, encoding='unicode') + '\n'
+    file.write_text(text, encoding='utf-8')
+    links = parse_urdf(text.encode(), str(file)).links
+    for owner, _, name in (place.rpartition('.') for place in numbers):
+        inertial = links[owner].inertial if name in _LINK else None
+        if inertial is not None and inertial.fault:
+            raise ModelError(f'{links[owner].place}: {inertial.fault}')
+    choice = scene.hamiltonian.model_dump()
+    return scene.changed({'hamiltonian': {**choice, 'file': str(file.resolve())}})
+
+
+def _parsed(file: Path) -> ElementTree.Element:
+    return deepcopy(_read(file, file.stat().st_mtime_ns))
+
+
+@lru_cache(4)
+def _read(file: Path, changed: int) -> ElementTree.Element:
+    # The reader of robots first: it refuses all that XML could do besides holding elements.
+    text = read_urdf(file).text
+    builder = ElementTree.TreeBuilder(insert_comments=True)
+    return ElementTree.fromstring(text, ElementTree.XMLParser(target=builder))
+
+
+def _numbers(root: ElementTree.Element
+             ) -> Iterator[tuple[str, str, ElementTree.Element, str, int | None]]:
+    """Yield the owner, the name and the place of each number that the file gives."""
+    for tag, places in (('link', _LINK), ('joint', _JOINT)):
+        for owner in root.findall(tag):
+            for name, (path, attribute, word) in places.items():
+                element = owner.find('/'.join(path))
+                if element is not None and attribute in element.attrib:
+                    yield owner.get('name', ''), name, element, attribute, word
+
+
+def _value(element: ElementTree.Element, attribute: str, word: int | None) -> float:
+    text = element.attrib[attribute]
+    return float(text if word is None else text.split()[word])

@@ -1,21 +1,321 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of numbers fitted to measured motions: intervals, and what the data do not tell."""
+"""
+Statistics of numbers fitted to measured motions: intervals, and what the data do not tell.
+
+The noise of a measured quantity is taken for autoregressive, e_t + a_1 e_{t-1} + ... + a_p e_{t-p}
+is white. A fit makes residuals smaller and less correlated than the noise, most of all where the
+motion itself is. So processes are judged by the restricted likelihood, which leaves out what the
+unknowns could make up for. Short logs leave several of them possible, of various orders: all are
+kept, as often as they are likely.
+
+D. Harville, Maximum likelihood approaches to variance component estimation and to related
+problems, J. Am. Stat. Assoc. 72 (1977). G. Box, G. Jenkins, Time Series Analysis, 1976, appendix
+A7.5, on the exact likelihood. K. Burnham, D. Anderson, Model Selection and Multimodel Inference,
+2002, on weights of models.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.scene_numbers.correlation import covariances, Process, processes
 from hnn_vi_ros.learning.scene_numbers.fit import (
     Problem, projected, search, Solution, told_directions, units_of)
 from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene, STATES
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
 from scipy.linalg import qr
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize
+from scipy.signal import lfilter, lfiltic
 from scipy.stats import t as student
+
+# Highest order, samples for each, and how many orders in a row have to be in vain to try no more.
+_ORDERS, _SAMPLES, _IN_VAIN = 12, 8, 4
+# What a coefficient of many samples has to add to twice the log likelihood. By 2, as Akaike has
+# it, intervals of short logs with noise of several time scales are too narrow; by 1 those of
+# white noise too wide.
+_PRICE = 1.5
+# Models that cost so much more than the best one are left out: 2 % as likely.
+_BEHIND = 4.0
+# Processes that are drawn of each order, and kept of all; and the degrees of freedom of the
+# distribution they are drawn from, whose tails are longer than those of the likelihood.
+_DRAWN, _KEPT, _TAILS = 200, 400, 5.0
+# Reflection coefficients are k = tanh x, for x up to this.
+_MOST = 6.0
+# Directions of which unknowns take less than this share from the residuals count as left.
+_TAKEN = 0.02
+# Spacings of differences of costs, for first derivatives in units of about 1, and second ones.
+_SLOPE, _BEND = 1e-4, 3e-3
+# White noise that rounding adds, as a share of the square of all.
+_ROUNDING = 1e-8
+# Numbers that are worked on at once.
+_AT_ONCE = 1 << 22
+
+
+class Process(NamedTuple):
+    """
+    An autoregressive process.
+
+    Parameters
+    ----------
+    reflections : np.ndarray, shape (p,)
+        Its reflection coefficients (partial autocorrelations), of size < 1.
+    variance : float
+        Of its white noise.
+
+    """
+
+    reflections: np.ndarray
+    variance: float
+
+    def autocovariances(self, count: int) -> np.ndarray:
+        """Return the autocovariances of samples 0, 1, ... apart, shape (count,)."""
+        found, left = [1.0], 1.0
+        for p, k in enumerate(self.reflections):  # the recursion of Levinson and Durbin
+            a = _polynomials(self.reflections[None, :p])[0]
+            found.append(k * left - a[1:] @ found[:0:-1])
+            left *= 1.0 - k * k
+        r = np.array(found)
+        if len(r) > 1:
+            a = _polynomials(self.reflections[None])[0]
+            r = np.append(r, lfilter([1.0], a, np.zeros(max(0, count - len(r))),
+                                     zi=lfiltic([1.0], a, r[:0:-1]))[0])
+        return self.variance / left * np.append(r, np.zeros(max(0, count - len(r))))[:count]
+
+    @property
+    def samples_as_one(self) -> float:
+        """Return the sum of all its correlations: so many samples count as one."""
+        a = _polynomials(self.reflections[None])[0]
+        return float(self.variance / a.sum()**2 / self.autocovariances(1)[0])
+
+
+def _polynomials(reflections: np.ndarray) -> np.ndarray:
+    """Return 1, a_1, ... a_p of N processes, shape (N, p + 1), of their reflections, (N, p)."""
+    a = np.zeros((len(reflections), reflections.shape[1] + 1))
+    a[:, 0] = 1.0
+    for p, k in enumerate(reflections.T, 2):
+        a[:, :p] -= k[:, None] * a[:, p - 1::-1]
+    return a
+
+
+class _Restricted:
+    """
+    The restricted likelihood of processes, by residuals of one quantity in W windows.
+
+    Parameters
+    ----------
+    residuals : np.ndarray, shape (W, T)
+        Residuals of least squares, 0 for missing samples.
+    lengths : np.ndarray of int, shape (W,)
+        How many there are in each window.
+    taken : np.ndarray, shape (W, T, k)
+        This quantity's rows of orthonormal directions that the unknowns took from residuals.
+
+    """
+
+    def __init__(self, residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray):
+        # Each quantity in each window by itself: what others tell has a correlation of its own.
+        left, sizes, _ = np.linalg.svd(taken, full_matrices=False)
+        kept = sizes**2 > _TAKEN
+        most = int(kept.sum(axis=1).max(initial=0))
+        left, kept = np.where(kept[:, None], left, 0.0)[:, :, :most], kept[:, :most]
+        # Where windows have fewer directions than others.
+        self._blank = np.zeros((len(residuals), most + 1, most + 1))
+        self._blank[:, range(most), range(most)] = ~kept
+        self.freedom = max(1, int(lengths.sum()) - int(kept.sum()))
+        self.highest = max(0, min(_ORDERS, self.freedom // _SAMPLES, int(lengths.min()) // 2 - 1))
+        columns = np.concatenate([left, residuals[:, :, None]], axis=2)
+        self._windows = len(lengths)
+        self._products = _lagged(columns, lengths, self.highest)
+
+    def minus_log(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return minus its logarithm for N processes, and variances of their white noise, (N,)."""
+        if len(x) > 1 and len(x) * self._blank.size > _AT_ONCE:
+            one, other = zip(*map(self.minus_log, np.array_split(x, 2)), strict=True)
+            return np.concatenate(one), np.concatenate(other)
+        reflections = np.tanh(np.clip(x, -_MOST, _MOST))
+        a = _polynomials(reflections)
+        i, j = _pairs(x.shape[1])
+        rest = 1.0 - reflections**2
+        matrix = np.tensordot(a[:, i] * a[:, j], self._products[:len(i)], 1) \
+            + self._blank + _ROUNDING * np.eye(self._blank.shape[1])
+        # The Cholesky factor's last diagonal entry is the residual that the other columns leave.
+        roots = np.einsum('nwii->nwi', np.linalg.cholesky(matrix))
+        variance = (roots[..., -1]**2).sum(axis=1) / self.freedom
+        return 0.5 * self.freedom * np.log(variance) + np.log(roots[..., :-1]).sum(axis=(1, 2)) \
+            - 0.5 * self._windows * np.log(rest) @ np.arange(1, x.shape[1] + 1), variance
+
+    def costs(self, x: np.ndarray) -> np.ndarray:
+        """
+        Return minus the logarithm of the posterior of N processes, (N,).
+
+        All reflection coefficients are as likely beforehand, by density 1 / cosh^2 x, up to those
+        that it would take thousands of samples to tell from 1.
+        """
+        beyond = np.maximum(np.abs(x) - _MOST, 0.0)
+        return self.minus_log(x)[0] + (
+            2.0 * (np.logaddexp(x, -x) - math.log(2.0)) + 1e3 * beyond**2).sum(axis=1)
+
+    def best(self, x: np.ndarray) -> np.ndarray:
+        """Return the likeliest process of an order, from x on."""
+        # In units in which the posterior bends by about 1.
+        unit = 1.0 / math.sqrt(self.freedom)
+        step = _SLOPE * np.eye(len(x))
+
+        def cost(z: np.ndarray) -> tuple[float, np.ndarray]:
+            values = self.costs(unit * (z + np.concatenate([0.0 * step[:1], step, -step])))
+            ahead, back = np.split(values[1:], 2)
+            return float(values[0]), (ahead - back) / (2.0 * _SLOPE)
+        return unit * minimize(cost, x / unit, jac=True, method='BFGS',
+                               options={'gtol': 1e-2, 'maxiter': 50}).x
+
+    def bend(self, x: np.ndarray) -> np.ndarray:
+        """Return the second derivatives of the cost, shape (p, p)."""
+        steps = _BEND * np.eye(len(x))
+        i, j = _pairs(len(x) - 1)
+        value, ahead, back, both, neither = (self.costs(x + part) for part in (
+            0.0 * steps[:1], steps, -steps, steps[i] + steps[j], -steps[i] - steps[j]))
+        sides = ahead + back - 2.0 * value
+        bend = np.zeros(steps.shape)
+        bend[i, j] = bend[j, i] = 0.5 * (both + neither - 2.0 * value - sides[i] - sides[j])
+        return bend / _BEND**2
+
+
+def _lagged(columns: np.ndarray, lengths: np.ndarray, highest: int) -> np.ndarray:
+    """
+    Return the sums over time of columns times columns, of which the likelihood consists.
+
+    Parameters
+    ----------
+    columns : np.ndarray, shape (W, T, k)
+        Of windows of various lengths.
+    lengths : np.ndarray of int, shape (W,)
+        Those.
+    highest : int
+        Of the orders.
+
+    Returns
+    -------
+    np.ndarray, shape ((highest + 1) (highest + 2) / 2, W, k, k)
+        Sums of x_{t+i} x_{t+j} over all t < n - i - j, for the pairs of i and j of _pairs; of
+        different ones twice, with either first.
+
+    """
+    pairs = np.transpose(_pairs(highest))
+    w, _, k = columns.shape
+    found = np.empty((len(pairs), w, k, k))
+    for n in np.unique(lengths):
+        rows = np.flatnonzero(lengths == n)
+        own = columns[rows, :n]
+        for at, (i, j) in enumerate(pairs):
+            product = own[:, i:n - j].swapaxes(1, 2) @ own[:, j:n - i]
+            found[at, rows] = product if i == j else product + product.swapaxes(1, 2)
+    return found
+
+
+@cache
+def _pairs(highest: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs of numbers up to the highest, i <= j; those of fewer come first."""
+    pairs = [(i, j) for j in range(highest + 1) for i in range(j + 1)]
+    i, j = np.array(pairs).T
+    return i, j
+
+
+def processes(residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray,
+              random: np.random.Generator) -> list[Process]:
+    """
+    Return processes that can have left residuals, each as likely as the others.
+
+    Parameters
+    ----------
+    residuals, lengths, taken
+        See _Restricted.
+    random : np.random.Generator
+        Draws them.
+
+    """
+    size = float(np.linalg.norm(residuals))
+    if size == 0.0:
+        return [Process(np.zeros(0), 0.0)] * _KEPT
+    likelihood = _Restricted(residuals / size, lengths, taken)
+    models = _models(likelihood)
+    best = min(cost for _, cost in models)
+    found, weights = zip(*(_drawn(likelihood, x, random, math.exp(best - cost))
+                           for x, cost in models if cost - best < _BEHIND), strict=True)
+    found, weights = [one for part in found for one in part], np.concatenate(weights)
+    # One after another by their weights, then mixed: other quantities go with any of them.
+    at = np.searchsorted(np.cumsum(weights) / weights.sum(), (np.arange(_KEPT) + 0.5) / _KEPT)
+    kept = {k: found[k]._replace(variance=size**2 * found[k].variance) for k in np.unique(at)}
+    return [kept[k] for k in random.permutation(at)]
+
+
+def _models(likelihood: _Restricted) -> list[tuple[np.ndarray, float]]:
+    """Return the likeliest process of each order, and what it costs."""
+    x = np.zeros(0)
+    models = [(x, float(likelihood.costs(x[None])[0]))]
+    for order in range(1, likelihood.highest + 1):
+        starts = np.array([[*x, last] for last in (-1.0, -0.3, -0.05, 0.05, 0.3, 1.0)])
+        x = likelihood.best(starts[np.argmin(likelihood.costs(starts))])
+        # More in few samples: C. Hurvich, C.-L. Tsai, Biometrika 76 (1989).
+        price = _PRICE * likelihood.freedom / (likelihood.freedom - order - 2)
+        models.append((x, float(likelihood.costs(x[None])[0]) + 0.5 * price * order))
+        if int(np.argmin([cost for _, cost in models])) <= order - _IN_VAIN:
+            break
+    return models
+
+
+def _drawn(likelihood: _Restricted, x: np.ndarray, random: np.random.Generator, weight: float
+           ) -> tuple[list[Process], np.ndarray]:
+    """Return processes of the order of the likeliest one, and their weights, of a given sum."""
+    if not len(x):
+        return [Process(x, float(likelihood.minus_log(x[None])[1][0]))], np.array([weight])
+    sizes, rows = np.linalg.eigh(likelihood.bend(x))
+    normal = random.normal(size=(_DRAWN, len(x)))
+    normal /= np.sqrt(random.chisquare(_TAILS, size=(_DRAWN, 1)) / _TAILS)
+    tried = x + normal / np.sqrt(np.maximum(sizes, 0.25)) @ rows.T
+    weights = 0.5 * (_TAILS + len(x)) * np.log1p((normal**2).sum(axis=1) / _TAILS) \
+        - likelihood.costs(tried)
+    weights = np.exp(weights - weights.max())
+    return [Process(*one) for one in zip(
+        np.tanh(np.clip(tried, -_MOST, _MOST)), likelihood.minus_log(tried)[1], strict=True)
+            ], weight / weights.sum() * weights
+
+
+def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> np.ndarray:
+    """
+    Return the covariance of sums over noise, one for each of the processes it can be.
+
+    Parameters
+    ----------
+    influences : np.ndarray, shape (W, T, C, u)
+        Factors of the noise of each sample in u sums; 0 for missing samples.
+    noise : sequence of sequence of Process
+        Of each of C quantities as many.
+
+    Returns
+    -------
+    np.ndarray, shape (N, u, u)
+
+    """
+    _, samples, quantities, count = influences.shape
+    total = np.zeros((len(noise[0]), count, count))
+    for c in range(quantities):
+        # Each once, however often it was kept.
+        known = {id(one): one for one in noise[c]}
+        by_lag = np.stack([one.autocovariances(samples) for one in known.values()])
+        waves = np.fft.rfft(influences[:, :, c], 2 * samples, axis=1)
+        own = np.empty((len(known), count, count))
+        for i in range(count):
+            lagged = np.fft.irfft(np.einsum('wf,wfj->fj', waves[:, :, i].conj(), waves), axis=0)
+            lagged[1:samples] += lagged[:samples:-1]
+            own[:, i] = by_lag @ lagged[:samples]
+        at = {key: k for k, key in enumerate(known)}
+        total += own[[at[id(one)] for one in noise[c]]]
+    return total
+
 
 CONFIDENCE = 0.95
 # What share of a direction in which the data tell nothing names a number.
@@ -182,7 +482,7 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.
     shares = np.abs(null / scale[:, None])
     largest = shares.max(axis=0, initial=0.0, keepdims=True)
     shares = shares / np.where(largest > 0.0, largest, 1.0)
-    blind = (shares > _SHARE).any(axis=1)
+    blind = np.asarray((shares > _SHARE).any(axis=1))
     error, factor = errors_of(covariances, freedom), quantile(freedom)
     mean = covariances.mean(axis=0)
     spread = np.sqrt(np.diag(mean))

@@ -6,24 +6,133 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 import math
+from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Place
+from hnn_vi_ros.effects.base import coordinate_index, Effect, EffectState, Force, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
-from hnn_vi_ros.errors import HnnViRosError, StateError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import flow_rates
 from hnn_vi_ros.gradients.dependences import Dependence, difference, OnNumber, sum_of
 from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.learning.data.runs import Motion, steps_between
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
-from hnn_vi_ros.learning.scene_numbers.input import command_names, impulse
-from hnn_vi_ros.learning.scene_numbers.measured_force import MeasuredForce
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.trajectory.simulate import BLOCK
 import numpy as np
+
+
+class MeasuredParameters(NamedTuple):
+    """The clock, the places of the coordinates, and what ``MeasuredForce`` is given."""
+
+    clock: np.ndarray
+    places: np.ndarray
+    table: np.ndarray
+    times: np.ndarray
+
+
+class MeasuredForce(Force):
+    """
+    A force on some coordinates that holds for a while, and then another one, by the clock.
+
+    It is no effect of scenes: there commands come one by one, by ``external_force``, and each
+    takes a call. This one knows all of them when the first step is taken.
+
+    Parameters
+    ----------
+    names : sequence of str
+        m coordinates.
+    most : int
+        Most forces of a run.
+
+    """
+
+    depends_on_momentum, single, turns = False, True, False
+
+    def __init__(self, names: Sequence[str], most: int):
+        self.names = tuple(names)
+        self._table, self._times = np.zeros((most, len(self.names))), np.zeros(3)
+
+    def take(self, forces: np.ndarray, begin: float, duration: float) -> None:
+        """
+        Take the forces of a run, before it starts.
+
+        Parameters
+        ----------
+        forces : np.ndarray, shape (n, m)
+            One after another [N], [N m]; the first one acts before, too, and the last one after.
+        begin, duration : float
+            Time at which the first one begins, and how long each holds [s].
+
+        """
+        self._table[:len(forces)] = forces
+        self._times[:] = begin, 1.0 / duration, len(forces) - 1
+
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> MeasuredParameters:
+        """Return the clock, the coordinates' places, and the table."""
+        places = np.array([coordinate_index(coordinates, name) for name in self.names])
+        return MeasuredParameters(state.clock, places, self._table, self._times)
+
+    @staticmethod
+    @inlined
+    def add_force(own: MeasuredParameters, t: float, q: np.ndarray, p: np.ndarray,
+                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
+        """Add the force of the step that is being taken, by the time at its start."""
+        # Steps begin where a force does, or well after: by rounding also a little before.
+        row = int(max(0.0, min((own.clock[0] - own.times[0]) * own.times[1] + 1e-9, own.times[2])))
+        for k in range(own.places.size):
+            f_p[own.places[k]] += own.table[row, k]
+
+
+# Share of a step: times of samples further from whole steps shift the phase of a drive.
+_OFF_GRID = 0.01
+
+
+def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
+    """
+    Return the integral of the measured forces up to times from the first sample on [s].
+
+    Each force goes over into the next; the first one acts before the first sample, the last one
+    after the last.
+    """
+    tau, spacing = motion.tau, motion.spacing
+    whole = np.concatenate([np.zeros((1, tau.shape[1])),
+                            np.cumsum(motion.forces * spacing, axis=0)])
+    row = np.clip(np.floor(times / spacing).astype(int), 0, len(tau) - 1)
+    rest = (times - row * spacing)[:, None]
+    slope = np.zeros_like(tau)
+    slope[:-1] = np.diff(tau, axis=0) / spacing
+    return whole[row] + rest * (tau[row] + 0.5 * np.where(rest > 0.0, rest, 0.0) * slope[row])
+
+
+def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
+                  motions: Sequence[Motion]) -> Sequence[str]:
+    """Return the coordinates on which the measured forces act, or raise DataError."""
+    names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
+    if not effect.names:
+        raise DataError('external_force: its model has an input map, which takes no measured '
+                        'forces here; give it coordinates')
+    if m in (len(effect.names), len(names)):
+        return effect.names if m == len(effect.names) else names
+    raise DataError(f'external_force has {len(effect.names)} coordinates, H {len(names)}, and the '
+                    f'data hold {m} forces; give as many')
+
+
+def check_times(effects: Sequence[Effect], motions: Sequence[Motion], h: float) -> None:
+    """Raise DataError where a drive would be out of phase: samples at no whole steps."""
+    if any(isinstance(effect, PeriodicDrive) for effect in effects):
+        for motion in motions:
+            off = abs(motion.t[0] / h - round(motion.t[0] / h))
+            if off > _OFF_GRID:
+                raise DataError(f'{motion.name}: begins at {motion.t[0]:.9g} s, which is no whole '
+                                f'number of steps of {h:g} s, by which the drive of the scene '
+                                'counts time; shift the times')
+
 
 # Spacing of a central difference: its truncation error is as large as its rounding error.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))

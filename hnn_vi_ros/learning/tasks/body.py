@@ -1,27 +1,368 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train models of bodies that turn, and judge them by windows that they have not seen."""
+"""Train models of bodies that turn in windows of motions, and judge them by other windows."""
 
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import json
+import math
 from pathlib import Path
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
-from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
-from hnn_vi_ros.learning.fit.body import (
-    BodyProblem, joined, network_of, published_loss, window_errors)
+from hnn_vi_ros.learning.families.base import newton
+from hnn_vi_ros.learning.families.choices import BodyStage, LieMethod, RetractionName
+from hnn_vi_ros.learning.families.lie_group import BodyScales, HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
-from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.learning.tasks.base import Task
+from hnn_vi_ros.learning.tasks import Task
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, widths_of
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
+
+# Half of the range of what only rounding changes.
+_LEAST = 1e-12
+# |x|^2 / 4 below which coefficients are those at it: what they are multiplied by is |x|^2.
+_LEAST_ANGLE = 1e-8
+# x cross, row by row, of x along each axis.
+_CROSS = torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+                       [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+                       [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+
+
+class Node(NamedTuple):
+    """Places (N, k - 3), attitudes (N, 3, 3) and momenta (N, k) at one time."""
+
+    x: torch.Tensor
+    R: torch.Tensor
+    p: torch.Tensor
+
+
+class Retraction(NamedTuple):
+    """The coefficients of integrators.lie.retractions, at vectors of squared length 4 y."""
+
+    turn: torch.Tensor
+    twist: torch.Tensor
+    along: torch.Tensor
+    squared: torch.Tensor
+    own: torch.Tensor
+    cross: torch.Tensor
+    line: torch.Tensor
+
+
+def _cayley(x: torch.Tensor) -> Retraction:
+    share = 1.0 / (1.0 + 0.25 * x.square().sum(dim=1, keepdim=True))
+    zero = torch.zeros_like(share)
+    return Retraction(share, 0.5 * share, zero + 0.25, zero, share, 0.5 * share, zero)
+
+
+def _exponential(x: torch.Tensor) -> Retraction:
+    y = (0.25 * x.square().sum(dim=1, keepdim=True)).clamp_min(_LEAST_ANGLE)
+    half = y.sqrt()
+    sine, cosine = half.sin() / half, half.cos()
+    sines, cosines = (1.0 - sine) / y, (1.0 - cosine) / y
+    bend = (cosines - sines) / (4.0 * sine)
+    return Retraction(sine * cosine, 0.5 * sine.square(), bend, bend, sine * cosine,
+                      0.5 * sine.square(), 0.25 * (sines + sine * cosines))
+
+
+RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Retraction]] = {
+    'cayley': _cayley, 'exponential': _exponential}
+
+
+def hat(x: torch.Tensor) -> torch.Tensor:
+    """Return the matrices, shape (N, 3, 3), of x cross."""
+    return (x @ _CROSS).reshape(-1, 3, 3)
+
+
+def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:
+    """Return R tau(x), shape (N, 3, 3)."""
+    cross = hat(x)
+    return R + R @ (tau.turn[:, :, None] * cross + tau.twist[:, :, None] * (cross @ cross))
+
+
+def _bend(x: torch.Tensor, m: torch.Tensor, tau: Retraction, side: float) -> torch.Tensor:
+    """Return (dtau^-1_(side x))^* m - m."""
+    return (0.5 * side * torch.linalg.cross(x, m)
+            + tau.along * (x * m).sum(dim=1, keepdim=True) * x
+            - tau.squared * x.square().sum(dim=1, keepdim=True) * m)
+
+
+class LieSteps:
+    """
+    Steps of a body, one after another, of one size.
+
+    Parameters
+    ----------
+    body : LieGroupNetwork
+        The body that is simulated.
+    method, retraction : str
+        As a scene names them.
+    step_size : float
+        h [s].
+
+    """
+
+    def __init__(self, body: LieGroupNetwork, method: LieMethod, retraction: RetractionName,
+                 step_size: float):
+        self._body, self._h = body, step_size
+        self._tau = RETRACTIONS[retraction]
+        self._step = {'lie_leapfrog': self._leapfrog,
+                      'lie_variational_euler': self._variational_euler}[method]
+        self._matrices: dict[str, torch.Tensor] = {}
+
+    def __call__(self, node: Node, u: torch.Tensor) -> Node:
+        """Return the node after one step with a held input, shape (N, m)."""
+        return self._step(node, u)
+
+    def _solve(self, name: str, residual: Callable[[torch.Tensor], torch.Tensor],
+               guess: torch.Tensor, unit: torch.Tensor) -> torch.Tensor:
+        w, J = newton(residual, guess.detach(), self._matrices.get(name), unit, unit)
+        self._matrices[name] = J.detach()
+        return w - torch.linalg.solve_ex(J, residual(w)[:, :, None])[0][:, :, 0]
+
+    def _inside(self, name: str, held: HeldBody, h: float, right: torch.Tensor) -> torch.Tensor:
+        """Return mu of (dtau^-1_(h xi))^* mu = right - h g^* H_g(mu)."""
+        def residual(mu: torch.Tensor) -> torch.Tensor:
+            velocity, slope = held.rates(mu)
+            x = h * velocity[:, -3:]
+            bend = _bend(x, mu[:, -3:], self._tau(x), 1.0)
+            return mu + h * slope - right + _only_turn(bend, mu)
+
+        # Recorded: what the held body knows from here on is used by the recorded step as well.
+        guess = right - h * held.rates(right)[1]
+        return self._solve(name, residual, guess, self._body.momentum_unit)
+
+    def _leapfrog(self, node: Node, u: torch.Tensor) -> Node:
+        h = 0.5 * self._h
+        held = self._body.held(node.x, node.R, u)
+        mu = self._inside('momenta', held, h, node.p)
+        velocity, slope = held.rates(mu)
+        x = h * velocity[:, -3:]
+        place, R = node.x + h * velocity[:, :-3], turned(node.R, x, self._tau(x))
+        p = node.p - h * slope - _only_turn(torch.linalg.cross(x, mu[:, -3:]), mu)
+        return self._outside(Node(place, R, p), u, h, h * velocity)
+
+    def _outside(self, node: Node, u: torch.Tensor, h: float, guess: torch.Tensor) -> Node:
+        """Return the node after half a step that is implicit in the pose."""
+        def pose(change: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+            x = change[:, -3:]
+            tau, turning = self._tau(x), node.p[:, -3:]
+            mu = (tau.own * turning - tau.cross * torch.linalg.cross(x, turning)
+                  + tau.line * (x * turning).sum(dim=1, keepdim=True) * x)
+            return (node.x + change[:, :-3], turned(node.R, x, tau),
+                    torch.cat([node.p[:, :-3], mu], dim=1))
+
+        def residual(change: torch.Tensor) -> torch.Tensor:
+            place, R, mu = pose(change)
+            return change - h * self._body.held(place, R, u).velocity(mu)
+
+        change = self._solve('pose', residual, guess, abs(h) * self._body.velocity_unit)
+        place, R, mu = pose(change)
+        slope = self._body.held(place, R, u).rates(mu)[1]
+        bend = torch.linalg.cross(change[:, -3:], mu[:, -3:])
+        return Node(place, R, node.p - h * slope - _only_turn(bend, mu))
+
+    def _variational_euler(self, node: Node, u: torch.Tensor) -> Node:
+        h = self._h
+        velocity = self._body.held(node.x, node.R, u).velocity(node.p)
+        x = h * velocity[:, -3:]
+        tau = self._tau(x)
+        place, R = node.x + h * velocity[:, :-3], turned(node.R, x, tau)
+        right = node.p + _only_turn(_bend(x, node.p[:, -3:], tau, -1.0), node.p)
+        held = self._body.held(place, R, u)
+        return Node(place, R, self._inside('momenta', held, h, right))
+
+
+def _only_turn(torque: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+    """Return vectors of shape (N, 3), padded in front with zeros to the shape of p."""
+    return torch.nn.functional.pad(torque, (p.shape[1] - 3, 0))
+
+
+def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNetwork:
+    """Return the network of a configuration, with the scales of motions, or raise DataError."""
+    k = 3 if config.kind == 'rotation' else 6
+    x, R, v, u = (torch.cat([part.flatten(0, 1) for part in parts]).numpy()
+                  for parts in zip(*(motion[:4] for motion in motions), strict=True))
+    seen = np.hstack([x, R.reshape(-1, 9)])
+    half = 0.5 * np.ptp(seen, axis=0)
+    before, a = (np.concatenate(parts) for parts in zip(*map(_accelerations, motions),
+                                                        strict=True))
+    places = k - 3
+    # There is one scale for the velocities of a place, and another for angular velocities.
+    parts = [slice(0, places), slice(places, k)] if places else [slice(0, 3)]
+    velocity, acceleration = np.ones(k), np.ones(k)
+    for part in parts:
+        velocity[part] = np.sqrt(np.mean(v[:, part]**2) * 3.0)
+        acceleration[part] = np.sqrt(np.mean(a[:, part]**2) * 3.0)
+    if not (velocity > 0.0).all() or not (acceleration > 0.0).all():
+        raise DataError('the body never moves in the data, or never turns; learn from data in '
+                        'which it does')
+    driven = bool(u.any())
+    size = np.sqrt(np.mean(u**2, axis=0))
+    inertia = np.ones(k)
+    if driven and config.family.input_map == 'identity':
+        if u.shape[1] != k:
+            raise DataError(f'input_map: identity takes {k} inputs, forces in the frame of the '
+                            f'body; the data have {u.shape[1]}: take input_map: learned')
+        for part in parts:
+            inertia[part] = math.sqrt(np.mean(u[:, part]**2) * 3.0) / acceleration[part]
+        inertia = np.where(inertia > 0.0, inertia, 1.0)
+    first = None
+    if driven and config.family.input_map == 'learned':
+        if not size.all():
+            raise DataError('input_map: an input is never used in the data, which say nothing '
+                            'of what it does; leave it out of them')
+        others = np.hstack([before, np.ones((len(a), 1))])
+        rates = np.linalg.lstsq(np.hstack([_inputs(motions), others]), a, rcond=None)[0]
+        first = inertia[:, None] * rates[:len(size)].T
+    scales = BodyScales(
+        0.5 * (seen.max(axis=0) + seen.min(axis=0)), np.where(half > _LEAST, half, 0.0), velocity,
+        inertia * velocity, inertia * acceleration, first, size)
+    card = config.family.card(config.kind, (1.0 / np.sqrt(inertia)).tolist(), driven)
+    return LieGroupNetwork(card, config.hidden, scales, config.seed)
+
+
+def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
+    """Return attitudes and velocities, and the mean accelerations until the next instant."""
+    states = torch.cat([motion.R[:-1].flatten(2), motion.v[:-1]], dim=2)
+    rates = (motion.v[1:] - motion.v[:-1]) / motion.interval
+    return states.flatten(0, 1).numpy(), rates.flatten(0, 1).numpy()
+
+
+def _inputs(motions: Sequence[BodyMotions]) -> np.ndarray:
+    return torch.cat([motion.u[:-1].flatten(0, 1) for motion in motions]).numpy()
+
+
+def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> list[tuple[
+        torch.Tensor, torch.Tensor, torch.Tensor]]:
+    """Return x, R and v, each (M, ...), at every instant but the first, with the inputs held."""
+    h = windows.interval / config.substeps
+    step = LieSteps(network, config.method, config.retraction, h)
+    x, R = windows.x[0], windows.R[0]
+    node, found = Node(x, R, network.momenta(x, R, windows.v[0])), []
+    nothing = windows.u[0, :, :0]
+    for u in windows.u[:-1]:
+        for _ in range(config.substeps):
+            node = step(node, u)
+        v = network.held(node.x, node.R, nothing).of_body(node.p)
+        found.append((node.x, node.R, v))
+    return found
+
+
+def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
+                  ) -> dict[str, torch.Tensor]:
+    """Return mean squared errors: of places, attitudes (angles), velocities, turning."""
+    parts: dict[str, list[torch.Tensor]] = {
+        'place': [], 'attitude': [], 'velocity': [], 'turning': []}
+    for k, (x, R, v) in enumerate(simulated(network, config, windows), 1):
+        places = x.shape[1]
+        # |R - R'|^2 / 2 is the squared angle between them, but for its fourth power.
+        parts['attitude'].append((R - windows.R[k]).square().sum(dim=(1, 2)).mean() / 2.0)
+        parts['turning'].append((v[:, places:] - windows.v[k][:, places:]).square().mean())
+        if places:
+            parts['place'].append((x - windows.x[k]).square().mean())
+            parts['velocity'].append((v[:, :3] - windows.v[k][:, :3]).square().mean())
+    return {name: torch.stack(values).mean() for name, values in parts.items() if values}
+
+
+def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> float:
+    """
+    Return the loss by which models of this kind were published, in SI units.
+
+    It is the sum of the mean squared errors of place, velocity, angular velocity and angle, over
+    all instants of windows but the first. Of the pendulum, it was the mean over the angular
+    velocity and its one input, whose error is zero: three quarters of that of the velocity.
+    """
+    with torch.no_grad():
+        errors = {name: float(value)
+                  for name, value in window_errors(network, config, windows).items()}
+    if 'place' not in errors:
+        count = windows.u.shape[2]
+        errors['turning'] *= 3.0 / (3.0 + count)
+    return sum(errors.values())
+
+
+def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> torch.Tensor:
+    """Return the mean squared errors in units of the usual velocities."""
+    errors, unit = window_errors(network, config, windows), network.velocity_unit.square()
+    turning, total = unit[-1], []
+    total.append(errors['turning'] / turning)
+    total.append(errors['attitude'] / (config.time_scale**2 * turning))
+    if 'place' in errors:
+        total.append(errors['velocity'] / unit[0])
+        total.append(errors['place'] / (config.time_scale**2 * unit[0]))
+    return torch.stack(total).sum()
+
+
+def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
+    """Return windows of one length and interval as one."""
+    first = windows[0]
+    for other in windows:
+        if abs(other.interval - first.interval) > 0.01 * first.interval:
+            raise DataError(f'motions are sampled every {first.interval:.4g} s and every '
+                            f'{other.interval:.4g} s; take them one by one')
+    x, R, v, u = (torch.cat(parts, dim=1) for parts in zip(
+        *(other[:4] for other in windows), strict=True))
+    return BodyMotions(x, R, v, u, first.interval)
+
+
+class BodyProblem(Problem):
+    """
+    A network, and the stages that fit it to windows of motions: Adam on batches, L-BFGS on a part.
+
+    Parameters
+    ----------
+    network : LieGroupNetwork
+        Changed by a fit.
+    config : BodyConfig
+        Windows, learning rate and seed.
+    motions : sequence of BodyMotions
+        What to learn from.
+
+    Raises
+    ------
+    DataError
+        The motions are shorter than a window.
+
+    """
+
+    def __init__(self, network: LieGroupNetwork, config: BodyConfig,
+                 motions: Sequence[BodyMotions]):
+        super().__init__(network, (), torch.Generator().manual_seed(config.seed))
+        self._config, self._motions = config, motions
+        self.stages = [one for stage in config.windows for one in self._stages(stage)]
+
+    def _stages(self, stage: BodyStage) -> Iterator[Stage]:
+        whole = joined([motion.windows(stage.intervals) for motion in self._motions])
+        count, chosen = whole.R.shape[1], whole
+
+        def batch() -> torch.Tensor:
+            rows = torch.randint(count, (self._config.batch,), generator=self.generator)
+            return body_loss(self.module, self._config, whole.of(rows))
+
+        def choose() -> None:
+            nonlocal chosen
+            rows = torch.randperm(count, generator=self.generator)
+            chosen = whole.of(rows[:stage.lbfgs_windows])
+
+        if stage.adam_steps:
+            yield Stage(f'adam_{stage.intervals}', batch, stage.adam_steps,
+                        self._config.learning_rate, clip=True, remedy=(
+                            'lower learning_rate, take more substeps, and look for outliers in '
+                            'the data'))
+        if stage.lbfgs_steps:
+            yield Stage(f'lbfgs_{stage.intervals}',
+                        lambda: body_loss(self.module, self._config, chosen), stage.lbfgs_steps,
+                        evaluations=2, begin=choose, remedy=(
+                            'no step has a solution there: take more substeps, or adam_steps '
+                            'before, and look for outliers in the data'))
+
 
 # A model is judged by windows of so many intervals, as published.
 INTERVALS = 4

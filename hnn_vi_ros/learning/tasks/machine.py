@@ -13,23 +13,20 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.runs import Run, run_of, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import Forward, RigidBodyChoice, Trajectory
-from hnn_vi_ros.learning.families.excitation import ExcitationData, excited_motions
-from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.plain_network import PlainNetwork
-from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
+from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
+from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
 from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
-from hnn_vi_ros.learning.inertias.identification import identify
-from hnn_vi_ros.learning.inertias.identification_report import identified_text, with_force_errors
-from hnn_vi_ros.learning.inertias.rigid_body import best_rigid_body, fit_rigid_body
-from hnn_vi_ros.learning.judging.energy_account import balance
+from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
 from hnn_vi_ros.learning.judging.evaluation import (
-    judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table, verdict)
+    balance, judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table,
+    verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
-from hnn_vi_ros.learning.tasks.base import Task
+from hnn_vi_ros.learning.tasks import Task
 from hnn_vi_ros.models.checkpoint import Checkpoint, widths_of
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member

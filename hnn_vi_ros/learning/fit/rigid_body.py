@@ -8,14 +8,14 @@ accelerations biases this estimate. Windows that are simulated end the fit, by t
 form of the Levenberg-Marquardt method.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 from hnn_vi_ros.learning.data.runs import Run
-from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.families.choices import Structure, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.families.structure import Structure
 from hnn_vi_ros.learning.fit.machine import (
-    acceleration_errors, Samples, samples_of, scales_of, window_errors, Windows, windows_of)
+    acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS
@@ -61,14 +61,8 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     losses = {}
     found, losses['rigid_body_forward'] = _least_squares(
         physical, found, lambda _: acceleration_errors(network, samples, rows))
-    for stage in loss.windows:
-        windows, starts = windows_of(loss, stage, samples)
-        chosen = spread(starts, _WINDOWS)
-
-        def errors(solutions: Solutions, windows: Windows = windows,
-                   chosen: torch.Tensor = chosen) -> torch.Tensor:
-            return window_errors(network, samples, chosen, windows, solutions)
-        found, losses[f'rigid_body_{stage.duration:g}'] = _least_squares(physical, found, errors)
+    for name, _, errors in window_fits(network, loss, samples, _WINDOWS):
+        found, losses[name] = _least_squares(physical, found, errors)
     physical.give(found)
     return losses
 
@@ -95,6 +89,16 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwo
             if np.isfinite(last):
                 fitted.append((last, len(fitted), network))
     return min(fitted)[2] if fitted else None
+
+
+def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, most: int
+                ) -> Iterator[tuple[str, torch.Tensor, Callable[[Solutions], torch.Tensor]]]:
+    """Yield the name of each stage, at most about so many starts of windows, and their errors."""
+    for stage in loss.windows:
+        windows, starts = windows_of(loss, stage, samples)
+        chosen = spread(starts, most)
+        yield f'rigid_body_{stage.duration:g}', chosen, partial(
+            window_errors, network, samples, chosen, windows)
 
 
 def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
@@ -203,10 +207,13 @@ def _least_squares(physical: _Physical, start: np.ndarray,
     scale = torch.tensor(physical.scale)
     found = fit_errors(physical.network, lambda x: physical.raw(x * scale),
                        start / physical.scale, physical.least, errors)
-    if found is None:
-        return start, np.inf
+    return (start if found is None else found.x * physical.scale), loss_of(found)
+
+
+def loss_of(found: OptimizeResult | None) -> float:
+    """Return the loss after a fit, infinite where it had no place to begin."""
     # The cost is half a sum; the losses of networks are means of the same terms.
-    return found.x * physical.scale, 2.0 * float(found.cost) / len(found.fun)
+    return np.inf if found is None else 2.0 * float(found.cost) / len(found.fun)
 
 
 def fit_errors(network: MechanicalNetwork,

@@ -1,0 +1,466 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Turn a network of the original HNN code or of its forks into a model of ours.
+
+They save the state_dict of a torch module, ``differentiable_model.linear1.weight``, ..., the last
+layer without bias, of several outputs F:
+
+    hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
+    sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
+
+Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
+zero and its box are what its authors say they are.
+
+The public Lie-group Hamiltonian code saves one state_dict of several networks of layers linear1,
+linear2, ..., of tanh between them, for the family lie_group:
+
+    so3    M_net, V_net, g_net, and Dw_net with friction; the inputs of all are R row by row
+    se3    M_net1 and Dv_net, which see x; M_net2 and Dw_net, which see R; V_net and g_net of both
+
+Those of matrices give a lower triangular L, the diagonal first, then what is below it by rows:
+M^-1 = (L + sqrt(epsilon)) (L + sqrt(epsilon))^T + floor, and D = L L^T. The family's networks have
+the same form, with entries in another order; two networks that see different things become one
+whose layers are blocks.
+
+References
+----------
+T. Duong, A. Altawaitan, J. Stanley, N. Atanasov, Port-Hamiltonian Neural ODE Networks on Lie
+Groups for Robot Dynamics Learning and Control, IEEE Trans. Robot. 40 (2024).
+
+"""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from pathlib import Path
+import re
+import shlex
+import stat
+from typing import Any
+import zipfile
+
+from hnn_vi_ros.errors import listed, ModelError, ParameterError
+from hnn_vi_ros.files.lfs_pointer import refuse_pointer
+from hnn_vi_ros.files.limits import check_pickles
+from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.learning.data.sources import make_dataset
+from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.models.lie_group_card import LieGroupCard
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.networks.activations import ACTIVATIONS
+from hnn_vi_ros.version import __version__
+import numpy as np
+from pydantic import ValidationError
+from scipy.linalg import block_diag
+import torch
+
+# The limit of the file, of its unpacked content, and of all its tensors in double precision.
+MAX_BYTES = 64 << 20
+_TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
+_NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
+_SHAPES = ('expected the state_dict of a network whose layers are named linear1, linear2, ... '
+           'with weights and biases')
+
+
+def read_layers(path: Path) -> Layers:
+    """
+    Read the layers of one network from a state_dict that torch.save wrote; see read_networks.
+
+    Raises
+    ------
+    ModelError
+        As read_networks, and where the file holds several networks.
+
+    """
+    networks = read_networks(path)
+    if len(networks) != 1:
+        names = listed(f'{name}.linear1' if name else 'linear1' for name in sorted(networks))
+        raise ModelError(f'{path}: holds {len(networks)} networks ({names}), expected one; '
+                         f'{_SHAPES}')
+    (layers,) = networks.values()
+    return layers
+
+
+def read_networks(path: Path) -> dict[str, Layers]:
+    """
+    Read the layers of all networks from a state_dict that torch.save wrote.
+
+    Parameters
+    ----------
+    path : Path
+        A file of at most 64 MiB, compressed or not, as are its tensors in double precision.
+
+    Returns
+    -------
+    dict of str to Layers
+        By what stands before the names of their layers, '' for nothing; in float64; where the
+        source has no bias, of zeros.
+
+    Raises
+    ------
+    ModelError
+        The file is missing or damaged, holds anything but tensors, which would have to be run to
+        be read, or its tensors are not the layers of networks.
+
+    """
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
+            raise ModelError(f'{path}: is {what}; give a file that torch.save wrote')
+        with path.open('rb') as stream:
+            refuse_pointer(stream.read(32), path, ModelError)
+        if max(status.st_size, _unpacked_size(path)) > MAX_BYTES:
+            raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no network needs')
+        check_pickles(path)
+        state = torch.load(path, map_location='cpu', weights_only=True)
+    except FileNotFoundError as problem:
+        raise ModelError(f'{path}: no such file; give the file that torch.save wrote') from problem
+    except ModelError:
+        raise
+    except Exception as problem:  # what damaged pickles raise has no common class
+        first = str(problem).strip().split('\n')[0]
+        raise ModelError(f'{path}: not a file of tensors alone that torch.save wrote '
+                         f'({type(problem).__name__}: {first[:200]}); nothing in it was run; have '
+                         'its author save the state_dict') from problem
+    return _networks(path, state)
+
+
+def _unpacked_size(path: Path) -> int:
+    if not zipfile.is_zipfile(path):
+        return 0
+    with zipfile.ZipFile(path) as archive:
+        return sum(member.file_size for member in archive.infolist())
+
+
+def _networks(path: Path, state: object) -> dict[str, Layers]:
+    found: dict[str, dict[tuple[int, str], np.ndarray]] = {}
+    items = _items(path, state)
+    _check_tensors(path, items)
+    for name, tensor in items:
+        match = _NAME.fullmatch(name)
+        if match is None:
+            raise ModelError(f'{path}: holds {name[:80]!r}; {_SHAPES}')
+        network = found.setdefault((match[1] or '').removesuffix('.'), {})
+        network[int(match[2]), match[3]] = _array(path, name, tensor)
+    return {name: _layers(path, f'{name}.' if name else '', network)
+            for name, network in found.items()}
+
+
+def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -> Layers:
+    depth = max(layer for layer, _ in found)
+    weights, biases = list[np.ndarray](), list[np.ndarray]()
+    for layer in range(1, depth + 1):
+        name, weight = f'{prefix}linear{layer}', found.get((layer, 'weight'))
+        if weight is None or weight.ndim != 2 or not weight.size or (
+                weights and weight.shape[1] != weights[-1].shape[0]):
+            raise ModelError(f'{path}: {name}.weight is missing or does not fit the layer '
+                             f'before; {_SHAPES}')
+        bias = found.get((layer, 'bias'), np.zeros(len(weight)))
+        if bias.shape != weight.shape[:1]:
+            raise ModelError(f'{path}: {name}.bias has shape {bias.shape}, expected '
+                             f'{weight.shape[:1]}')
+        weights.append(weight)
+        biases.append(bias)
+    return Layers(tuple(weights), tuple(biases))
+
+
+def _items(path: Path, state: object) -> list[tuple[str, torch.Tensor]]:
+    if not isinstance(state, Mapping) or not state or not all(
+            isinstance(name, str) and isinstance(tensor, torch.Tensor)
+            for name, tensor in state.items()):
+        raise ModelError(f'{path}: holds {type(state).__name__}, not tensors by name; {_SHAPES}')
+    return list(state.items())
+
+
+def _check_tensors(path: Path, items: Sequence[tuple[str, torch.Tensor]]) -> None:
+    """Refuse other than plain tensors of real numbers, and too many, before any is copied."""
+    total = 0
+    for name, tensor in items:
+        kinds = {'a meta tensor, without values': tensor.is_meta,
+                 'a nested tensor': tensor.is_nested,
+                 'a sparse tensor': tensor.layout != torch.strided,
+                 'quantised': tensor.is_quantized,
+                 'complex': tensor.is_complex(),
+                 f'of type {tensor.dtype}': tensor.dtype not in _TYPES}
+        if kind := next((kind for kind, found in kinds.items() if found), None):
+            raise ModelError(f'{path}: {name[:80]} is {kind}; expected a plain tensor of real '
+                             'numbers, float64, float32, float16 or bfloat16')
+        # A tensor may claim to be larger than the memory behind it.
+        total += 8 * tensor.numel()
+    if total > MAX_BYTES:
+        raise ModelError(f'{path}: its tensors take more than {MAX_BYTES >> 20} MiB in double '
+                         'precision, which no network needs')
+
+
+def _array(path: Path, name: str, tensor: torch.Tensor) -> np.ndarray:
+    array = tensor.detach().resolve_neg().double().numpy().copy()
+    if not np.isfinite(array).all():
+        raise ModelError(f'{path}: {name} holds values that are not finite numbers')
+    return array
+
+
+BODIES = ('so3', 'se3')
+# The indices of our outputs, L by rows, among theirs.
+_ORDER = [0, 3, 1, 4, 5, 2]
+_ON_DIAGONAL = [0, 2, 5]
+# For each of our networks, theirs: one for each block of 3 x 3.
+_SOURCES = {
+    'so3': {'mass': ['M_net'], 'potential': ['V_net'], 'dissipation': ['Dw_net'],
+            'input_map': ['g_net']},
+    'se3': {'mass': ['M_net1', 'M_net2'], 'potential': ['V_net'],
+            'dissipation': ['Dv_net', 'Dw_net'], 'input_map': ['g_net']}}
+
+
+def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floor: float
+                  ) -> tuple[LieGroupCard, dict[str, Layers]]:
+    """
+    Return the card of a body, and its networks.
+
+    Parameters
+    ----------
+    found : mapping of str to Layers
+        The networks of a file, by the name before their layers.
+    layout : str
+        One of BODIES.
+    epsilon : float
+        Whose root is added to the diagonal of the root of M^-1 [1].
+    floor : float
+        Added to the diagonal of M^-1 [1].
+
+    Raises
+    ------
+    ValueError
+        Networks are missing, others are there, or one has another number of inputs or outputs.
+
+    """
+    names = {name.removesuffix('.mlp'): layers for name, layers in found.items()}
+    sources = _SOURCES[layout]
+    needed = {name for network in ('mass', 'potential', 'input_map') for name in sources[network]}
+    every = needed | set(sources['dissipation'])
+    if not (needed <= names.keys() <= every) or 0 < len(
+            names.keys() & set(sources['dissipation'])) < len(sources['dissipation']):
+        raise ValueError(f'networks {listed(sorted(names)) or "none"}; the layout {layout} has '
+                         f'{", ".join(sorted(needed))}, and for friction '
+                         f'{", ".join(sources["dissipation"])}')
+    seen: list[Any] = ['attitude'] if layout == 'so3' else ['position', 'attitude']
+    size = 3 * len(seen)
+    friction = sources['dissipation'][0] in names
+    card = LieGroupCard(
+        kind='rotation' if layout == 'so3' else 'pose', mass_scale=[1.0] * size, floor=floor,
+        diagonal='any', mass_depends_on=seen, potential_depends_on=seen,
+        dissipation_depends_on=seen if friction else None, input_map_depends_on=seen)
+    inputs, networks = size + 6, {}
+    for network, own in sources.items():
+        if network == 'dissipation' and not friction:
+            continue
+        matrices = network in ('mass', 'dissipation')
+        for name, block in zip(own, [(9,)] if len(own) == 1 else [(3,), (9,)], strict=True):
+            expected = block[0] if matrices else inputs
+            outputs = {'potential': 1, 'input_map': 0}.get(network, 6)
+            _check(name, names[name], expected, outputs, size)
+        if matrices:
+            networks[network] = _blocks([
+                _root(names[name], epsilon if network == 'mass' else 0.0) for name in own])
+        else:
+            networks[network] = names[own[0]]
+    return card, networks
+
+
+def _check(name: str, layers: Layers, inputs: int, outputs: int, size: int) -> None:
+    first, last = layers.weights[0].shape[1], len(layers.weights[-1])
+    if first != inputs or (last != outputs if outputs else last % size):
+        raise ValueError(f'{name} has {first} inputs and {last} outputs, expected {inputs} and '
+                         f'{outputs or f"a multiple of {size}"}')
+
+
+def _root(layers: Layers, epsilon: float) -> Layers:
+    """Return a network of L by rows, from one that gives the diagonal first."""
+    weights, biases = list(layers.weights), list(layers.biases)
+    weights[-1], biases[-1] = weights[-1][_ORDER], biases[-1][_ORDER]
+    biases[-1][_ON_DIAGONAL] += np.sqrt(epsilon)
+    return Layers(tuple(weights), tuple(biases))
+
+
+def _blocks(networks: Sequence[Layers]) -> Layers:
+    """Return one network of the inputs and outputs of some of as many layers, side by side."""
+    if len({len(layers.weights) for layers in networks}) > 1:
+        raise ValueError('the networks of the two blocks have different numbers of layers')
+    return Layers(
+        tuple(block_diag(*weights) for weights in zip(
+            *(layers.weights for layers in networks), strict=True)),
+        tuple(np.concatenate(biases) for biases in zip(
+            *(layers.biases for layers in networks), strict=True)))
+
+
+_OTHER_STATE = ('a network of another state, such as (q, dq/dt), (cos q, sin q, p) or (q, p, t), '
+                'is no H(q, p) and cannot be imported')
+
+
+def energy_layers(layers: Layers, layout: str, order: str = 'qp') -> Layers:
+    """
+    Return the network of H(q, p) alone.
+
+    Parameters
+    ----------
+    layers : Layers
+        Of the source network.
+    layout : str
+        Which of its outputs are H: ``'hnn'`` or ``'sum_second_half'``.
+    order : str
+        Of its inputs: ``'qp'`` or ``'pq'``.
+
+    Raises
+    ------
+    ValueError
+        The network has another number of inputs or outputs than the layout.
+
+    """
+    weights, biases = list(layers.weights), list(layers.biases)
+    inputs, outputs = weights[0].shape[1], len(weights[-1])
+    expected = 2 if layout == 'hnn' else inputs
+    if inputs % 2:
+        raise ValueError(f'{inputs} inputs, an odd number, so that its state is not (q, p), of a '
+                         f'momentum for each coordinate; {_OTHER_STATE}')
+    if len(weights) < 2 or outputs != expected:
+        raise ValueError(f'{len(weights)} layers, {inputs} inputs, {outputs} outputs; the layout '
+                         f'{layout} has at least 2 layers and '
+                         f'{"2" if layout == "hnn" else "as many"} outputs')
+    weights[-1] = weights[-1][outputs // 2:].sum(axis=0, keepdims=True)
+    biases[-1] = biases[-1][outputs // 2:].sum(axis=0, keepdims=True)
+    if order == 'pq':
+        weights[0] = np.roll(weights[0], inputs // 2, axis=1)
+    return Layers(tuple(weights), tuple(biases))
+
+
+def parse_box(text: str, d: int) -> Box:
+    """
+    Return the box that ``--box`` describes.
+
+    Parameters
+    ----------
+    text : str
+        ``LOW:HIGH`` for each coordinate and then for each momentum, separated by commas, or one
+        for all.
+    d : int
+        Number of coordinates.
+
+    Raises
+    ------
+    ParameterError
+        It is none.
+
+    """
+    try:
+        bounds = [[float(bound) for bound in part.split(':')] for part in text.split(',')]
+        bounds = bounds * (2 * d) if len(bounds) == 1 else bounds
+        if len(bounds) != 2 * d:
+            raise ValueError(f'{len(bounds)} intervals')
+        return Box(q=bounds[:d], p=bounds[d:])
+    except ValueError as problem:
+        detail = (problem.errors()[0]['msg'] if isinstance(problem, ValidationError)
+                  else str(problem))
+        raise ParameterError(
+            f'--box {text}: {detail}; expected LOW:HIGH for each of {d} coordinates and {d} '
+            'momenta, as in --box=-1:1,-2:2, or one for all') from problem
+
+
+def main(argv: Sequence[str]) -> None:
+    """Import a network as the command line says."""
+    arguments = command_lines.import_checkpoint().parse_args(argv)
+    names = arguments.coordinates.split(',')
+    out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
+    if out.suffix != '.safetensors':
+        raise ParameterError(f'--out {out}: a model file must end in .safetensors')
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv])
+    if arguments.layout in BODIES:
+        save_checkpoint(out, _body(arguments, names, command))
+        print(f'model: {out}')
+        return
+    if arguments.epsilon is not None or arguments.floor:
+        raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; '
+                             f'leave them with --layout {arguments.layout}')
+    layers = read_layers(arguments.file)
+    try:
+        layers = energy_layers(layers, arguments.layout, arguments.order)
+    except ValueError as problem:
+        raise ModelError(f'{arguments.file}: {problem}') from problem
+    if layers.weights[0].shape[1] != 2 * len(names):
+        raise ParameterError(
+            f'--coordinates {arguments.coordinates}: {len(names)} names, but the network of '
+            f'{arguments.file} takes {layers.weights[0].shape[1]} inputs: '
+            f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
+            f'(q, p); {_OTHER_STATE}')
+    card = _card(arguments, names, layers, command)
+    save_checkpoint(out, Checkpoint(card, {'energy': layers}))
+    print(f'model: {out}')
+    if not ACTIVATIONS[arguments.activation].smooth:
+        print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
+              'its order there')
+
+
+def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
+    """Return the model of a body that turns."""
+    epsilon, floor, source = arguments.epsilon, arguments.floor, arguments.file
+    if epsilon is None:
+        raise ParameterError(f'--epsilon: give it with --layout {arguments.layout}; the file does '
+                             "not say; that code's examples take 0.1 for so3 and 0.01 for se3")
+    wrong = [
+        (arguments.box is None, '--box-of: not of bodies that turn; give --box'),
+        (arguments.order != 'qp', '--order pq: not of bodies that turn; leave it'),
+        (arguments.activation != 'tanh',
+         f'--activation {arguments.activation}: networks of bodies that turn have tanh'),
+        (len(names) != 1, f'--coordinates {arguments.coordinates}: {len(names)} names, expected '
+                          'one, of the body')]
+    wrong += [(not 0.0 <= value < np.inf, f'{option} {value}: expected a finite number >= 0')
+              for option, value in (('--epsilon', epsilon), ('--floor', floor))]
+    for problem in (text for found, text in wrong if found):
+        raise ParameterError(problem)
+    try:
+        group, networks = body_networks(read_networks(source), arguments.layout, epsilon, floor)
+        d = group.size + 1
+        card = ModelCard(
+            name=source.stem, family='lie_group', lie_group=group, seed=0, losses={},
+            box=parse_box(arguments.box, d), coordinates=[CoordinateCard(name=names[0])],
+            networks={name: [layers.weights[0].shape[1], *map(len, layers.weights)]
+                      for name, layers in networks.items()},
+            dataset=_origin(source), training_command=command, package_version=__version__)
+    except ValidationError as problem:
+        raise ModelError(f'{source}: {problem.errors()[0]["msg"]}') from problem
+    except ValueError as problem:
+        raise ModelError(f'{source}: {problem}') from problem
+    return Checkpoint(card, networks)
+
+
+def _origin(source: Path) -> str:
+    return (f'unknown; imported from {source.name} '
+            f'(sha256 {sha256(source.read_bytes()).hexdigest()[:16]})')
+
+
+def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str
+          ) -> ModelCard:
+    d, source = len(names), arguments.file
+    if arguments.box is not None:
+        box = parse_box(arguments.box, d)
+    else:
+        config = find_config(arguments.box_of)
+        loaded = load_config(config)
+        if not isinstance(loaded, FieldConfig):
+            raise ParameterError(f'--box-of {arguments.box_of}: its data hold no momenta; give '
+                                 '--box')
+        box = make_dataset(loaded.data, loaded.seed, config).box
+    try:
+        return ModelCard(
+            name=source.stem, activation=arguments.activation, box=box, seed=0, losses={},
+            widths=[layers.weights[0].shape[1], *map(len, layers.weights)],
+            coordinates=[CoordinateCard(name=name) for name in names],
+            dataset=_origin(source), training_command=command, package_version=__version__)
+    except ValidationError as problem:
+        first = problem.errors()[0]
+        if first['loc'][:1] == ('widths',):
+            raise ModelError(f'{source}: a layer of width {first["input"]}: {first["msg"]}'
+                             ) from problem
+        raise ParameterError(
+            f'--coordinates {",".join(names)}: {first["msg"]}') from problem
