@@ -8,7 +8,7 @@ import time
 
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.energy_record import EnergyRecord
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import Simulation

@@ -8,8 +8,8 @@ import warnings
 
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 

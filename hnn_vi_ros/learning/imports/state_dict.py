@@ -9,8 +9,8 @@ import stat
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError
-from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.files.limits import check_pickles
+from hnn_vi_ros.files.regular_file import refuse_pointer
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch

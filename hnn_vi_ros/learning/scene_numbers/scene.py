@@ -9,8 +9,8 @@ import re
 import shutil
 
 from hnn_vi_ros.errors import HnnViRosError, SceneError
+from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.files.yaml_text import root_node
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.learning.scene_numbers.robot import robot_file

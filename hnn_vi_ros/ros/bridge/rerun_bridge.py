@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.bags.state_message import decode_state, State
+from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.ros.bridge.bridge_picture import BridgePicture, NEEDED, target_of
 from hnn_vi_ros.ros.parameters import arguments

@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.accuracy.local_error import local_error
+from hnn_vi_ros.accuracy.diagnostics import local_error
 from hnn_vi_ros.ros.topics.messages import array_message
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import Template
