@@ -14,7 +14,7 @@ from gallery import write_gallery
 import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
-from hnn_vi_ros.guards.band import BandGuard
+from hnn_vi_ros.guards.bands import BandGuard
 from hnn_vi_ros.guards.base import Guard
 from hnn_vi_ros.ros.parameters import settings as parameters
 from hnn_vi_ros.run.pacing import OverrunGuard

@@ -25,7 +25,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # By file: whose it is, and what; the file says why. What is documented in spite of its name, such
 # as _replace of a named tuple, is no such thing.
 PRIVATE = {
-    'bags/mcap_index.py': ('mcap', {'_Writer__chunk_indices'}),
+    'bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_option_string_actions'}),
     'kernels/linking.py': ('numba', {
         '_cache', '_cache_hits', '_cache_path', '_codegen', '_data_path', '_final_module',

@@ -9,11 +9,10 @@ from hnn_vi_ros.accuracy.diagnostics import (
     block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk, secular_change,
     stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards.barrier import BarrierGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
+from hnn_vi_ros.guards.steps import RescueGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

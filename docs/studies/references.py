@@ -9,8 +9,7 @@ import re
 from typing import Any
 
 from hnn_vi_ros.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.accuracy.survey import EVERY_SURVEYOR, survey
-from hnn_vi_ros.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.energy_error import EnergyError

@@ -7,8 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
-from hnn_vi_ros.commands.label_placement import Label, place_labels
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, Label, place_labels, STYLES
 from hnn_vi_ros.models.energy_error import EnergyError
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.accuracy.path_reference import best_reference, PathReference, PATIENCE
-from hnn_vi_ros.accuracy.survey import EVERY_SURVEYOR, PathSurvey, survey
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, parts_between, parts_for
+from hnn_vi_ros.accuracy.trials import (
+    EVERY_SURVEYOR, InitialValueProblem, Method, parts_between, parts_for, PathSurvey, survey)
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, method_name

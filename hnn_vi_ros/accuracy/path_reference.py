@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.accuracy.survey import PathSurvey
 from hnn_vi_ros.accuracy.trials import (
-    carried, ENOUGH, FAILED, InitialValueProblem, Tolerance, Trial)
+    carried, ENOUGH, FAILED, InitialValueProblem, PathSurvey, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation

@@ -11,13 +11,11 @@ from typing import BinaryIO, final
 
 from hnn_vi_ros.bags.bag_metadata import DEFINITIONS, described_channels
 from hnn_vi_ros.bags.bag_source import Piece, Source
-from hnn_vi_ros.bags.mcap_definitions import Definitions, loose_definitions
 from hnn_vi_ros.bags.mcap_records import (
     chunk_head, ChunkHead, decode, Frame, PREFIX, read_content, records_in, unpack)
-from hnn_vi_ros.bags.mcap_survey import Survey, survey
+from hnn_vi_ros.bags.mcap_survey import Definitions, loose_definitions, Survey, survey
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.lfs_pointer import refuse_pointer
-from hnn_vi_ros.files.regular_file import open_file
+from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
 from mcap.opcode import Opcode
 from mcap.records import Attachment, McapRecord, Message
 import numpy as np

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Make an MCAP bag whole whose recording was interrupted, or that was damaged."""
+"""Check an MCAP bag and make it whole if it was interrupted or damaged."""
 
 from array import array
 from collections.abc import Iterator, Sequence
@@ -11,6 +11,7 @@ from itertools import count as numbers
 import os
 from pathlib import Path
 import shutil
+import struct
 import tempfile
 from typing import BinaryIO
 
@@ -18,11 +19,178 @@ from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
 from hnn_vi_ros.bags.even_grid import Missing, missing_in_all
-from hnn_vi_ros.bags.mcap_check import contradicted, data_crc_holds, is_finished
-from hnn_vi_ros.bags.mcap_copy import copy_messages, describe_topic, ros_distro
 from hnn_vi_ros.bags.mcap_file import McapFile
+from hnn_vi_ros.bags.mcap_records import (
+    chunk_head, crc_of, decode, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack, walk)
+from hnn_vi_ros.bags.mcap_survey import Definitions, Indexed, Survey
 from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd, Schema
+from mcap.writer import CompressionType, Writer
+
+_CRC = struct.Struct('<I')
+
+
+def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
+    """
+    Return whether an MCAP file is finished, and undamaged where nothing else would show damage.
+
+    Parameters
+    ----------
+    stream : BinaryIO
+        The file.
+    file : McapFile
+        The same, opened thoroughly.
+    messages : int
+        How many messages can be read.
+
+    """
+    statistics = file.survey.statistics
+    return statistics is not None and statistics.message_count == messages \
+        and not file.unread and not file.incomplete \
+        and _framed(stream) and _counts(file.survey) and _summarised(file.survey) \
+        and not _defined_twice(file) and not contradicted(stream, file.survey)
+
+
+def contradicted(stream: BinaryIO, survey: Survey) -> int:
+    """Return how many chunks have indexes that do not match their messages."""
+    return sum(not _agrees(stream, indexed) for indexed in survey.chunks)
+
+
+def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
+    """Return whether the data are unchanged, header and metadata too, where known."""
+    stream.seek(survey.end)
+    data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
+    return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
+        0, crc_of(stream, 0, survey.end - PREFIX.size))
+
+
+def _framed(stream: BinaryIO) -> bool:
+    """Return whether records follow one another between two magics, with nothing else."""
+    size, end = os.fstat(stream.fileno()).st_size, len(MAGIC)
+    for frame in walk(stream, size):
+        if isinstance(frame, Gap):
+            return False
+        stream.seek(frame.start - PREFIX.size)
+        if PREFIX.unpack(stream.read(PREFIX.size)) != (frame.opcode, frame.length):
+            return False
+        end = frame.end
+    stream.seek(0)
+    begin = stream.read(len(MAGIC))
+    stream.seek(end)
+    return frame.opcode == Opcode.FOOTER and begin == stream.read() == MAGIC
+
+
+def _counts(survey: Survey) -> bool:
+    """Return whether the statistics count what there is."""
+    statistics = survey.statistics
+    return (statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
+        len(survey.chunks), len(survey.attachments), len(survey.metadata))
+
+
+def _defined_twice(file: McapFile) -> bool:
+    """Return whether a schema or a channel is defined otherwise than it is believed."""
+    return Definitions([*file.schemas.values(), *file.channels.values(),
+                        *file.survey.definitions, *file.survey.repeated]).contradicted
+
+
+def _summarised(survey: Survey) -> bool:
+    """Return whether there is a footer, and what it says of the summary is so."""
+    footer = survey.footer
+    return footer is not None and survey.summary is not False and footer.summary_start in (
+        0, survey.end + _CRC.size)
+
+
+def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
+    """Return whether the times and the indexes of a chunk match its messages."""
+    content = read_content(stream, indexed.chunk)
+    head, messages = chunk_head(content), _messages(unpack(content, True)[0])
+    times = [time for some in messages.values() for time, _ in some]
+    if times and (head.first, head.last) != (min(times), max(times)):
+        return False
+    indexes = [decode(frame.opcode, read_content(stream, frame)) for frame in indexed.indexes]
+    listed = [(index.channel_id, sorted(index.records)) for index in indexes if index.records]
+    return not indexes or sorted(listed) == sorted(messages.items())
+
+
+def _messages(data: bytes) -> dict[int, list[tuple[int, int]]]:
+    """Return time and place of each message among unpacked records, by channel."""
+    found: dict[int, list[tuple[int, int]]] = {}
+    place = 0
+    while place < len(data):
+        opcode, length = PREFIX.unpack_from(data, place)
+        if opcode == Opcode.MESSAGE:
+            channel, time = MESSAGE.unpack_from(data, place + PREFIX.size)
+            found.setdefault(channel, []).append((time, place))
+        place += PREFIX.size + length
+    return {channel: sorted(some) for channel, some in found.items()}
+
+
+_CHUNK_SIZE = 256 * 1024
+
+
+def copy_messages(file: McapFile, target: BinaryIO) -> None:
+    """
+    Write a whole file with all channels, messages, attachments and metadata of another.
+
+    Parameters
+    ----------
+    file : McapFile
+        May break off, or be damaged.
+    target : BinaryIO
+        Empty.
+
+    """
+    writer = Writer(target, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD,
+                    enable_data_crcs=True)
+    header = file.survey.header
+    writer.start(header.profile if header else 'ros2', header.library if header else '')
+    for record in file.survey.metadata:
+        writer.add_metadata(record.name, record.metadata)
+    for attachment in file.attachments():
+        writer.add_attachment(attachment.create_time, attachment.log_time, attachment.name,
+                              attachment.media_type, attachment.data)
+    channels = _register(writer, file)
+    counts, first, last = dict.fromkeys(file.channels, 0), NEVER, 0
+    for message in file.messages():
+        writer.add_message(channels[message.channel_id], message.log_time, message.data,
+                           message.publish_time, message.sequence)
+        counts[message.channel_id] += 1
+        first, last = min(first, message.log_time), max(last, message.log_time)
+    # At the end, what the bag holds, as its recorder would have done.
+    topics = [describe_topic(channel, file.schemas.get(channel.schema_id))
+              for channel in file.channels.values()]
+    extent = Extent(file.name.name, sum(counts.values()), first, last)
+    described = bag_metadata([extent], topics, list(counts.values()), ros_distro(file))
+    writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(described)})
+    writer.finish()
+
+
+def _register(writer: Writer, file: McapFile) -> dict[int, int]:
+    """Describe the channels, in the order of their numbers; return the new ones."""
+    # Schema 0 means no schema.
+    schemas = {0: 0}
+    for number, schema in file.schemas.items():
+        schemas[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
+    return {number: writer.register_channel(channel.topic, channel.message_encoding,
+                                            schemas.get(channel.schema_id, 0), channel.metadata)
+            for number, channel in file.channels.items()}
+
+
+def describe_topic(channel: Channel, schema: Schema | None) -> Topic:
+    """Return the description of a channel by rosbag2."""
+    about = channel.metadata
+    return Topic(channel.topic, schema.name if schema else '',
+                 schema.data.decode(errors='replace') if schema else '',
+                 about.get('topic_type_hash', ''), about.get('offered_qos_profiles') or '[]')
+
+
+def ros_distro(file: McapFile) -> str:
+    """Return the ROS distribution that a file names as its origin."""
+    named = read_description(file.metadata('rosbag2').get('serialized_metadata', ''))
+    return str(named.get('ros_distro') or 'jazzy')
 
 
 @dataclass

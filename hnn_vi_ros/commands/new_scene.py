@@ -6,8 +6,8 @@ import re
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.scene import load_scene
 
 # The line by which editors find the schema; shipped scenes name it by a relative path.

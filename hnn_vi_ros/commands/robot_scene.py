@@ -9,8 +9,8 @@ import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError, SceneError
-from hnn_vi_ros.files.package_uri import package_file, SCHEME
-from hnn_vi_ros.files.scene_file import write_new_scene
+from hnn_vi_ros.files.regular_file import write_new_scene
+from hnn_vi_ros.files.resources import package_file, SCHEME
 from hnn_vi_ros.files.yaml_text import dump_yaml, one_line
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Open files, and nothing that only looks like one."""
+"""Open regular files, refuse what only looks like one, and write files that are new."""
 
 import errno
 import os
@@ -8,7 +8,76 @@ from pathlib import Path
 import stat
 from typing import BinaryIO
 
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError, SceneError
+
+_BEGIN = b'version https://git-lfs'
+
+
+def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> None:
+    """
+    Raise if a file is no more than a pointer.
+
+    Parameters
+    ----------
+    raw : bytes
+        The file, or its first 32 bytes.
+    where : object
+        The file's name.
+    error : type of HnnViRosError
+        What to raise, with one line.
+
+    """
+    if raw.startswith(_BEGIN):
+        raise error(f'{where}: a git-LFS pointer in the place of the file; fetch the file with: '
+                    'git lfs pull')
+
+
+def check_new(option: str, path: Path) -> None:
+    """
+    Check that a file or folder can be written, and make the folder that it is to stand in.
+
+    Parameters
+    ----------
+    option : str
+        The option of the command line that names it, such as ``--out``.
+    path : Path
+        What is to be written.
+
+    Raises
+    ------
+    ParameterError
+        It exists already, or it cannot be written.
+
+    """
+    if os.path.lexists(path):
+        raise ParameterError(f'{option} {path}: exists already; name another file')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+        path.unlink()
+    except OSError as problem:
+        raise ParameterError(f'{option} {path}: cannot be written ({problem.strerror}); name '
+                             'another file') from problem
+
+
+def write_new_scene(path: Path, text: str) -> None:
+    """
+    Write the text of a scene.
+
+    Raises
+    ------
+    SceneError
+        The file exists already, or cannot be written.
+
+    """
+    try:
+        with path.open('x', encoding='utf-8') as stream:
+            stream.write(text)
+    except FileExistsError as problem:
+        raise SceneError(f'{path}: exists already; name another file') from problem
+    except OSError as problem:
+        raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
+                         ) from problem
 
 
 def no_file(path: Path, missing: str = 'no such file') -> str:

@@ -1,12 +1,88 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Find the files that are shipped with the package, installed or in a source checkout."""
+"""Find shipped files, files of ROS packages, and the folders of the user."""
 
 import os
 from pathlib import Path
+import stat
+import sys
+import tempfile
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.files.regular_file import no_file
+
+SCHEME = 'package://'
+
+
+def package_file(uri: str) -> Path:
+    """
+    Return the file that a URI of a package names; it need not exist.
+
+    Parameters
+    ----------
+    uri : str
+        ``package://PACKAGE/PATH``, a path in the share folder of the package.
+
+    Raises
+    ------
+    ValueError
+        No such URI or no such package; one line.
+
+    """
+    package, _, path = uri.removeprefix(SCHEME).partition('/')
+    if not (uri.startswith(SCHEME) and path and package.replace('_', '').isalnum()):
+        raise ValueError(f'{uri!r} must be {SCHEME}PACKAGE/PATH')
+    for prefix in prefixes():
+        if (prefix / 'share/ament_index/resource_index/packages' / package).is_file():
+            return prefix / 'share' / package / path
+    raise ValueError(f'{uri}: no package {package!r} is in what AMENT_PREFIX_PATH lists; source '
+                     'the workspace that holds it, or give the path of the file')
+
+
+def prefixes() -> list[Path]:
+    """Return the folders that ROS packages are installed in, first what overlays others."""
+    # Wheels put share/ next to the interpreter's lib/ and need no AMENT_PREFIX_PATH for it.
+    listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
+    return [Path(prefix) for prefix in (*listed, sys.prefix) if prefix]
+
+
+def expand_user(path: str | Path) -> Path:
+    """Return a path with ``~`` as the home; unchanged if the user, or ``~NAME``, has none."""
+    return Path(os.path.expanduser(path))
+
+
+def usual_folder(variable: str = 'XDG_CACHE_HOME', name: str = '.cache') -> Path | None:
+    """Return the folder that a variable names, or that in the home; None if it is read-only."""
+    folder = Path(os.environ.get(variable) or expand_user('~') / name)
+    return folder if folder.is_absolute() and can_be_written(folder) else None
+
+
+def cache_folder() -> Path:
+    """Return where caches of the user are: the usual folder, else a private one."""
+    return usual_folder() or private_folder()
+
+
+def private_folder() -> Path:
+    """
+    Return a folder of this user alone among temporary files, the same each time.
+
+    What others can write is not taken: cached code is run. There it is another one each time.
+    """
+    folder = Path(tempfile.gettempdir(), f'hnn_vi_ros-cache-{os.getuid()}')
+    folder.mkdir(mode=0o700, exist_ok=True)
+    there = folder.lstat()
+    if (stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid()
+            and not there.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+        return folder
+    return Path(tempfile.mkdtemp(prefix='hnn_vi_ros-cache-'))
+
+
+def can_be_written(folder: Path) -> bool:
+    """Return whether files can be made in a folder, which need not exist yet."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    return os.access(folder, os.W_OK)
+
 
 _FOLDERS = {
     'scene': ('config/scenes', '.yaml'),

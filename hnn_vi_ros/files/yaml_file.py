@@ -3,6 +3,7 @@
 """Read a YAML file into a pydantic model; every error names file, line and key."""
 
 from collections.abc import Callable, Mapping, Sequence
+import json
 import os
 from pathlib import Path
 import re
@@ -13,6 +14,32 @@ from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.json_schema import GenerateJsonSchema
+
+
+def json_schema(model: type[BaseModel], title: str) -> str:
+    """
+    Return the schema of a file, JSON Schema draft 2020-12.
+
+    Parameters
+    ----------
+    model : type of BaseModel
+        Schema of the file.
+    title : str
+        Description of the file.
+
+    """
+    schema = model.model_json_schema(schema_generator=_Plain)
+    schema = {'$schema': _Plain.schema_dialect, **schema, 'title': title}
+    return json.dumps(schema, indent=2, ensure_ascii=False)
+
+
+class _Plain(GenerateJsonSchema):
+    """A JSON schema without a title for each key, which would only repeat its name."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:
+        return False
+
 
 Model = TypeVar('Model', bound=BaseModel)
 

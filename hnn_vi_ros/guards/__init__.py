@@ -4,15 +4,11 @@
 
 from collections.abc import Callable, Iterator
 
-from hnn_vi_ros.guards.barrier import BarrierGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, InvariantGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Guard, Observed
 from hnn_vi_ros.guards.box import BoxGuard
-from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.invariant import InvariantGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
-from hnn_vi_ros.guards.solutions import SolutionGuard
+from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.simulation import Simulation
 
 # Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.

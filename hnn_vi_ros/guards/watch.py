@@ -1,23 +1,122 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The guards of a run outside of ROS, and what they find."""
+"""The guards of a run outside of ROS: its energy scale, a screening, and what they find."""
 
 import math
 import warnings
 
+from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.base import Alarm, Guard, Look
+from hnn_vi_ros.guards.bands import InvariantGuard, PLAIN
+from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Look, Observed
 from hnn_vi_ros.guards.box import BoxGuard
-from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.invariant import InvariantGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.scale import SampledScale
-from hnn_vi_ros.guards.screening import suspects
-from hnn_vi_ros.guards.solutions import SolutionGuard
+from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+
+# An error of energy must be this many times larger, over the scale, to differ from rounding: a
+# share of a fiftieth is the smallest that can be watched.
+_ABOVE_ROUNDING = 50.0
+# From rest, energies grow as the square of the time, and an error of the first order in h by the
+# share 1 / (2 n) of them in n steps: less than a fortieth beyond this many.
+_EARLY = 20.0
+
+
+class SampledScale:
+    """
+    Energy scale by which the guards of a run measure: one for all of them.
+
+    It is the EnergyScale of the samples so far, but no less than what rounding makes of H, as
+    for a system at rest. As long as energy has not been turned over, the first n steps may have
+    seen too little of it, as from a start at rest where the potential is zero: they count
+    1 + 20 / n times.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of the run.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian):
+        self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
+        self._last: Observed | None = None
+        self._first, self._newest, self._size, self._value = 0, 0, 0.0, 0.0
+
+    def __call__(self, sample: Observed) -> float:
+        """Return the scale [J] as of a sample, the newest one or that before it again."""
+        if sample is not self._last:
+            if self._last is None:
+                self._first = self._newest = sample.step
+            weight = max(sample.step - self._newest, 1)
+            self._last, self._newest = sample, sample.step
+            scale = self._scale.add(sample.q, sample.p, sample.dH_dq, sample.dH_dp, weight)
+            steps = sample.step - self._first + 1
+            if not self._scale.turned:
+                scale *= 1.0 + _EARLY / steps
+            size = abs(accounted_energy(sample)) + abs(sample.work) + self._rounding
+            if math.isfinite(size) and size > self._size:
+                self._size = size
+            floor = _ABOVE_ROUNDING * rounding_walk(self._size, steps)
+            self._value = floor if floor > scale else scale
+        return self._value
+
+
+def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
+             energy: np.ndarray, modified: np.ndarray) -> np.ndarray:
+    """
+    Return which trajectories may raise an alarm.
+
+    The bounds match the guards', with the whole band of a trajectory against the least energy
+    scale along it: a trajectory within them raises no alarm at any sample.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of any of them.
+    steps : np.ndarray, shape (n,)
+        Steps since the start.
+    q, p : np.ndarray, shape (n, m, d)
+        The trajectories.
+    energy, modified : np.ndarray, shape (n, m)
+        H and H~ there; see ``energies_of``.
+
+    Returns
+    -------
+    np.ndarray, shape (m,)
+        True where the guards must look.
+
+    """
+    hamiltonian, m = simulation.hamiltonian, q.shape[1]
+    if not hamiltonian.canonical or hamiltonian.invariants or len(steps) < 2:
+        return np.ones(m, bool)
+    found = np.zeros(m, bool)
+    if hamiltonian.box is not None:
+        low, high = np.concatenate(hamiltonian.box).T
+        x = p if hamiltonian.gauge is None else p - q @ hamiltonian.gauge.T
+        z = np.concatenate([q, x], axis=2)
+        found |= ~((low <= z) & (z <= high)).all(axis=(0, 2))
+    if not simulation.conservative:
+        return found
+    known = modified if simulation.modification is not None else energy
+    weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
+    share = PLAIN * BAND_LIMIT if known is modified else BAND_LIMIT
+    # Written so that what is not finite is suspect. A change for good is less than the band.
+    with np.errstate(invalid='ignore', over='ignore'):
+        scale = EnergyScale(hamiltonian).least(weights, q, p, *hamiltonian.gradient(q, p))
+        good = np.ptp(known, axis=0) <= min(BAND_LIMIT, CHANGE_LIMIT) * scale
+        good &= np.ptp(energy, axis=0) <= share * scale
+        if hamiltonian.barrier is not None:
+            _, height = hamiltonian.barrier
+            kept = energy if simulation.integrator.order > 1 else known
+            gap = np.where((height - energy[0]) * (height - kept[0]) > 0.0,
+                           np.abs(height - kept[0]), 0.0)
+            good &= np.ptp(kept, axis=0) <= gap
+    return found | ~good
+
 
 # Most samples of a path that the guards see, besides its extremes. They need half as many to
 # recognise a lasting change; see EnergyGuard.

@@ -17,7 +17,7 @@ import shlex
 import time
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.new_file import check_new
+from hnn_vi_ros.files.regular_file import check_new
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (

@@ -11,11 +11,10 @@ A part that moves carries the leading axes of q; a part that stands still has no
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.mechanisms.bodies import bouncing_mass, charged_particle, henon_heiles, kepler
+from hnn_vi_ros.mechanisms.drawings import (
+    bouncing_mass, cartesian_pendulum, charged_particle, double_pendulum, henon_heiles, kepler,
+    mass_spring, MOST_PAIRS, pendulum, spring_chain, turning_body)
 from hnn_vi_ros.mechanisms.parts import Mechanism
-from hnn_vi_ros.mechanisms.pendulums import cartesian_pendulum, double_pendulum, pendulum
-from hnn_vi_ros.mechanisms.springs import mass_spring, MOST_PAIRS, spring_chain
-from hnn_vi_ros.mechanisms.turning import turning_body
 
 MECHANISMS: dict[str, Mechanism] = {
     'bouncing_mass': bouncing_mass,

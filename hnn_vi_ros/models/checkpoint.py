@@ -23,8 +23,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.files.limits import limited, parse_json, safetensors_header
+from hnn_vi_ros.files.regular_file import refuse_pointer
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np

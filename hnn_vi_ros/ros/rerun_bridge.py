@@ -10,7 +10,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.bags.state_message import decode_state, State
+from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files.user_folders import expand_user
 from hnn_vi_ros.mechanisms import MECHANISMS

@@ -9,7 +9,7 @@ import time
 from hnn_vi_ros.accuracy.diagnostics import secular_change
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, time_scale, Tolerance
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.sample import Sample

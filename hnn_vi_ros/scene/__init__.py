@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from keyword import iskeyword
+import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -25,13 +26,35 @@ from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS, TURNING
 from hnn_vi_ros.models.checkpoint import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
-    AutoChoice, call_factory, choices, EventChoice, InitialState, LearnedChoice, PythonChoice,
-    UncertaintyChoice)
-from hnn_vi_ros.scene.invariants import InvariantChoice, invariants_of
+    AutoChoice, call_factory, choices, EventChoice, InitialState, InvariantChoice, invariants_of,
+    LearnedChoice, PythonChoice, UncertaintyChoice)
 from hnn_vi_ros.scene.origin import Origin
-from hnn_vi_ros.scene.plain_data import Choice, of_kind, plain_data
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr
+
+# A part of a scene that is chosen by its kind.
+Choice = str | Mapping[str, Any] | BaseModel
+
+
+def of_kind(choice: Choice) -> Any:
+    """Return a kind that is named alone as the mapping that YAML has for it."""
+    return {'kind': choice} if isinstance(choice, str) else choice
+
+
+def plain_data(value: Any) -> Any:
+    """Return mappings, sequences, arrays, paths and parts of scenes as dicts, lists and values."""
+    if isinstance(value, BaseModel):
+        return plain_data(value.model_dump())
+    if isinstance(value, Mapping):
+        return {key: plain_data(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, list | tuple | range):
+        return [plain_data(part) for part in value]
+    return value
+
 
 _EXACT: dict[str, type] = {**HAMILTONIANS, **ROBOTS}
 

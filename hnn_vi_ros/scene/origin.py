@@ -11,9 +11,8 @@ from typing import Any
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import did_you_mean, ModelError
 from hnn_vi_ros.files.named_code import find_beside
-from hnn_vi_ros.files.package_uri import package_file, SCHEME
 from hnn_vi_ros.files.regular_file import no_file
-from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files.resources import is_path, package_file, SCHEME, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_text import KeyPlaces, parse_mapping
 from hnn_vi_ros.models.checkpoint import file_digest
 

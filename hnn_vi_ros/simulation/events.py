@@ -12,7 +12,7 @@ from typing import Any, Literal
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.conditions import Condition
+from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import DenseStep
 import numpy as np

@@ -12,9 +12,9 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.files.standard_streams import rewrite_line
+from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments

@@ -1,15 +1,123 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagrams with two logarithmic axes as a rerun recording, one horizon a moment of its time."""
+"""Logarithmic diagrams, training curves and predictions as rerun recordings."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
+from typing import NamedTuple
 
+from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.viewer.rerun_blueprint import PALETTE, WHITE
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+
+_LEAST = np.finfo(np.float64).tiny
+
+
+def write_curves(path: Path, name: str,
+                 curves: Mapping[str, tuple[Sequence[int], Sequence[float]]]) -> None:
+    """
+    Write curves to a recording, as their decimal logarithms: the viewer has no such axis.
+
+    Parameters
+    ----------
+    path : Path
+        The .rrd file to write.
+    name : str
+        Of the run.
+    curves : mapping of str to (sequence of int, sequence of float)
+        For each, its steps and its positive values.
+
+    """
+    recording = rr.RecordingStream('hnn_vi_ros_training', recording_id=name)
+    recording.save(path)
+    recording.send_blueprint(rrb.Blueprint(
+        rrb.TimeSeriesView(origin='/log10', name=f'{name}: log10 of the loss'),
+        collapse_panels=True))
+    for (label, (steps, values)), color in zip(curves.items(), PALETTE, strict=False):
+        entity = f'/log10/{rr.escape_entity_path_part(label)}'
+        recording.log(entity, rr.SeriesLines(names=label, colors=color), static=True)
+        recording.send_columns(
+            entity, indexes=[rr.TimeColumn('step', sequence=np.asarray(steps, dtype=np.int64))],
+            columns=rr.Scalars.columns(scalars=np.log10(np.maximum(values, _LEAST))))
+    recording.flush()
+    recording.disconnect()
+
+
+_TIME = 'time'
+
+
+class PredictedRun(NamedTuple):
+    """
+    A measured run, and what was predicted of it.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    t : np.ndarray, shape (N,)
+        Times [s].
+    q : np.ndarray, shape (N, d)
+        Measured coordinates.
+    predicted : sequence of (np.ndarray of shape (m,), np.ndarray of shape (m, d))
+        Times and coordinates of each prediction, all of them finite.
+
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    predicted: Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+def write_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
+                      runs: Sequence[PredictedRun]) -> None:
+    """
+    Write a recording with a tab for each run and a view for each of its coordinates.
+
+    Parameters
+    ----------
+    path : Path
+        The .rrd file to write.
+    name : str
+        Of what predicts.
+    coordinates : sequence of Coordinate
+        d of them.
+    runs : sequence of PredictedRun
+        Each over its own time.
+
+    """
+    stream = rr.RecordingStream('hnn_vi_ros_evaluation', recording_id=name)
+    stream.save(path)
+    tabs = []
+    for number, run in enumerate(runs):
+        views = []
+        for i, coordinate in enumerate(coordinates):
+            origin = f'/run{number}/{rr.escape_entity_path_part(coordinate.name)}'
+            views.append(rrb.TimeSeriesView(
+                name=f'{coordinate.name} [{coordinate.q_unit}], measured in white',
+                origin=origin, plot_legend=rrb.PlotLegend(visible=False)))
+            for k, (t, q) in enumerate(run.predicted):
+                _send(stream, f'{origin}/predicted/{k}', f'from {t[0]:.6g} s', t, q[:, i],
+                      rr.SeriesLines.from_fields(colors=PALETTE[k % len(PALETTE)], widths=1.0))
+            _send(stream, f'{origin}/measured', 'measured', run.t, run.q[:, i],
+                  rr.SeriesLines.from_fields(colors=WHITE, widths=2.0))
+        tabs.append(rrb.Vertical(*views, name=run.name))
+    stream.send_blueprint(rrb.Blueprint(
+        rrb.Tabs(*tabs), rrb.TimePanel(timeline=_TIME, state='collapsed'), collapse_panels=True))
+    stream.flush()
+    stream.disconnect()
+
+
+def _send(stream: rr.RecordingStream, entity: str, name: str, t: np.ndarray, values: np.ndarray,
+          style: rr.SeriesLines) -> None:
+    stream.log(entity, style, rr.SeriesLines.from_fields(names=name), static=True)
+    stream.send_columns(entity, indexes=[rr.TimeColumn(_TIME, duration=t)],
+                        columns=rr.Scalars.columns(scalars=values))
+
 
 _BACKGROUND, _INK, _GRID = (255, 255, 255), (60, 60, 60), (225, 225, 225)
 # A decade upwards is this much of a decade to the right, so that a diagram fits its view.

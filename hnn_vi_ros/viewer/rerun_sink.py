@@ -15,13 +15,11 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Trail
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer import rerun_layout as layout
+from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
-from hnn_vi_ros.viewer.rerun_forces import ForceArrows
-from hnn_vi_ros.viewer.rerun_portraits import Portraits
-from hnn_vi_ros.viewer.rerun_robot import (
-    bounds_of_path, bounds_of_robot, collisions_of, RobotPicture)
+from hnn_vi_ros.viewer.rerun_entities import (
+    bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
 from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
 import numpy as np
 import rerun as rr

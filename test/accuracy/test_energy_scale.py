@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
 
-from hnn_vi_ros.accuracy.energy_scale import energy_scale, EnergyScale
+from hnn_vi_ros.accuracy.diagnostics import energy_scale, EnergyScale
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation.system import System
 import numpy as np
-from plain_systems import (
-    double_well, figure_eight, Motion, MOTIONS, pendulum, Plain)
+from plain_systems import double_well, figure_eight, Motion, MOTIONS, pendulum, Plain
 import pytest
 
 _SAMPLES = 2000

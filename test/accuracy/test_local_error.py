@@ -4,12 +4,12 @@
 
 import math
 
-from hnn_vi_ros.accuracy.local_error import local_error
+from hnn_vi_ros.accuracy.diagnostics import local_error
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene.conditions import Condition
+from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 import numpy as np

@@ -7,8 +7,7 @@ import math
 from exact_motions import exact_orbit, exact_pendulum
 from helpers import EPS
 from hnn_vi_ros.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.accuracy.survey import EVERY_SURVEYOR, survey
-from hnn_vi_ros.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
 from hnn_vi_ros.effects.thermostat import Thermostat
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum

@@ -18,9 +18,8 @@ import sys
 
 from bag_mutations import joined, KINDS, Mutant, mutant, opcode_flips, records_of
 from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.mcap_frames import walk
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_records import MAGIC
+from hnn_vi_ros.bags.mcap_records import MAGIC, walk
 from hnn_vi_ros.bags.mcap_recovery import recover, Recovery
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.bags.recover_bag import main

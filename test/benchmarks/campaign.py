@@ -18,7 +18,7 @@ import time
 
 from benchmarks.systems import System, systems
 from hnn_vi_ros.accuracy.calibration import calibrate
-from hnn_vi_ros.accuracy.energy_scale import energy_scale
+from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 import numpy as np

@@ -9,7 +9,7 @@ import time
 
 from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.guards import make_guards
-from hnn_vi_ros.guards.scale import SampledScale
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.parameters import settings as parameters
 from hnn_vi_ros.ros.sinks.recording import Recording
 from hnn_vi_ros.ros.topics.outputs import Material

@@ -12,8 +12,8 @@ import sys
 
 from hnn_vi_ros.commands.scene_tool import lyapunov_line, main
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.files.json_schema import json_schema
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.run.scene_report import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 import pytest

@@ -63,7 +63,7 @@ READERS = {
     'log': (LOG, 'read_measured_log(path, data)'),
     'motions': (MOTIONS, 'read_log_motions(path, data)'),
     'axis': (AXIS, "FileAxis(FileChoice(kind='file', path=path.name), path.parent, 'axis')"),
-    'posterior': ('from hnn_vi_ros.sweeps.posterior import read_posterior',
+    'posterior': ('from hnn_vi_ros.sweeps.axes import read_posterior',
                   "read_posterior(path, 'posterior')"),
     'record': ('from hnn_vi_ros.sweeps.folder import SweepFolder',
                'SweepFolder(path.parent).record()'),

@@ -7,8 +7,8 @@ import subprocess
 import sys
 import tempfile
 
-from hnn_vi_ros.files import user_folders
-from hnn_vi_ros.files.user_folders import cache_folder, expand_user, usual_folder
+from hnn_vi_ros.files import resources
+from hnn_vi_ros.files.resources import cache_folder, expand_user, usual_folder
 import pytest
 
 
@@ -47,7 +47,7 @@ def test_cache_without_a_home_is_private_and_the_same_each_time(no_home, tempora
 def test_cache_is_private_where_the_home_is_read_only(monkeypatch, temporary):
     # Nobody, not even root, makes files there.
     monkeypatch.setenv('HOME', '/proc/nobody')
-    monkeypatch.setattr(user_folders.os, 'access', lambda folder, mode: folder != Path('/proc'))
+    monkeypatch.setattr(resources.os, 'access', lambda folder, mode: folder != Path('/proc'))
     assert usual_folder() is None
     assert cache_folder().parent == temporary
 
@@ -64,7 +64,7 @@ def test_cache_that_others_could_write_is_not_taken(planted, no_home, tmp_path, 
     else:
         number = first.stat().st_uid
         first.rename(first.with_name(f'hnn_vi_ros-cache-{number + 1}'))
-        monkeypatch.setattr(user_folders.os, 'getuid', lambda: number + 1)
+        monkeypatch.setattr(resources.os, 'getuid', lambda: number + 1)
     second = cache_folder()
     assert second != first and not second.is_symlink()
     assert second.stat().st_mode & 0o777 == 0o700

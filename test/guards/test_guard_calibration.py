@@ -4,11 +4,11 @@
 
 from benchmarks.systems import systems
 from helpers import Uncompiled
-from hnn_vi_ros.accuracy.energy_scale import energy_scale
+from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import BAND_LIMIT
+from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.box import BoxGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS

@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.guards.barrier import BarrierGuard
+from hnn_vi_ros.guards.bands import BarrierGuard
 from hnn_vi_ros.guards.base import accounted_energy, Guard
 from hnn_vi_ros.guards.box import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import AlarmWarning, SceneError
+from hnn_vi_ros.guards.bands import InvariantGuard
 from hnn_vi_ros.guards.base import Look
-from hnn_vi_ros.guards.invariant import InvariantGuard
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.scene import Scene
 import numpy as np

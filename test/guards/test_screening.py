@@ -5,8 +5,7 @@
 import warnings
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.guards.screening import suspects
-from hnn_vi_ros.guards.watch import energies_of, Watch
+from hnn_vi_ros.guards.watch import energies_of, suspects, Watch
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest

@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags import sqlite_file
+from hnn_vi_ros.bags import bag_files
 from hnn_vi_ros.bags.mcap_file import McapFile
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
@@ -328,6 +328,6 @@ def test_large_rows_that_a_small_file_computes_are_refused(tmp_path, monkeypatch
         database.executemany('INSERT INTO messages (id, topic_id, timestamp) VALUES (?, 1, ?)',
                              [(i, i) for i in range(8)])
     assert len(list(BagReader(path).messages())) == 8
-    monkeypatch.setattr(sqlite_file, '_MOST', 7 * 10**6)
+    monkeypatch.setattr(bag_files, '_MOST', 7 * 10**6)
     with pytest.raises(RecordingError, match='messages hold more than'):
         list(BagReader(path).messages())

@@ -12,15 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.barrier import BarrierGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.box import BoxGuard
-from hnn_vi_ros.guards.cost import CostGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
-from hnn_vi_ros.guards.resolution import ResolutionGuard
-from hnn_vi_ros.guards.scale import SampledScale
-from hnn_vi_ros.guards.solutions import SolutionGuard
+from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.parameters.settings import Settings

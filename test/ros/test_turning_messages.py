@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.state_message import decode_state
+from hnn_vi_ros.bags.cdr import decode_state
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations

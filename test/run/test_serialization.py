@@ -5,7 +5,7 @@
 from itertools import zip_longest
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from hnn_vi_ros.bags.state_message import decode_state
+from hnn_vi_ros.bags.cdr import decode_state
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.ros.topics.messages import array_message, encode_tick, TICK_TOPICS
 from hnn_vi_ros.run.serialization import serialize, Template

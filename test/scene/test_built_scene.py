@@ -4,8 +4,7 @@
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.plain_data import plain_data
+from hnn_vi_ros.scene import load_scene, plain_data, Scene
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.scene.conditions import Condition
+from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.trajectory.simulate import simulate, simulate_many

@@ -5,8 +5,7 @@
 from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.guards.cost import CostGuard
-from hnn_vi_ros.guards.rescue import RescueGuard
+from hnn_vi_ros.guards.steps import CostGuard, RescueGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_size_control

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.sweeps.axes import read_posterior
 from hnn_vi_ros.sweeps.plan import make_plan
-from hnn_vi_ros.sweeps.posterior import read_posterior
 from hnn_vi_ros.sweeps.sweep import sweep
 import numpy as np
 import pyarrow.parquet as pq

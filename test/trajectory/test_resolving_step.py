@@ -7,7 +7,7 @@ import warnings
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.guards.resolution import ResolutionGuard
+from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import simulate

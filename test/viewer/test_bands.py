@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer.rerun_layout import BANDS
+from hnn_vi_ros.viewer.rerun_blueprint import BANDS
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 import pytest

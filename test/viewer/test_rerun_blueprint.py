@@ -4,9 +4,8 @@
 
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.viewer.rerun_blueprint import (
-    _left_column, Arrangement, BAR, COLUMN, eye_of, height_for, make_blueprint, MARGINS,
-    room_after, VIEW_ANGLE, with_ticks)
-from hnn_vi_ros.viewer.rerun_layout import raised, series_labels, without_unit
+    _left_column, Arrangement, BAR, COLUMN, eye_of, height_for, make_blueprint, MARGINS, raised,
+    room_after, series_labels, VIEW_ANGLE, with_ticks, without_unit)
 import numpy as np
 import pytest
 import rerun.blueprint as rrb

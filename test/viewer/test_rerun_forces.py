@@ -9,7 +9,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer.rerun_forces import DRAWN, ForceArrows
+from hnn_vi_ros.viewer.rerun_entities import DRAWN, ForceArrows
 import numpy as np
 import pytest
 from rerun_reader import read

@@ -7,7 +7,7 @@ import logging
 from pathlib import Path
 from typing import Annotated, Literal
 
-from hnn_vi_ros.bags.state_message import MOMENTUM, RATE
+from hnn_vi_ros.bags.cdr import MOMENTUM, RATE
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import JOINT_STATE, Signal, SignalReader

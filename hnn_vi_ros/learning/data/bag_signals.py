@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, final, Literal, NamedTuple, TYPE_CHECKING, TypeVar
 
-from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, JointStates
+from hnn_vi_ros.bags.cdr import (
+    decode_float64_multi_array, decode_joint_state, JointStates, MOMENTUM)
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.bags.state_message import MOMENTUM
 from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.run.held_state import STATE_FILE

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.errors import DataError, did_you_mean, ModelError
-from hnn_vi_ros.files.package_uri import package_file, SCHEME
-from hnn_vi_ros.files.resources import find_yaml
+from hnn_vi_ros.files.resources import find_yaml, package_file, SCHEME
 from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree

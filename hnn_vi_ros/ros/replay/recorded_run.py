@@ -10,11 +10,11 @@ import math
 from pathlib import Path
 from typing import Any
 
+from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.bags.state_message import decode_state, State
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files.user_folders import expand_user
+from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics

@@ -11,9 +11,9 @@ from typing import Any
 
 from hnn_vi_ros.accuracy.local_error import local_error
 from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.state_message import state_names
+from hnn_vi_ros.bags.cdr import state_names
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.package_uri import prefixes
+from hnn_vi_ros.files.resources import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.run.monitor import Monitor

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The spread of an ensemble on ~/uncertainty, in the bag and in /diagnostics."""
 
-from hnn_vi_ros.bags.state_message import MOMENTUM
+from hnn_vi_ros.bags.cdr import MOMENTUM
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.guards.spread import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian

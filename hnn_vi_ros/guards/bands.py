@@ -1,0 +1,238 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Guards of what is conserved: the range of the energy, or of an invariant, is a bound."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+import math
+
+from hnn_vi_ros.accuracy.diagnostics import state_scales
+from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+import numpy as np
+
+
+class BandGuard(Guard):
+    """Base of guards: the range of the accounted energy, or of another value, so far."""
+
+    def __init__(self) -> None:
+        self.raised = False
+        self._low, self._high = math.inf, -math.inf
+
+    @property
+    def band(self) -> float:
+        """Return the range so far."""
+        return max(self._high - self._low, 0.0)
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        value = self._value(sample)
+        if value < self._low:
+            self._low = value
+        if value > self._high:
+            self._high = value
+        limit = self._limit(sample)
+        # Written so that NaN is an alarm.
+        if self.raised or (self.band <= limit and value == value):
+            return None
+        self.raised = True
+        return self._alarm(sample.step, limit)
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return self._alarm(sample.step, self._limit(sample))
+
+    def _value(self, sample: Observed) -> float:
+        return accounted_energy(sample)
+
+    @abstractmethod
+    def _limit(self, sample: Observed) -> float:
+        """Return the band that is allowed as of a sample."""
+
+    @abstractmethod
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        """Return what to say of a band that is beyond the limit."""
+
+
+# H may go this many times as far as the modified energy that the method keeps: that it does is
+# the method's own, and no loss, but beyond a fifth of the energies in play it is no resolution.
+PLAIN = 4.0
+
+
+class ResolutionGuard(BandGuard):
+    """
+    The step resolves the motion: the modified energy stays within a share of the energy scale.
+
+    H itself stays within four times that share; where no modified energy is known, within it.
+
+    Parameters
+    ----------
+    share : float
+        The band that is allowed, over the scale.
+    scale : callable
+        Returns the energy scale as of a sample [J]; see SampledScale.
+    modified : bool, optional
+        Whether a modified energy is known.
+
+    """
+
+    kind = 'under-resolved'
+    remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
+              'method of higher order')
+
+    def __init__(self, share: float, scale: Callable[[Observed], float], modified: bool = False):
+        super().__init__()
+        self._share, self._scale, self._modified = share, scale, modified
+        self._lowest, self._highest = math.inf, -math.inf
+
+    def allow(self, band: float, change: float) -> None:
+        """See Guard."""
+        self._share = band
+
+    @property
+    def band(self) -> float:
+        """Return the range of the modified energy, or a quarter of that of H if larger [J]."""
+        return max(super().band, self._plain_band / PLAIN) if self._modified else super().band
+
+    @property
+    def _plain_band(self) -> float:
+        return max(self._highest - self._lowest, 0.0)
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        if sample.energy < self._lowest:
+            self._lowest = sample.energy
+        if sample.energy > self._highest:
+            self._highest = sample.energy
+        return super().update(sample)
+
+    def _limit(self, sample: Observed) -> float:
+        return self._share * self._scale(sample)
+
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        # Report H, if H went too far.
+        plain = self._modified and self.band > super().band
+        band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
+        if not (limit > 0.0 and math.isfinite(band / limit)):
+            return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
+                         'under-resolved; use a smaller step_size, or start elsewhere')
+        share = self._share * self.band / limit * (PLAIN if plain else 1.0)
+        return Alarm(self.kind, step, band, limit,
+                     f'the energy is kept only to {share:.2g} of the energies in play: '
+                     'under-resolved; use a smaller step_size, or a method of higher order')
+
+
+class BarrierGuard(BandGuard):
+    """
+    The energy is kept better than its distance from that of a barrier.
+
+    Parameters
+    ----------
+    name : str
+        Name of the barrier: 'separatrix', 'escape barrier'.
+    energy : float
+        That of the barrier [J]; the motion's is that of the first sample.
+    order : int, optional
+        Of the method. With order 1 the band of H says nothing: H~ is judged where it is known.
+        From order 2 on it is H: where H~ stays on one side of the barrier the motion may still
+        leave, by as much as H and H~ differ, the region that H below it confines it to.
+
+    """
+
+    kind = 'not resolved'
+    remedy = ('use a smaller step_size or a method of higher order: the energy error '
+              'decides on which side of the barrier the motion is')
+
+    def __init__(self, name: str, energy: float, order: int = 1):
+        super().__init__()
+        self._plain = order > 1
+        self.kind, self._name = f'{name} not resolved', name
+        self._energy, self._gap = energy, math.nan
+
+    def _limit(self, sample: Observed) -> float:
+        if math.isnan(self._gap):
+            # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
+            # of it that H is on.
+            plain = self._energy - sample.energy
+            kept = self._energy - self._value(sample)
+            self._gap = abs(kept) if plain * kept > 0.0 else 0.0
+        return self._gap
+
+    def _value(self, sample: Observed) -> float:
+        return sample.energy - sample.work if self._plain else accounted_energy(sample)
+
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        return Alarm(self.kind, step, self.band, limit,
+                     f'the energy is kept only to {self.band:.2g} J, but the {self._name} is '
+                     f'{limit:.2g} J away: {self.kind}; use a smaller step_size')
+
+
+# Spacing of differences relative to the state; they need be good to a tenth only.
+_SPACING = 1e-4
+
+
+class InvariantGuard(BandGuard):
+    """
+    An invariant stays within a share of the change that the state could cause.
+
+    That scale is the sum over i of abs(dI/dz_i) s_i, with s_i the size of the state or of the
+    training box (``state_scales``): no constant in I changes it. It is the mean of those at the
+    samples 1, 2, 4, 8, ..., which do not all lie at the start.
+
+    Parameters
+    ----------
+    name : str
+        Name of the invariant.
+    function : callable
+        Of q and p, each of shape (d,).
+    share : float
+        The band that is allowed, over the scale.
+    hamiltonian : Hamiltonian
+        H of the motion.
+
+    """
+
+    kind = 'not conserved'
+    remedy = ('use a smaller step_size, or a method that conserves it: Gauss methods keep '
+              'quadratic invariants')
+
+    def __init__(self, name: str, function: Callable[[np.ndarray, np.ndarray], float],
+                 share: float, hamiltonian: Hamiltonian):
+        super().__init__()
+        self.kind, self._name = f'{name} not conserved', name
+        self._function, self._share, self._hamiltonian = function, share, hamiltonian
+        self._seen = 0
+        self._scales: list[float] = []
+
+    def allow(self, band: float, change: float) -> None:
+        """See Guard."""
+        self._share = band
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        self._seen += 1
+        if self._seen & (self._seen - 1) == 0:
+            self._scales.append(self._scale_at(sample.q, sample.p))
+        return super().update(sample)
+
+    def _value(self, sample: Observed) -> float:
+        return self._function(sample.q, sample.p)
+
+    def _limit(self, sample: Observed) -> float:
+        return self._share * sum(self._scales) / len(self._scales)
+
+    def _scale_at(self, q: np.ndarray, p: np.ndarray) -> float:
+        z, d = np.concatenate([q, p]), q.size
+        total = 0.0
+        for i, size in enumerate(state_scales(self._hamiltonian, q, p)):
+            sides = np.array([z, z])
+            sides[:, i] += _SPACING * size, -_SPACING * size
+            ahead, behind = (self._function(x[:d], x[d:]) for x in sides)
+            total += abs(ahead - behind) / (2.0 * _SPACING)
+        return total
+
+    def _alarm(self, step: int, limit: float) -> Alarm:
+        return Alarm(self.kind, step, self.band, limit,
+                     f'{self._name} has moved by {self.band:.2g}, more than {limit:.2g}: it is '
+                     'not conserved; use a smaller step_size, or a method that conserves it',
+                     '1')

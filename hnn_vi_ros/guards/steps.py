@@ -1,0 +1,115 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Guards of the steps: their cost, unsolved equations, and steps that another method took."""
+
+from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.simulation import Simulation
+import numpy as np
+
+# Times what the equations of a step take at most as a rule.
+_SLOW = 5
+
+
+class CostGuard(Guard):
+    """
+    No step takes more than five times the gradients that its method takes at most as a rule.
+
+    A step that does is one whose equations have no solution that the method's own solver finds:
+    Newton's method takes it, or sub-steps do. Gradients are counted, and no time is measured, so
+    that the same run raises the same alarm everywhere. Of trajectories that step together a step
+    takes at most what each would take alone, so that much is allowed.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose steps are watched.
+
+    """
+
+    kind = 'slow step'
+    remedy = 'use a smaller step_size, or `time_transformed` for close encounters'
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._raised = simulation, False
+        self._usual = simulation.usual_gradients * np.atleast_2d(simulation.q).shape[0]
+        self._limit = _SLOW * self._usual
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        if self._raised or self._simulation.costliest[0] <= self._limit:
+            return None
+        self._raised = True
+        return self.renew(sample)
+
+    def renew(self, sample: Observed) -> Alarm:
+        """See Guard."""
+        gradients, step = self._simulation.costliest
+        return Alarm(self.kind, step, gradients, self._limit,
+                     f'a step took {gradients} evaluations of the gradient, where '
+                     f'{self._usual} do as a rule; use a smaller '
+                     'step_size or another integrator', '1')
+
+
+class SolutionGuard(Guard):
+    """
+    No solver comes to another solution of a step than that which is connected to h = 0.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose steps are counted.
+
+    """
+
+    kind = 'several solutions'
+    remedy = 'use a smaller step_size: below the fold the equation has one solution'
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._seen = simulation, 0
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        before, self._seen = self._seen, self._simulation.several_solutions
+        return self.renew(sample) if before == 0 < self._seen else None
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        count = self._simulation.several_solutions
+        # Those who look at a path afterwards see the counts of its end.
+        return Alarm(self.kind, self._simulation.steps, count, 0,
+                     'the equation of a step has several solutions, of which the one connected to '
+                     f'h = 0 is taken, in {count} steps so far; use a smaller step_size', '1')
+
+
+class RescueGuard(Guard):
+    """
+    The scene's method takes all steps: none in sub-steps or by the midpoint rule.
+
+    Each change of method leaves H where it is, but moves what the method itself conserves.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Whose steps are counted.
+
+    """
+
+    kind = 'rescued steps'
+    remedy = ('use a smaller step_size, or a method whose equations can be solved at this '
+              'one')
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self._seen = simulation, 0
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        before, self._seen = self._seen, self._simulation.rescued
+        return self.renew(sample) if before == 0 < self._seen else None
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        count = self._simulation.rescued
+        # Those who look at a path afterwards see the counts of its end.
+        return Alarm(self.kind, self._simulation.steps, count, 0,
+                     f'{count} steps so far were taken otherwise than by the integrator, as '
+                     'on_failure says; use a smaller step_size or another integrator', '1')

@@ -1,0 +1,414 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Entities of a rerun recording: the robot, arrows of forces, and phase portraits."""
+
+from collections.abc import Iterator, Sequence
+import math
+from typing import Any, final
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
+from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
+from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.viewer import rerun_blueprint as layout
+from hnn_vi_ros.viewer.phase_portrait import fitted, frames_of
+from hnn_vi_ros.viewer.rerun_blueprint import PALETTE
+import numpy as np
+import rerun as rr
+from rerun.urdf import UrdfTree
+from scipy.spatial.transform import Rotation
+
+# The entity whose frame holds the root of the robot, and the entities that move its joints.
+_WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
+# Below the world, which the view of the mechanism shows.
+_EFFORTS = '/world/efforts'
+# An arrow at the limit of the effort is this share of the reach long; its colours (red, green,
+# blue) at no effort and at the limit.
+_ARROW, _IDLE, _FULL = 0.4, np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
+_GRAVITY = 9.81
+
+
+@final
+class RobotPicture:
+    """
+    A robot in a recording.
+
+    Parameters
+    ----------
+    robot : Robot
+        Read from a file, from which its shapes and meshes are read too.
+    coordinates : sequence of str
+        The joints that move, in the order of q; the others are held.
+    recording : rerun.RecordingStream
+        What takes the data.
+
+    Raises
+    ------
+    RecordingError
+        The SDK cannot read the file.
+
+    """
+
+    def __init__(self, robot: Robot, coordinates: Sequence[str], recording: rr.RecordingStream):
+        self._recording = recording
+        try:
+            tree = UrdfTree.from_file_path(robot.where, entity_path_prefix=_WORLD[1:])
+            tree.log_urdf_to_recording(recording)
+        except (OSError, RuntimeError, ValueError) as problem:
+            raise RecordingError(f'{robot.where}: rerun cannot show this robot: '
+                                 f'{one_line(problem)}') from problem
+        recording.log(_ROOT, rr.Transform3D(
+            translation=[0.0, 0.0, 0.0], parent_frame=f'tf#{_WORLD}',
+            child_frame=tree.root_link().name), static=True)
+        own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
+        # Its path, and which coordinate it is, or where it is held.
+        self._joints = [
+            (own[name], f'{_JOINTS}/{rr.escape_entity_path_part(name)}',
+             list(coordinates).index(name) if name in coordinates else None,
+             robot.locked.get(name, 0.0))
+            for name in {**dict.fromkeys(coordinates), **robot.locked} if name in own]
+        self._moving = [own[name] for name in coordinates if name in own]
+        self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
+
+    def send(self, times: list[rr.TimeColumn], q: np.ndarray, efforts: np.ndarray | None = None
+             ) -> None:
+        """
+        Move the joints to q at n times.
+
+        Parameters
+        ----------
+        times : list of rerun.TimeColumn
+            Of n samples.
+        q : np.ndarray, shape (n, d)
+            Coordinates [rad], [m].
+        efforts : np.ndarray, shape (n, d), optional
+            Efforts of motors [N m], [N]: an arrow along each joint's axis, by the right-hand
+            rule, longer and redder the nearer the effort is to the joint's limit. A joint without
+            a limit takes the robot's weight at its reach, or its weight.
+
+        """
+        for joint, path, column, held in self._joints:
+            values = np.full(len(q), held) if column is None else q[:, column]
+            # Not as the SDK moves it, whose axes are not brought to length one.
+            places, turns = _moved(joint, values)
+            self._recording.send_columns(path, times, rr.Transform3D.columns(
+                translation=places, quaternion=turns.as_quat(),
+                parent_frame=[joint.parent] * len(values),
+                child_frame=[joint.child] * len(values)), strict=True)
+        if efforts is not None:
+            for joint, effort in zip(self._moving, efforts.T, strict=True):
+                self._send_effort(times, joint, effort)
+
+    def _send_effort(self, times: list[rr.TimeColumn], joint: Joint, effort: np.ndarray) -> None:
+        path = f'{_EFFORTS}/{rr.escape_entity_path_part(joint.name)}'
+        # In the frame of the link that the joint moves, in which its axis stays.
+        self._recording.log(path, rr.CoordinateFrame(joint.child), static=True)
+        usual = self._usual / (self._reach if joint.kind == SLIDING else 1.0)
+        share = np.clip(effort / (joint.limits.effort or usual), -1.0, 1.0)
+        vectors = (_ARROW * self._reach * share)[:, None] * joint.axis
+        colors = _IDLE + np.abs(share)[:, None] * (_FULL - _IDLE)
+        self._recording.send_columns(path, times, rr.Arrows3D.columns(
+            vectors=vectors, colors=colors.astype(np.uint8),
+            radii=np.full(len(share), 0.012 * self._reach)), strict=True)
+
+
+def collisions_of(robot: Robot) -> str:
+    """Return the entity below which the SDK puts shapes for collisions, which hide the others."""
+    return f'{_WORLD}/{rr.escape_entity_path_part(robot.name)}/collision_geometries'
+
+
+def bounds_of_robot(robot: Robot) -> np.ndarray:
+    """
+    Return two corners of the space that a view of a robot has to show, shape (2, 3) [m].
+
+    It is the cube within the sphere that the robot stays in whatever its joints do: from the
+    distance from which all corners of it are seen, the sphere is.
+    """
+    half = _reach_of(robot) / np.sqrt(3.0)
+    return np.array([[-half] * 3, [half] * 3])
+
+
+def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> np.ndarray:
+    """
+    Return two corners of the space that a robot fills on a path, shape (2, 3) [m].
+
+    They hold the origins of its links and, twice as far from that as its centre of mass, about
+    where one without joints ends, and a twentieth of the largest edge on each side: links are not
+    thin.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its links; a joint that is no coordinate is where it is held, or at zero.
+    coordinates : sequence of str
+        The joints that move, in the order of q.
+    q : np.ndarray, shape (n, d)
+        The path [rad], [m].
+
+    """
+    points, still = [], (np.zeros((len(q), 3)), Rotation.identity(len(q)))
+    waiting = [(robot.root, *still)]
+    while waiting:
+        name, place, turn = waiting.pop()
+        link = robot.links[name]
+        points.append(place)
+        if link.inertial is not None and not link.joints:
+            points.append(place + turn.apply(2.0 * link.inertial.centre))
+        for joint in link.joints:
+            value = (q[:, list(coordinates).index(joint.name)] if joint.name in coordinates
+                     else np.full(len(q), robot.locked.get(joint.name, 0.0)))
+            offset, own = _moved(joint, value)
+            waiting.append((joint.child, place + turn.apply(offset), turn * own))
+    corners = np.array([np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))])
+    margin = 0.05 * (np.ptp(corners, axis=0).max() or 1.0)
+    return corners + margin * np.array([[-1.0], [1.0]])
+
+
+def _moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, Rotation]:
+    """Return where the child of a joint is in the frame of its parent, at n values of it."""
+    motion, frame = values[:, None] * joint.axis, Rotation.from_matrix(joint.rotation)
+    if joint.kind == SLIDING:
+        return joint.origin + frame.apply(motion), Rotation.concatenate([frame] * len(values))
+    return np.tile(joint.origin, (len(values), 1)), frame * Rotation.from_rotvec(motion)
+
+
+def _reach_of(robot: Robot) -> float:
+    """Return the radius of a sphere about the root that all of a robot stays in [m]."""
+    reach, waiting = 0.0, [(robot.root, 0.0)]
+    while waiting:
+        name, distance = waiting.pop()
+        link = robot.links[name]
+        tip = 0.0 if link.inertial is None else float(np.linalg.norm(link.inertial.centre))
+        reach = max(reach, distance + 2.0 * tip)
+        for joint in link.joints:
+            slide = max(map(abs, filter(None, joint.bounds)), default=0.0)
+            waiting.append((joint.child, distance + float(np.linalg.norm(joint.origin))
+                            + slide * (joint.kind == SLIDING)))
+    return reach if reach > 0.0 else np.sqrt(3.0)
+
+
+def _usual_effort(robot: Robot) -> float:
+    """Return the moment of the weight of all links at the reach [N m]."""
+    mass = sum(link.inertial.mass for link in robot.links.values() if link.inertial is not None)
+    return _GRAVITY * max(mass, 1e-3) * _reach_of(robot)
+
+
+# Effects whose force is known at a state, in microseconds of plain Python, and what commands make.
+DRAWN = ('gravity', 'spring', 'magnetic_field', 'soft_wall', 'damping', 'dry_friction',
+         'quadratic_drag', 'periodic_drive')
+MOTORS = 'motors'
+# Shares of half the mechanism's extent: the arrow of the largest force of the first samples at
+# most, and the radius of an arrow.
+_SHARE, _RADIUS = 1.0, 0.03
+# What q is varied by, relative to its range, for the derivatives of places.
+_STEP = 1e-6
+# Those of the palette, from its third on: the first two are taken by mechanisms.
+_COLORS = ('green', 'pink', 'turquoise', 'red', 'violet', 'yellow')
+
+
+@final
+class ForceArrows:
+    """
+    The generalised force of each effect, as forces on the bodies that a mechanism draws.
+
+    Of all forces F on the bodies that make the generalised force f, J^T F = f with the Jacobian J
+    of their places, the ones with the least sum of squares are drawn: in Cartesian coordinates the
+    force itself, of a pendulum the torque over the drawn length of its rod, across the rod.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        All of the scene; those that are not in DRAWN are left out.
+    hamiltonian : Hamiltonian
+        H, whose coordinates the effects name.
+    mechanism : callable
+        The mechanism to draw; see :mod:`hnn_vi_ros.mechanisms`.
+    step_size : float
+        h [s]: effects count the time from step 0 on.
+    reach, size : float
+        The reach of the mechanism, and half of its extent [m].
+
+    Attributes
+    ----------
+    scale : float
+        Length of the arrow of a force of 1 N [m]; NaN before there was a force.
+
+    """
+
+    def __init__(self, effects: Sequence[Effect], hamiltonian: Hamiltonian, mechanism: Mechanism,
+                 step_size: float, reach: float, size: float):
+        self._mechanism, self._step_size = mechanism, step_size
+        self._reach, self._size = reach, size
+        d = hamiltonian.dimension
+        state = EffectState.empty(len(effects), d)
+        kinds = {EFFECTS[kind]: kind for kind in DRAWN}
+        known = [effect for effect in effects if type(effect) in kinds]
+        # All are resolved before one acts: friction has to know of magnetic fields.
+        resolved = [effect.resolve(hamiltonian.coordinates, state) for effect in known]
+        self._effects: list[tuple[str, Effect, Any]] = []
+        for effect, own in zip(known, resolved, strict=True):
+            kind = kinds[type(effect)]
+            count = sum(type(other) is type(effect) for other in known)
+            index = sum(name.startswith(kind) for name, _, _ in self._effects)
+            self._effects.append((f'{kind}.{index}' if count > 1 else kind, effect, own))
+        self._curl = state.gauge.T - state.gauge
+        self.scale = math.nan
+
+    def columns(self, samples: Sequence[Sample]
+                ) -> Iterator[tuple[str, rr.ComponentColumnList]]:
+        """Yield the name of each force and its arrows at n samples, from where the bodies are."""
+        q = np.array([sample.q for sample in samples])
+        forces = {name: np.array([self._force(effect, own, sample) for sample in samples])
+                  for name, effect, own in self._effects}
+        if any(sample.motors is not None for sample in samples):
+            forces[MOTORS] = np.array([np.zeros(q.shape[1]) if sample.motors is None
+                                       else sample.motors for sample in samples])
+        if not forces:
+            return
+        places, jacobian = self._bodies(q)
+        inverse = np.linalg.pinv(np.nan_to_num(jacobian)).swapaxes(1, 2)
+        arrows = {name: (inverse @ force[..., None]).reshape(places.shape)
+                  for name, force in forces.items()}
+        if math.isnan(self.scale):
+            self.scale = self._scale_of(np.array([*arrows.values()]))
+        if not math.isnan(self.scale):
+            for name, vectors in arrows.items():
+                yield name, _arrows(places, self.scale * vectors)
+
+    def style(self, name: str) -> rr.Arrows3D:
+        """Return how the arrows of a force look; labels in the view would hide them."""
+        return rr.Arrows3D.from_fields(
+            colors=[PALETTE[2 + self._color(name)]], radii=[_RADIUS * self._size])
+
+    def legend(self, names: Sequence[str]) -> str:
+        """Return what the arrows of forces show, for those who look at them."""
+        colors = ', '.join(f'{name} {_COLORS[self._color(name)]}' for name in names)
+        return f'arrows of forces, 1 N is {self.scale:g} m long: {colors}'
+
+    def _color(self, name: str) -> int:
+        names = [*(other for other, _, _ in self._effects), MOTORS]
+        return names.index(name) % len(_COLORS)
+
+    def _force(self, effect: Effect, own: Any, sample: Sample) -> np.ndarray:
+        """Return the generalised force of an effect at a sample, shape (d,)."""
+        if isinstance(effect, EFFECTS['magnetic_field']):
+            return self._curl @ sample.dH_dp
+        f_q, f_p = np.zeros((2, sample.q.size))
+        if isinstance(effect, Potential):
+            effect.add_gradient(own, sample.q, f_p)
+            return -f_p
+        assert isinstance(effect, Force), 'DRAWN has no others'
+        effect.add_force(own, sample.step * self._step_size, sample.q, sample.p, sample.dH_dp,
+                         f_q, f_p)
+        return f_p
+
+    def _bodies(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return places of the m bodies, shape (n, m, 3), and their derivatives, (n, 3 m, d)."""
+        step = _STEP * max(self._reach, 1.0)
+        columns = [(self._places(q + shift) - self._places(q - shift)) / (2.0 * step)
+                   for shift in step * np.eye(q.shape[1])]
+        jacobian = np.stack([column.reshape(len(q), -1) for column in columns], axis=-1)
+        return self._places(q), jacobian
+
+    def _places(self, q: np.ndarray) -> np.ndarray:
+        parts = self._mechanism(q, self._reach).values()
+        return np.stack([part.center for part in parts
+                         if isinstance(part, Ball | Box) and part.moves], axis=1)
+
+    def _scale_of(self, arrows: np.ndarray) -> float:
+        """Return a length of 1, 2 or 5 times a power of ten for 1 N, to show the largest force."""
+        largest = float(np.linalg.norm(arrows, axis=-1).max(initial=0.0, where=np.isfinite(
+            arrows).all(axis=-1)))
+        if largest == 0.0:
+            return math.nan
+        longest = _SHARE * self._size / largest
+        power = 10.0 ** math.floor(math.log10(longest))
+        return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= longest)
+
+
+def _arrows(places: np.ndarray, vectors: np.ndarray) -> rr.ComponentColumnList:
+    """Return a row of arrows, one for each body, for each of n samples."""
+    n, bodies, _ = places.shape
+    return rr.Arrows3D.columns(origins=places.reshape(-1, 3), vectors=vectors.reshape(-1, 3)
+                               ).partition([bodies] * n)
+
+
+@final
+class Portraits:
+    """
+    The phase portraits of the first coordinates.
+
+    Parameters
+    ----------
+    recording : rerun.RecordingStream
+        What takes the data.
+    hamiltonian : Hamiltonian
+        H.
+    q0, p0 : np.ndarray, shape (d,)
+        Initial state.
+    box : tuple of np.ndarray, shape (d, 2) each, or None
+        Lowest and highest q and p of the training data.
+    count : int
+        Of the portraits.
+    side : float
+        Width of a frame in points.
+
+    """
+
+    def __init__(self, recording: rr.RecordingStream, hamiltonian: Hamiltonian, q0: np.ndarray,
+                 p0: np.ndarray, box: tuple[np.ndarray, np.ndarray] | None, count: int,
+                 side: float):
+        self._recording, self._hamiltonian, self._boxed = recording, hamiltonian, box is not None
+        self._start, self._side = (q0, p0), side
+        self._frames = frames_of(hamiltonian, q0, p0, box, count)
+        # The newest (q, p) of each, and the lowest and highest: shapes (count, 2), (count, 2, 2).
+        self._last: np.ndarray | None = None
+        self._path = np.tile([np.inf, -np.inf], (count, 2, 1))
+        self._draw()
+
+    def send(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
+        """
+        Add to each path the segments that lead to n new points.
+
+        Parameters
+        ----------
+        times : list of rerun.TimeColumn
+            Of n samples.
+        q, p : np.ndarray, shape (n, d)
+            Where they are.
+
+        """
+        count = len(self._frames)
+        if not count:
+            return
+        new = np.stack([q[:, :count], p[:, :count]], axis=-1)
+        points = np.concatenate([new[:1] if self._last is None else self._last[None], new])
+        self._last = points[-1]
+        finite = np.isfinite(new)
+        self._path[..., 0] = np.minimum(
+            self._path[..., 0], np.where(finite, new, np.inf).min(axis=0))
+        self._path[..., 1] = np.maximum(
+            self._path[..., 1], np.where(finite, new, -np.inf).max(axis=0))
+        for frame in self._frames:
+            path = layout.phase_path(self._hamiltonian.coordinates[frame.axis])
+            own = points[:, frame.axis]
+            for child, columns in (
+                    ('trail', rr.LineStrips2D.columns(strips=np.stack([own[:-1], own[1:]], 1))),
+                    ('state', rr.Points2D.columns(positions=own[1:]))):
+                self._recording.send_columns(f'{path}/{child}', times, columns, strict=True)
+
+    def fit(self) -> None:
+        """Draw the still parts again, in frames that hold the paths."""
+        self._frames = [
+            fitted(frame, self._path[frame.axis], self._boxed)
+            if np.isfinite(self._path[frame.axis]).all() else frame for frame in self._frames]
+        self._draw()
+
+    def _draw(self) -> None:
+        for frame in self._frames:
+            layout.log_phase_portrait(
+                self._recording, self._hamiltonian, frame, *self._start, self._side)
