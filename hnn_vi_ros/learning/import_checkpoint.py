@@ -41,8 +41,8 @@ from typing import Any
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
-from hnn_vi_ros.files.lfs_pointer import refuse_pointer
 from hnn_vi_ros.files.limits import check_pickles
+from hnn_vi_ros.files.regular_file import refuse_pointer
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config

@@ -12,7 +12,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
-from hnn_vi_ros.files.user_folders import expand_user
+from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments

@@ -14,8 +14,8 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.resolution import ResolutionGuard
 from hnn_vi_ros.guards.watch import (
     energies_of, look_at_block, show_many, tell, tell_many, Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian

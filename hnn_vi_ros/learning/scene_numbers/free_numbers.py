@@ -15,8 +15,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
+from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.files.scene_file import write_new_scene
 from hnn_vi_ros.files.yaml_file import units_in
 from hnn_vi_ros.files.yaml_text import root_node
 from hnn_vi_ros.hamiltonians.base import Hamiltonian

@@ -9,7 +9,7 @@ import math
 import re
 from typing import Any
 
-from hnn_vi_ros.accuracy.local_error import local_error
+from hnn_vi_ros.accuracy.diagnostics import local_error
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.cdr import state_names
 from hnn_vi_ros.errors import RecordingError
