@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
-from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.markers import MarkerEncoder
 from hnn_vi_ros.ros.topics.messages import (
     AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, TICK_TOPICS, TrajectoryFeedback)
@@ -30,7 +30,6 @@ from visualization_msgs.msg import MarkerArray
 
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # An alarm, or an answer, is not to be replaced by the next one before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
