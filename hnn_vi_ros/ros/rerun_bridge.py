@@ -21,8 +21,7 @@ from hnn_vi_ros.ros.parameters.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.plumbing.graph import take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
-from hnn_vi_ros.ros.plumbing.starting import (
-    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.sinks.picture_output import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR
@@ -37,7 +36,6 @@ from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
-import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -396,9 +394,7 @@ class RerunBridge(RobustNode):
 def main(argv: list[str]) -> int:
     """Show a simulator until a signal, or a bag until it is shown."""
     options = arguments.rerun_bridge().parse_args(own_arguments(argv))
-    init_ros(argv)
-    received = note_signals()
-    try:
+    with ros_process(argv) as received:
         node = RerunBridge(argv, options.trust_code)
         try:
             if options.bag is None:
@@ -409,8 +405,6 @@ def main(argv: list[str]) -> int:
             node.close()
         if node.problem is not None:
             raise node.problem
-    finally:
-        rclpy.try_shutdown()
     return 0
 
 

@@ -126,10 +126,16 @@ def _tick(topic: str, message_type: type, encoder: Callable[..., Encode]) -> Out
 
 
 def _markers(run: Material, publisher: Publisher) -> Encode:
+    assert run.mechanism is not None, 'the row asks for it'
     hamiltonian = run.simulation.hamiltonian
     ends = ends_of(hamiltonian, run.simulation.q, run.simulation.p, run.box)
     return MarkerEncoder(publisher.get_subscription_count, MECHANISMS[run.mechanism],
                          reach_of(hamiltonian, ends), run.frame_id).encode
+
+
+def _spread(run: Material) -> SpreadTopic:
+    assert run.spread is not None, 'the row asks for it'
+    return run.spread
 
 
 # A sample goes out in this order: who is paced by /clock has its time before the sample.
@@ -147,6 +153,6 @@ OUTPUTS = (
            lambda settings, run: run and run.simulation.motors.aim is not None,
            lambda run, publisher: TrajectoryFeedback(run.simulation).encode, 'apart'),
     Output('~/uncertainty', JointState, TICKS, lambda settings, run: run and run.spread,
-           lambda run, publisher: run.spread.encode, 'apart'),
+           lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
 )

@@ -151,7 +151,7 @@ class Topics:
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
         """Publish a sample; return the messages as they were sent, as the log takes them."""
-        payloads = []
+        payloads: list[bytes] = []
         for output, encode in self._encoders.values():
             messages = encode(sample)
             for message in messages:
