@@ -24,8 +24,7 @@ from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.sinks.picture_output import SERVER_PORT, VIEWER_URL
-from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR
-from hnn_vi_ros.ros.topics.event_topic import COMPONENT
+from hnn_vi_ros.ros.topics.diagnostics import COMPONENT, ERROR
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
 from hnn_vi_ros.run.look_ahead import look_ahead

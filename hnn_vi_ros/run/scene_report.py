@@ -65,7 +65,7 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
     simulation = build(parts)
     steps = _calibrate(simulation, scene, batch_time)
     simulations = [simulation, *(_try_to_run(parts.copy()._replace(effects=some), steps)
-                            for some in kept[1:])]
+                                 for some in kept[1:])]
     times = np.full((batches, len(kept)), math.nan)
     for turn in times:
         for i, variant in enumerate(simulations):

@@ -11,8 +11,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.legendre import momenta
 from hnn_vi_ros.ros.run.control import Answer
 from hnn_vi_ros.ros.run.run import Run
-from hnn_vi_ros.ros.topics.diagnostics_publisher import (
-    DiagnosticsPublisher, ERROR, OK, state_values, Status)
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, state_values, Status
 from hnn_vi_ros.ros.topics.inputs import INITIAL_STATE
 from hnn_vi_ros.ros.topics.outputs import STATE_SET
 from hnn_vi_ros.ros.topics.topics import Topics
