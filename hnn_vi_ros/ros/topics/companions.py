@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What companions of a run publish: ~/uncertainty of an ensemble, ~/prediction_error of a twin."""
+"""Topics of companions: ~/uncertainty of an ensemble, ~/prediction_error of a twin."""
 
 from collections.abc import Callable
 import math
