@@ -8,7 +8,6 @@ from typing import Any, Protocol
 
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.events import WatchedSimulation
 import numpy as np
 
 
@@ -31,15 +30,14 @@ class Accompanied:
 
     Parameters
     ----------
-    simulation : Simulation or WatchedSimulation
+    simulation : Simulation
         All that is not listed below is its own.
     companions : sequence of Companion
         What goes along.
 
     """
 
-    def __init__(self, simulation: Simulation | WatchedSimulation,
-                 companions: Sequence[Companion]):
+    def __init__(self, simulation: Simulation, companions: Sequence[Companion]):
         self._simulation, self._companions = simulation, companions
         self._begin()
 

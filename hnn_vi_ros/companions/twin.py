@@ -195,8 +195,9 @@ class Twin:
 
     def _active(self) -> list[Prediction]:
         """Return the predictions that run, the oldest first."""
-        return sorted((one for one in self._predictions if one.began is not None),
-                      key=lambda one: one.began)
+        return [one for _, one in sorted(
+            ((one.began, one) for one in self._predictions if one.began is not None),
+            key=lambda pair: pair[0])]
 
     def _observe(self, seen: Observation) -> None:
         position, velocity = select(seen, self.names)

@@ -58,7 +58,7 @@ class Checkpoints:
         if piece in self._on_the_way:
             self._keep(piece, snapshot)
 
-    def backwards(self, restore: Callable[[Snapshot], None], advance: Callable[[int], None],
+    def backwards(self, restore: Callable[[Snapshot], None], advance: Callable[[int], object],
                   snapshot: Callable[[], Snapshot]) -> Iterator[int]:
         """
         Yield the pieces from the last one on, each when the run stands at its start.
@@ -124,12 +124,12 @@ class Segment(NamedTuple):
     """Steps that follow one another."""
 
     first: int
-    count: int
+    length: int
 
     @property
     def steps(self) -> np.ndarray:
         """Return them, each by the number of steps before it, shape (K,)."""
-        return self.first + np.arange(self.count)
+        return self.first + np.arange(self.length)
 
 
 class Block(NamedTuple):
@@ -183,7 +183,7 @@ class Recorded(NamedTuple):
     @property
     def samples(self) -> int:
         """Return how many there are after the initial states."""
-        return sum(segment.count for segment in self.segments) // self.every
+        return sum(segment.length for segment in self.segments) // self.every
 
     def together(self) -> Iterator[slice]:
         """Yield the trajectories that step together; each alone where each has its commands."""

@@ -134,8 +134,9 @@ class DifferentiableRun:
 
         """
         self._h = float(step_size)
-        runs = [self._system, *([self._simulation] if self._simulation else [])]
-        if not all(part.take_numbers(hamiltonian, effects) for part in runs):
+        if not (self._system.take_numbers(hamiltonian, effects) and (
+                self._simulation is None
+                or self._simulation.take_numbers(hamiltonian, effects))):
             self._build(hamiltonian, effects)
             return
         self._hamiltonian, self._effects = hamiltonian, list(effects)
@@ -239,16 +240,16 @@ class DifferentiableRun:
             following = self._acting.padded(np.zeros_like(gradient[block.rows]))
             for segment, states in self._backwards(block):
                 stages, states = self._stages(segment, block.rows, states)
-                local = np.zeros((segment.count + 1, *following.shape))
+                local = np.zeros((segment.length + 1, *following.shape))
                 inside, at = recorded.samples_in(segment)
                 local[inside] = self._acting.padded(cotangents[at, block.rows])
                 local[-1] += following
                 directions = np.empty_like(stages)
-                felt = np.empty((segment.count, 2, *local.shape[1:]))
+                felt = np.empty((segment.length, 2, *local.shape[1:]))
                 self._call(pull_back, segment, block.rows, stages, local, directions, felt)
                 following = local[0]
-                at_stages, weights = (self._timed(stages, segment, block.rows),
-                                      self._halves(directions))
+                at_stages = self._timed(stages, segment, block.rows)
+                weights = self._halves(directions)
                 others = [total + dependence.contracted(*at_stages, weights)
                           + self._by_rates(dependence, states, felt)
                           for total, dependence in zip(others, dependences, strict=True)]
@@ -275,10 +276,10 @@ class DifferentiableRun:
             sampled[:, 0, rows], before = tangents, self._acting.padded(tangents)
             for segment, states in self._forwards(block):
                 stages, states = self._stages(segment, rows, states)
-                local = np.empty((segment.count + 1, *before.shape))
+                local = np.empty((segment.length + 1, *before.shape))
                 local[0] = before
-                sources = np.zeros((segment.count, *before.shape[:2], stages.shape[2]))
-                added = np.zeros((segment.count, 2, *before.shape))
+                sources = np.zeros((segment.length, *before.shape[:2], stages.shape[2]))
+                added = np.zeros((segment.length, 2, *before.shape))
                 for r, change in enumerate(changes):
                     self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
                                       segment, rows)
@@ -307,7 +308,7 @@ class DifferentiableRun:
             simulation = self._start(block.rows)
             for segment in segments:
                 yield segment, self._advance(simulation, block.rows, segment)
-        if last.count:
+        if last.length:
             yield last, block.last
 
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
@@ -392,10 +393,10 @@ class DifferentiableRun:
         """Run a loop of the module stages over the steps of a segment, or raise."""
         times = self._times(segment, block)
         acting = self._acting.acting(block, segment.first, times, self._recorded.every)
-        arguments = self._kernel, self._h, self._tableau, acting, *arrays, self._work
+        arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
-            self._entries[loop] = entry_of(loop, *arguments)
-        failed = self._entries[loop](*arguments)
+            self._entries[loop] = entry_of(loop, self._kernel, *arguments)
+        failed = self._entries[loop](self._kernel, *arguments)
         if failed >= 0:
             t = times[failed]
             problem = 'its stages are not found again to round-off' if loop is find_stages else \
@@ -407,14 +408,16 @@ class DifferentiableRun:
         """Return the times at which a segment's steps begin [s], shape (K,)."""
         return (self._recorded.first[block.start] + segment.steps) * self._h
 
-    def _timed(self, stages: np.ndarray, segment: Segment, block: slice) -> np.ndarray:
+    def _timed(self, stages: np.ndarray, segment: Segment, block: slice
+               ) -> tuple[np.ndarray, np.ndarray]:
         """Return the stages' halves for a kernel whose clock is at the start of the run."""
         channels = self._kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
             q[..., self._d - channels:] += self._times(segment, block)[:, None, None, None]
-        return self._halves(stages)
+        q, p = self._halves(stages)
+        return q, p
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
         """Return the q parts, then the p parts, of all stages one after another: (2, N)."""

@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.checkpoints import Recorded
@@ -70,7 +70,7 @@ class _Function(torch.autograd.Function):
     """A function of arrays, which torch cannot batch."""
 
     @staticmethod
-    def vmap(*_: object) -> tuple:
+    def vmap(*_: object) -> NoReturn:
         raise UnsupportedSystem(_HIDDEN)
 
 
@@ -90,13 +90,13 @@ class Run(_Function):
         return torch.from_numpy(z)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
         ctx.call, *tensors = inputs
         ctx.save_for_backward(*tensors)
         ctx.save_for_forward(*tensors)
 
     @staticmethod
-    def backward(ctx: Any, cotangents: torch.Tensor) -> tuple:
+    def backward(ctx: Any, cotangents: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         return None, *_Gradient.apply(
             ctx.call, ctx.needs_input_grad[2:], cotangents, *ctx.saved_tensors)
 
@@ -114,15 +114,15 @@ class _Derivative(_Function):
     """
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: object) -> None:
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: object) -> None:
         pass
 
     @staticmethod
-    def backward(*_: object) -> tuple:
+    def backward(*_: object) -> NoReturn:
         raise UnsupportedSystem(_TWICE)
 
     @staticmethod
-    def jvp(*_: object) -> tuple:
+    def jvp(*_: object) -> NoReturn:
         raise UnsupportedSystem(_TWICE)
 
 
@@ -131,10 +131,12 @@ class _Gradient(_Derivative):
 
     @staticmethod
     def forward(call: Call, needed: Sequence[bool], cotangents: torch.Tensor,
-                *_: torch.Tensor | None) -> tuple:
+                *_: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
         recorded, = call.recorded
         wanted = [k for k, one in enumerate(needed[1:]) if one]
-        by_commands = np.empty(recorded.commands.shape) if needed[0] else None
+        by_commands = None
+        if needed[0] and recorded.commands is not None:
+            by_commands = np.empty(recorded.commands.shape)
         with call.simulation.holding(call.numbers) as held:
             held.run.go_back_to(recorded)
             gradient, found = held.run.pull_back(array(cotangents), [

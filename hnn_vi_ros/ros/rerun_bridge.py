@@ -21,12 +21,10 @@ from hnn_vi_ros.ros.parameters.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.plumbing.graph import take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
-from hnn_vi_ros.ros.plumbing.starting import (
-    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.sinks.picture_output import SERVER_PORT, VIEWER_URL
-from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR
-from hnn_vi_ros.ros.topics.event_topic import COMPONENT
+from hnn_vi_ros.ros.topics.diagnostics import COMPONENT, ERROR
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -37,7 +35,6 @@ from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
-import rclpy
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
@@ -396,9 +393,7 @@ class RerunBridge(RobustNode):
 def main(argv: list[str]) -> int:
     """Show a simulator until a signal, or a bag until it is shown."""
     options = arguments.rerun_bridge().parse_args(own_arguments(argv))
-    init_ros(argv)
-    received = note_signals()
-    try:
+    with ros_process(argv) as received:
         node = RerunBridge(argv, options.trust_code)
         try:
             if options.bag is None:
@@ -409,8 +404,6 @@ def main(argv: list[str]) -> int:
             node.close()
         if node.problem is not None:
             raise node.problem
-    finally:
-        rclpy.try_shutdown()
     return 0
 
 

@@ -17,9 +17,9 @@ from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.parameters.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
-from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, SUCCESS
+from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
-from hnn_vi_ros.ros.plumbing.starting import init_ros, note_signals, own_arguments
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.run.control import Answer, Control
 from hnn_vi_ros.ros.run.preparation import compile_rest, OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run.run import Run
@@ -28,8 +28,6 @@ from hnn_vi_ros.ros.services.state_topic import StateTopic
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS, Topics
 from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State, Transition
-import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
@@ -98,10 +96,8 @@ class SimulatorNode(ManagedNode):
         """Load, compile and open everything, and serve meanwhile."""
         self._declared.configured = True
         settings, begin = self.settings, time.monotonic()
-        progress = self.create_timer(
-            _PROGRESS, lambda: self.get_logger().info(
-                f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'),
-            clock=Clock(clock_type=ClockType.STEADY_TIME))
+        progress = steady_timer(self, _PROGRESS, lambda: self.get_logger().info(
+            f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'))
         try:
             # There from now on, so that other nodes find them while the kernel is compiled.
             self.topics = Topics(self, settings)
@@ -222,18 +218,15 @@ class SimulatorNode(ManagedNode):
 def main(argv: list[str]) -> int:
     """Run the node until its duration is over, a guard stops it, or a signal arrives."""
     command_lines.simulator().parse_args(own_arguments(argv))
-    init_ros(argv)
     # Not rclpy's handlers, which would end the context before the files are closed.
-    received, node = note_signals(), None
-    try:
+    with ros_process(argv) as received:
         node = SimulatorNode(argv)
-        _spin(node, received)
-    finally:
-        if node is not None:
+        try:
+            _spin(node, received)
+        finally:
             node.finish()
             busy = node.busy
             node.destroy_node()
-        rclpy.try_shutdown()
     if busy:
         # A compilation that nobody needs cannot be interrupted, nor be left to run into the end.
         sys.stdout.flush()

@@ -4,6 +4,7 @@
 
 from collections.abc import Mapping
 from io import BytesIO
+from types import EllipsisType
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.limits import safetensors_header
@@ -18,7 +19,7 @@ STATE_FILE = 'state.safetensors'
 
 # Older bags kept all arrays of one general workspace; some of them held the values that outlive
 # a step: today's name, the array, and its row.
-_EARLIER = {
+_EARLIER: dict[str, tuple[str, int | EllipsisType]] = {
     'slopes': ('increments', 0), 'multipliers': ('newton', ...), 'clock': ('triangle', 0),
     'wanted': ('triangle', 0), 'v_q': ('values', 0), 'v_p': ('values', 1),
     'state.q': ('values', 0), 'state.p': ('values', 1), 'state.q_carry': ('values', 2),

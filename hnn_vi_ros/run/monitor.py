@@ -79,7 +79,7 @@ class EnergyRecord:
             self._end_block()
         if self.tolerance is None or self._samples * self._tick > self.tolerance.horizon:
             return False
-        self.largest = max(self.largest, self._error(sample))
+        self.largest = max(self.largest, self._error(sample, self.tolerance))
         return self.largest > self.tolerance.error
 
     def evaluate(self) -> None:
@@ -99,7 +99,7 @@ class EnergyRecord:
             self._high = list(map(max, self._high[::2], self._high[1::2]))
             self._length *= 2
 
-    def _error(self, sample: Sample) -> float:
+    def _error(self, sample: Sample, tolerance: Tolerance) -> float:
         """
         Return the error of a sample in the measure of the tolerance.
 
@@ -110,9 +110,9 @@ class EnergyRecord:
         done these are no derivatives of H, and no such bound is known.
         """
         error = abs(sample.energy_error) * self._size
-        if self.tolerance.kind == 'energy_error':
+        if tolerance.kind == 'energy_error':
             largest = error if math.isnan(self.band) else max(error, self.band)
-            return largest / (self.tolerance.energy_scale or self._size)
+            return largest / (tolerance.energy_scale or self._size)
         if not self._conservative:
             return 0.0
         steepness = float(np.abs(sample.dH_dq).sum() + np.abs(sample.dH_dp).sum())
@@ -224,6 +224,7 @@ class Monitor:
     def over_tolerance(self) -> str:
         """Say by how much the tolerance is exceeded, and what to do about it."""
         tolerance = self.energy.tolerance
+        assert tolerance is not None, 'it is exceeded'
         least = 'at least ' if tolerance.kind == 'path_error' else ''
         return (f'the tolerance is exceeded: {tolerance.kind} {least}{self.energy.largest:.3g}, '
                 f'allowed is {tolerance.error:g} up to {tolerance.horizon:g} s; use a smaller '

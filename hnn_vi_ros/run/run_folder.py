@@ -3,9 +3,7 @@
 """Folder of a run's files, which overwrites nothing, and the report of how to open them."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from datetime import datetime, UTC
-from itertools import count
 import os
 from pathlib import Path
 import shlex
@@ -83,12 +81,15 @@ def create_run_folder(scene: str, home: Path) -> Path:
     runs = folder = home / 'runs'
     try:
         folder.mkdir(exist_ok=True)
-        for number in count(1):
+        number = 1
+        while True:
             folder = runs / (stem if number == 1 else f'{stem}-{number}')
             # Not looked for before: another process may make it in between.
-            with suppress(FileExistsError):
+            try:
                 folder.mkdir()
                 return folder
+            except FileExistsError:
+                number += 1
     except OSError as problem:
         raise RecordingError(
             f'{folder} cannot be created ({problem.strerror}); set record_path and '
@@ -103,7 +104,7 @@ class RunFiles:
     Later ones of a name get a number: nothing is ever overwritten.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._home = _working_folder()
         self._folder: Path | None = None
         self._used: set[Path] = set()

@@ -62,20 +62,20 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
     """
     scene, effects = parts.scene, parts.effects
     kept = [effects, [], *(effects[:i] + effects[i + 1:] for i in range(len(effects)))]
-    whole = build(parts)
-    steps = _calibrate(whole, scene, batch_time)
-    simulations = [whole, *(_try_to_run(parts.copy()._replace(effects=variant), steps)
-                            for variant in kept[1:])]
+    simulation = build(parts)
+    steps = _calibrate(simulation, scene, batch_time)
+    simulations = [simulation, *(_try_to_run(parts.copy()._replace(effects=some), steps)
+                                 for some in kept[1:])]
     times = np.full((batches, len(kept)), math.nan)
     for turn in times:
-        for i, simulation in enumerate(simulations):
-            if simulation is not None:
-                turn[i] = _run(simulation, scene, steps) / steps
+        for i, variant in enumerate(simulations):
+            if variant is not None:
+                turn[i] = _run(variant, scene, steps) / steps
     whole, bare, *without = times.T
     return EffectCosts(
         float(np.median(whole)), float(np.median(bare)),
         {label: float(np.median(whole - other))
-         for label, other in zip(simulations[0].works, without, strict=True)})
+         for label, other in zip(simulation.works, without, strict=True)})
 
 
 def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:

@@ -74,7 +74,8 @@ class _Writer:
     """The CDR of a message, and where its double numbers are: first byte and count of each."""
 
     def __init__(self, message: Any):
-        self.data, self.doubles = bytearray(_ENCAPSULATION), []
+        self.data = bytearray(_ENCAPSULATION)
+        self.doubles: list[tuple[int, int]] = []
         self._put_message(message)
 
     def _put_message(self, message: Any) -> None:
@@ -97,7 +98,7 @@ class _Writer:
         else:
             raise TypeError(f'a field of the type {kind} cannot be serialised')
 
-    def _put_sequence(self, kind: str, values: Sequence) -> None:
+    def _put_sequence(self, kind: str, values: Sequence[Any]) -> None:
         self._put_numbers('uint32', [len(values)])
         if kind in _CODES:
             self._put_numbers(kind, values)
@@ -105,7 +106,7 @@ class _Writer:
             for value in values:
                 self._put(kind, value)
 
-    def _put_numbers(self, kind: str, values: Sequence) -> None:
+    def _put_numbers(self, kind: str, values: Sequence[Any]) -> None:
         # Nothing is aligned for a sequence without entries.
         if len(values):
             code = _CODES[kind]

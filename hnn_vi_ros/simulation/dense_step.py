@@ -227,7 +227,7 @@ def whole_steps(time: float, step_size: float) -> tuple[int, float]:
     return int(steps), steps - int(steps)
 
 
-def record_at(simulation: 'Simulation', times: Sequence[float],
+def record_at(simulation: 'Simulation', times: Sequence[float] | np.ndarray,
               on_sample: Callable[[], None] = lambda: None) -> tuple[np.ndarray, np.ndarray]:
     """
     Advance a simulation to the last of some times, and return its states at all of them.

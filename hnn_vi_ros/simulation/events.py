@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 import math
 import time
-from typing import Any, Literal
+from typing import Any, Literal, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.phase_space import Event
@@ -16,6 +16,12 @@ from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import DenseStep
 import numpy as np
+
+# A simulation to those who use it: all but a few of its methods are passed on.
+if TYPE_CHECKING:
+    _Simulation = Simulation
+else:
+    _Simulation = object
 
 _EPS = float(np.finfo(np.float64).eps)
 # Trials within which a minimum is found, and the share of a step to which it is.
@@ -47,7 +53,7 @@ class EventFunction:
     stops: bool = False
 
 
-class WatchedSimulation:
+class WatchedSimulation(_Simulation):
     """
     A simulation whose steps are searched for events.
 
@@ -174,7 +180,7 @@ class WatchedSimulation:
                     yield theta, rises
 
 
-def watched(simulation: Simulation, scene: Scene) -> 'Simulation | WatchedSimulation':
+def watched(simulation: Simulation, scene: Scene) -> Simulation:
     """
     Return a simulation that watches for the events of its scene; itself if it has none.
 

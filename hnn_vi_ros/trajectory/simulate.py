@@ -26,7 +26,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.trajectory.recorders import Commands, MOST_NUMBERS, record_samples, recorders
 from hnn_vi_ros.trajectory.trajectory import Trajectory
@@ -168,24 +168,24 @@ def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: f
 
 def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = None,
                   integrator: str | None = None,
-                  initial_state: tuple[Sequence[float], Sequence[float]] | None = None,
+                  initial_state: tuple[ArrayLike, ArrayLike] | None = None,
                   effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
     """Return the parts of a resolved scene, with others where given; see ``simulate``."""
-    made = scene if isinstance(scene, Parts) else None
-    changed, _ = resolve((made.scene if made else _scene(scene)).with_overrides(
+    own = scene.scene if isinstance(scene, Parts) else _scene(scene)
+    changed, _ = resolve(own.with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
-    return made if made and changed is made.scene else changed.parts()
+    return scene if isinstance(scene, Parts) and changed is own else changed.parts()
 
 
-def record_one(simulation: Simulation | WatchedSimulation, duration: float, every: int,
-               times: Sequence[float] | None = None, commands: Commands | None = None
-               ) -> Trajectory:
+def record_one(simulation: Simulation, duration: float, every: int,
+               times: Sequence[float] | np.ndarray | None = None,
+               commands: Commands | None = None) -> Trajectory:
     """
     Take the samples of one trajectory, and warn of nothing.
 
     Parameters
     ----------
-    simulation : Simulation or WatchedSimulation
+    simulation : Simulation
         In its initial state, of shape (d,).
     duration, every, times, commands
         See ``simulate``.
@@ -232,8 +232,7 @@ def _scene(scene: Scene | str | Path) -> Scene:
     return scene
 
 
-def _state(state: tuple[Sequence[float], Sequence[float]] | None
-           ) -> dict[str, Sequence[float]] | None:
+def _state(state: tuple[ArrayLike, ArrayLike] | None) -> dict[str, list[float]] | None:
     """Return a pair (q, p) by name."""
     if state is None:
         return None
@@ -336,9 +335,9 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     if q0.size * samples > MOST_NUMBERS:
         raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
                          'holds; take fewer at a time')
-    interval = duration / samples
-    every, share = whole_steps(interval, scene.step_size)
-    t = np.arange(samples + 1) * (interval if share else every * scene.step_size)
+    h, interval = scene.known_step_size, duration / samples
+    every, share = whole_steps(interval, h)
+    t = np.arange(samples + 1) * (interval if share else every * h)
 
     def start(block: slice) -> Simulation:
         return build_at(parts, q0[block], p0[block])
@@ -349,20 +348,18 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
                                  threads or usable_processors(), alarms)
     else:
         if share:
-            raise ValueError(
-                f'device = {device}: samples lie {interval:g} s apart, '
-                f'{interval / scene.step_size:g} steps: on a device these are whole; take '
-                'another duration or samples')
+            raise ValueError(f'device = {device}: samples lie {interval:g} s apart, '
+                             f'{interval / h:g} steps: on a device these are whole; take another '
+                             'duration or samples')
         with optional('torch', f'device = {device}'):
             from hnn_vi_ros.trajectory.devices import ensemble_on, record_on_device
         q_all, p_all, failures = record_on_device(
             start(slice(0, 1)), partial(ensemble_on, device, parts), device, q0, p0,
             [k * every for k in range(samples + 1)], threads, alarms)
-        for _, failure in sorted(failures.items()):
-            raise failure
-    energies = show_many(
-        start(slice(0, 1)), t / scene.step_size, q_all, p_all, alarms)
-    tell_many(alarms, scene.step_size)
+        if failures:
+            raise failures[min(failures)]
+    energies = show_many(start(slice(0, 1)), t / h, q_all, p_all, alarms)
+    tell_many(alarms, h)
     return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
                       tuple(map(tuple, alarms)), scene=scene)
 

@@ -62,7 +62,8 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
             # Joint states are commands before they are observations.
             one = next(one for one in INPUTS if isinstance(message, one.message_type))
             try:
-                simulation.set_command(one.read(message, sampler.stamp), limited)
+                if one.read is not None:
+                    simulation.set_command(one.read(message, sampler.stamp), limited)
             except ValueError:
                 if not refuse:
                     raise

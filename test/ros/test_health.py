@@ -22,7 +22,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.run.health import Health
-from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR, OK, Status, WARN
+from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler

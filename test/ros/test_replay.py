@@ -9,6 +9,7 @@ import signal
 import subprocess
 import time
 
+from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
@@ -205,10 +206,11 @@ def test_commands_are_played_only_if_they_are_named(tmp_path, options, published
         'effects: [{kind: external_force, coordinates: [x]}]\nstep_size: 0.01\n'
         'integrator: {kind: generalized_leapfrog}\ninitial_state: {q: [0.0], p: [0.0]}\n')
     driven = record_run(tmp_path / 'bag', load_scene(tmp_path / 'scene.yaml'), 2,
-                        commands={0: [[1.0]], 1: [[2.0]]})
+                        commands={0: [[1.0], WrenchStamped()], 1: [[2.0]]})
     status, _, log = finish(start_replay(driven, '--discovery-time', 0, *options))
     assert status == 0 and f'{published} messages published' in log
-    assert ('/hnn_simulator/commands is left out' in log) == (not options)
+    for topic in ('commands', 'wrench'):
+        assert (f'/hnn_simulator/{topic} is left out' in log) == (not options)
 
 
 def foreign_bag(path: Path, *types: str, encoding: str = 'cdr') -> Path:

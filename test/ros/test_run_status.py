@@ -15,7 +15,7 @@ from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.sinks.recording import Recording
-from hnn_vi_ros.ros.topics.diagnostics_publisher import ERROR, OK, WARN
+from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build

@@ -7,8 +7,7 @@ from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.parameters.settings import HOVER_PARAMETERS, HoverSettings
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
-from hnn_vi_ros.ros.plumbing.starting import (
-    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from nav_msgs.msg import Odometry
 import numpy as np
 import rclpy
@@ -67,7 +66,7 @@ def matrix(turn: Quaternion) -> np.ndarray:
 class Hover(RobustNode):
     """Answer each odometry with one command."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('hnn_hover', automatically_declare_parameters_from_overrides=True)
         place = declare_parameters(self, HoverSettings)
         self._place = np.array([place.x, place.y, place.z])
@@ -81,13 +80,9 @@ class Hover(RobustNode):
 def main(argv: list[str]) -> None:
     """Control until the node is stopped."""
     arguments.hover().parse_args(own_arguments(argv))
-    init_ros(argv)
-    received = note_signals()
-    try:
+    with ros_process(argv) as received:
         with plain_ros_errors('ROS'):
             node = Hover()
         refuse_unknown(node, HOVER_PARAMETERS, (), argv)
         while not received:
             rclpy.spin_once(node, timeout_sec=0.1)
-    finally:
-        rclpy.try_shutdown()

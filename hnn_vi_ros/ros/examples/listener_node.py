@@ -5,8 +5,7 @@
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.parameters.node_parameters import refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
-from hnn_vi_ros.ros.plumbing.starting import (
-    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 import rclpy
 from std_msgs.msg import Float64
 
@@ -14,7 +13,7 @@ from std_msgs.msg import Float64
 class Listener(RobustNode):
     """Print every hundredth energy."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__('hnn_listener', automatically_declare_parameters_from_overrides=True)
         self._count = 0
         self.create_subscription(Float64, '/hnn_simulator/energy', self._on_energy, 10)
@@ -28,13 +27,9 @@ class Listener(RobustNode):
 def main(argv: list[str]) -> None:
     """Listen until the node is stopped."""
     arguments.listener().parse_args(own_arguments(argv))
-    init_ros(argv)
-    received = note_signals()
-    try:
+    with ros_process(argv) as received:
         with plain_ros_errors('ROS'):
             node = Listener()
         refuse_unknown(node, (), (), argv)
         while not received:
             rclpy.spin_once(node, timeout_sec=0.1)
-    finally:
-        rclpy.try_shutdown()

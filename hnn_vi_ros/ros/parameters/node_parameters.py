@@ -5,7 +5,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
@@ -55,16 +55,17 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
     _warn_of_misspelt_node(node, [name for name, _ in sections])
     shared = {name for section, parameters in sections if '*' in section
               for name in _flat(parameters, '')}
-    for name, parameter in sorted(node.get_parameters_by_prefix('').items()):
-        if name in ROS_OWN and type(parameter.value) is not bool:
-            raise ParameterError(f'parameter {name} = {parameter.value!r}: expected true or false')
+    for name in sorted(node.get_parameters_by_prefix('')):
+        value = node.get_parameter(name).value
+        if name in ROS_OWN and type(value) is not bool:
+            raise ParameterError(f'parameter {name} = {value!r}: expected true or false')
         if name in own:
             continue
         # Those of QoS are declared by rclpy, with their topic.
         node.undeclare_parameter(name)
         if name in policies:
-            if wanted := expected(name, parameter.value):
-                raise ParameterError(f'parameter {name} = {parameter.value!r}: expected {wanted}')
+            if wanted := expected(name, value):
+                raise ParameterError(f'parameter {name} = {value!r}: expected {wanted}')
             continue
         hint, valid = _remedy(name, own, policies)
         if name not in shared:
@@ -109,7 +110,7 @@ def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
             yield from _sections_in(content, '')
 
 
-def _sections_in(content: Mapping, node: str) -> Iterator[tuple[str, object]]:
+def _sections_in(content: Mapping[Any, object], node: str) -> Iterator[tuple[str, object]]:
     for key, value in content.items():
         if key == _SECTION:
             yield node.rpartition('/')[2], value
@@ -215,7 +216,7 @@ class Parameters:
 
     def _changed(self, parameters: Sequence[Parameter]) -> Settings:
         """Return all with changes, or raise ParameterError; other parameters are ROS's."""
-        changes = {}
+        changes: dict[str, Any] = {}
         for parameter in parameters:
             specification = _BY_NAME.get(parameter.name)
             if specification is not None:

@@ -60,11 +60,12 @@ class Specification:
         if kind is float and type(value) is int:
             value = float(value)
         good = type(value) is kind
-        if good and kind in (int, float):
-            good = self.smallest <= value <= self.largest
-        elif good and kind is str:
-            good = len(value) <= _LONGEST and (not self.choices or value in self.choices)
-        if not good:
+        if kind in (int, float) and isinstance(value, int | float):
+            good = good and self.smallest <= value <= self.largest
+        elif isinstance(value, str):
+            good = good and len(value) <= _LONGEST and (
+                not self.choices or value in self.choices)
+        if not (good and isinstance(value, Value)):
             raise ParameterError(f'parameter {self.name} = {repr(value)[:80]}: {self.expected}')
         return value
 
@@ -91,7 +92,7 @@ def parameter(default: Value, description: str, unit: str = '', smallest: float 
 
 def specifications(settings: type) -> tuple[Specification, ...]:
     """Return the parameters that a class of settings declares."""
-    return tuple(Specification(item.name, item.default, **item.metadata)
+    return tuple(Specification(item.name, getattr(settings, item.name), **item.metadata)
                  for item in fields(settings))
 
 

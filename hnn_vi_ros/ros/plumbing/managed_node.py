@@ -14,24 +14,31 @@ from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock as SteadyClock, ClockType
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 
 CLOCK_TOPIC = '/clock'
 
 
+def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
+    """Return a timer by wall time; on ROS time it would stall in a pause of /clock."""
+    return node.create_timer(period, callback, clock=SteadyClock(clock_type=ClockType.STEADY_TIME))
+
+
 class RobustNode(Node):
     """A node that ignores impossible times on /clock, and logs that."""
 
-    def create_subscription(self, kind: type, topic: str, callback: Callable[..., None],
+    def create_subscription(self, msg_type: Any, topic: str, callback: Callable[[Any], None],
                             *args: Any, **more: Any) -> Subscription:
         """See Node, which subscribes to /clock by it wherever use_sim_time asks for that."""
         if topic == CLOCK_TOPIC:
             callback = self._heeding(callback)
-        return super().create_subscription(kind, topic, callback, *args, **more)
+        return super().create_subscription(msg_type, topic, callback, *args, **more)
 
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
         def on_clock(message: Clock) -> None:
@@ -141,6 +148,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     async def in_thread(self, work: Callable[[], Any]) -> Any:
         """Let a thread do the work; return what it returns, raise what it raises."""
         future, executor = Future(), self.executor
+        assert executor is not None, 'it spins the node'
 
         def run() -> None:
             try:

@@ -85,6 +85,16 @@ def plain_ros_errors(what: str) -> Iterator[None]:
             set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
+@contextmanager
+def ros_process(argv: Sequence[str]) -> Iterator[list[int]]:
+    """Initialise ROS until the block ends; yield the list of signals, see ``note_signals``."""
+    init_ros(argv)
+    try:
+        yield note_signals()
+    finally:
+        rclpy.try_shutdown()
+
+
 def note_signals() -> list[int]:
     """
     Let the signals that end a node end nothing by themselves; return the list they appear in.

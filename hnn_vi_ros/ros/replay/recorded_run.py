@@ -199,13 +199,14 @@ class RecordedRun:
 
         There are none where the bag does not say at which step they did.
         """
-        inputs = {self._topics[name]: one for one in INPUTS
-                  if (name := f'{self.node}{one.topic[1:]}') in self._topics}
+        inputs = {self._topics[name]: (one, one.read) for one in INPUTS if one.read is not None
+                  and (name := f'{self.node}{one.topic[1:]}') in self._topics}
         if inputs and self.stamped:
             for message in self.reader.messages(inputs):
-                one, topic = inputs[message.channel], self.reader.channels[message.channel].topic
+                one, read = inputs[message.channel]
+                topic = self.reader.channels[message.channel].topic
                 try:
-                    command = one.read(self.decoded(message, one.message_type), message.time)
+                    command = read(self.decoded(message, one.message_type), message.time)
                 except ValueError as problem:
                     if not self.own:
                         continue  # Others record as well what the simulator refuses.

@@ -18,16 +18,13 @@ from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse
 from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS, ReplaySettings, Value
 from hnn_vi_ros.ros.plumbing.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
-from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode
+from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
-from hnn_vi_ros.ros.plumbing.starting import (
-    init_ros, note_signals, own_arguments, plain_ros_errors)
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.player import Player, read_ahead
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import clock_message, CLOCK_QOS, type_hash
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-import rclpy
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
@@ -149,9 +146,7 @@ class ReplayNode(RobustNode):
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
         self._discovery = Discovery(self._count_subscribers, settings.discovery_time)
-        self._timer = self.create_timer(
-            DISCOVERY_PERIOD, self._start_when_discovered,
-            clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._timer = steady_timer(self, DISCOVERY_PERIOD, self._start_when_discovered)
 
     @property
     def started(self) -> bool:
@@ -307,13 +302,9 @@ def main(argv: list[str]) -> int:
         verdict = check_replay(options.bag, options.trust_code)
         print(printable(verdict.text), flush=True)
         return 0 if verdict.good else 1
-    init_ros(argv)
-    received = note_signals()
-    sys.setswitchinterval(THREAD_TURN)
-    try:
+    with ros_process(argv) as received:
+        sys.setswitchinterval(THREAD_TURN)
         return _play(ReplayNode(options.bag, given, argv), received)
-    finally:
-        rclpy.try_shutdown()
 
 
 def _play(node: ReplayNode, received: Sequence[int]) -> int:

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, Protocol
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
+from hnn_vi_ros.ros.plumbing.managed_node import steady_timer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.run.pacing import LONGEST_CALL
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
@@ -64,8 +64,6 @@ class Control:
 
     def __init__(self, node: Node, run: Run, discovery: Discovery, settings: Settings):
         self._node, self._run, self._discovery = node, run, discovery
-        # Timers on ROS time would stall in a pause of /clock, or when it jumps back.
-        self._clock = Clock(clock_type=ClockType.STEADY_TIME)
         self.active, self.paused, self.stopped = False, settings.start_paused, True
         self._run.status.paused = self.paused
         self._timers: list[Timer] = []
@@ -206,8 +204,8 @@ class Control:
             self._timer = self._add_timer(self._run.pacer.timer_period, self._on_timer)
             self._schedule()
 
-    def _add_timer(self, period: float, callback) -> Timer:
-        timer = self._node.create_timer(period, callback, clock=self._clock)
+    def _add_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        timer = steady_timer(self._node, period, callback)
         self._timers.append(timer)
         return timer
 

@@ -11,8 +11,7 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.sinks.recording import Recording
-from hnn_vi_ros.ros.topics.diagnostics_publisher import (
-    DiagnosticsPublisher, ERROR, OK, Status, WARN)
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import OverrunGuard
 from hnn_vi_ros.run.sampling import Sampler

@@ -20,13 +20,11 @@ from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
-from hnn_vi_ros.ros.topics.diagnostics_publisher import DiagnosticsPublisher
-from hnn_vi_ros.ros.topics.event_topic import EventTopic
+from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EventTopic
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
-from hnn_vi_ros.ros.topics.spread_topic import SpreadTopic
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.ros.topics.twin_topic import TwinTopic
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The services of the simulator, apart from its lifecycle and parameters."""
 
+from collections.abc import Callable
+from inspect import isawaitable
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.run.control import Answer, Simulator
+from hnn_vi_ros.ros.run.control import Answer, Control, Simulator
 from hnn_vi_ros.ros.services.simulation_interfaces import offer_simulation_interfaces
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -24,79 +26,32 @@ def offer_services(node: Node, simulator: Simulator) -> None:
         What they act on.
 
     """
-    services = Services(simulator)
+    def record(method: str, words: str) -> Answer:
+        """Begin or complete a bag; the answer is its absolute path."""
+        assert simulator.run is not None, 'it has a control'
+        try:
+            path = getattr(simulator.run.recording, method)()
+        except RecordingError as problem:
+            return Answer(False, str(problem))
+        simulator.run.tell(f'{words} {path}', 'INFO')
+        return Answer(True, path)
+
+    def answering(handler: Callable[[Control, Any], Any]) -> Callable[[Any, Any], Any]:
+        async def answer(request: Any, response: Any) -> Any:
+            done = Answer(False, simulator.refusal) if simulator.control is None \
+                else handler(simulator.control, request)
+            response.success, response.message = await done if isawaitable(done) else done
+            return response
+        return answer
+
     # They have a group of their own: a long call of ~/step keeps no other waiting.
     group = ReentrantCallbackGroup()
     for name, kind, handler in (
-            ('~/set_pause', SetBool, services.set_pause),
-            ('~/reset', Trigger, services.reset),
-            ('~/step', Trigger, services.step),
-            ('~/start_recording', Trigger, services.start_recording),
-            ('~/stop_recording', Trigger, services.stop_recording)):
-        node.create_service(kind, name, handler, callback_group=group)
+            ('~/set_pause', SetBool, lambda control, request: control.set_paused(request.data)),
+            ('~/reset', Trigger, lambda control, _: control.reset(simulator.settings.reset_time)),
+            ('~/step', Trigger, lambda control, _: control.request_steps(
+                simulator.settings.step_count)),
+            ('~/start_recording', Trigger, lambda *_: record('start_bag', 'recording to')),
+            ('~/stop_recording', Trigger, lambda *_: record('stop_bag', 'recorded'))):
+        node.create_service(kind, name, answering(handler), callback_group=group)
     offer_simulation_interfaces(node, simulator, group)
-
-
-class Services:
-    """
-    Answer the services of std_srvs.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        What they act on.
-
-    """
-
-    def __init__(self, simulator: Simulator):
-        self._simulator = simulator
-
-    @property
-    def _refusal(self) -> Answer:
-        return Answer(False, self._simulator.refusal)
-
-    def set_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Pause, or end the pause."""
-        control = self._simulator.control
-        return _fill(
-            response, control.set_paused(request.data) if control else self._refusal)
-
-    def reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Restart at the initial state."""
-        control, time_too = self._simulator.control, self._simulator.settings.reset_time
-        return _fill(response, control.reset(time_too) if control else self._refusal)
-
-    async def step(self, request: Trigger.Request, response: Trigger.Response
-                   ) -> Trigger.Response:
-        """Take ``step_count`` steps, by its current value; the answer gives their number."""
-        control = self._simulator.control
-        if control is None:
-            return _fill(response, self._refusal)
-        return _fill(
-            response, await control.request_steps(self._simulator.settings.step_count))
-
-    def start_recording(self, request: Trigger.Request, response: Trigger.Response
-                        ) -> Trigger.Response:
-        """Begin a new bag; the answer is its absolute path."""
-        return self._record(response, 'start_bag', 'recording to')
-
-    def stop_recording(self, request: Trigger.Request, response: Trigger.Response
-                       ) -> Trigger.Response:
-        """Complete the bag; the answer is its absolute path."""
-        return self._record(response, 'stop_bag', 'recorded')
-
-    def _record(self, response: Trigger.Response, method: str, words: str) -> Trigger.Response:
-        run = self._simulator.run
-        if run is None:
-            return _fill(response, self._refusal)
-        try:
-            path = getattr(run.recording, method)()
-        except RecordingError as problem:
-            return _fill(response, Answer(False, str(problem)))
-        run.tell(f'{words} {path}', 'INFO')
-        return _fill(response, Answer(True, path))
-
-
-def _fill(response: Any, answer: Answer) -> Any:
-    response.success, response.message = answer
-    return response

@@ -11,8 +11,8 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.ros.run.control import Answer
 from hnn_vi_ros.ros.run.run import Run
-from hnn_vi_ros.ros.topics.diagnostics_publisher import (
-    DiagnosticsPublisher, ERROR, OK, state_values, Status)
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, state_values, Status
+from hnn_vi_ros.ros.topics.inputs import INITIAL_STATE
 from hnn_vi_ros.ros.topics.outputs import STATE_SET
 from hnn_vi_ros.ros.topics.topics import Topics
 import numpy as np
@@ -97,7 +97,7 @@ class StateTopic:
         self._node, self._run, self._reset = node, run, reset
         self._answers = DiagnosticsPublisher(
             node, partial(topics.send, STATE_SET), run.scene.name)
-        topics.hear('~/initial_state', JointState, self._take)
+        topics.hear(INITIAL_STATE, self._take)
 
     def _take(self, message: JointState) -> None:
         run = self._run

@@ -16,8 +16,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-WRENCH_TOPIC: tuple[str, type] = ('~/wrench', WrenchStamped)
-
 
 def body_of(coordinates: Sequence[Coordinate], names: Sequence[str]) -> str | None:
     """
@@ -74,7 +72,7 @@ def command_of(message: WrenchStamped, body: str, names: Sequence[str]) -> list[
 
 class Input(NamedTuple):
     """
-    A topic of commands.
+    A topic that drives the simulator.
 
     Parameters
     ----------
@@ -83,8 +81,9 @@ class Input(NamedTuple):
     message_type : type
         Of its messages.
     holds : frozenset of str
-        Possible contents of its commands; a scene takes some of them; see commands.contents.
-    read : callable
+        Possible contents of its commands; a scene takes some of them; see commands.contents. Empty
+        where it holds no commands: what it is heard by is set up elsewhere.
+    read : callable or None
         ``read(message, stamp)`` returns the command of a message that finds the state of that
         stamp [ns], or raises ValueError.
     qos : QoSProfile
@@ -95,7 +94,7 @@ class Input(NamedTuple):
     topic: str
     message_type: type
     holds: frozenset[str]
-    read: Callable[[Any, int], Command]
+    read: Callable[[Any, int], Command] | None
     qos: QoSProfile
 
 
@@ -154,14 +153,17 @@ def _nanoseconds(seconds: int, nanoseconds: int) -> int:
     return seconds * 10**9 + nanoseconds
 
 
-_NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 OBSERVATIONS = Input('~/observations', JointState, frozenset({OBSERVATION}), read_observation,
                      qos_profile_sensor_data)
+WRENCH = Input('~/wrench', WrenchStamped, frozenset(), None, NEWEST)
+INITIAL_STATE = Input('~/initial_state', JointState, frozenset(), None, NEWEST)
 INPUTS = (
-    Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, _NEWEST),
+    Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, NEWEST),
     # Best effort hears those who publish reliably as well, as ros2_control does.
     Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}), read_joints,
           qos_profile_sensor_data),
     OBSERVATIONS,
-    Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, _NEWEST),
+    Input('~/joint_trajectory', JointTrajectory, frozenset({PATH}), read_path, NEWEST),
+    WRENCH, INITIAL_STATE,
 )

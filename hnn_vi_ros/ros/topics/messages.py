@@ -322,7 +322,8 @@ class TrajectoryFeedback:
     """
 
     def __init__(self, simulation: Simulation):
-        self._simulation, names = simulation, simulation.motors.aim.names
+        assert simulation.motors.aim is not None, 'of a servo'
+        self._motors, names = simulation.motors, simulation.motors.aim.names
         zeros = array('d', [0.0] * len(names))
         self._template = Template(JointTrajectory(joint_names=list(names), points=[
             JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
@@ -331,8 +332,8 @@ class TrajectoryFeedback:
 
     def encode(self, sample: Sample) -> list[bytes]:
         """Return the message of a sample, the newest one, if the servo follows a path there."""
-        aim = self._simulation.motors.aim
-        if not aim.on_path:
+        aim = self._motors.aim
+        if aim is None or not aim.on_path:
             return []
         position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
         effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]

@@ -9,12 +9,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
-from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.companions import SpreadTopic
+from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.markers import MarkerEncoder
 from hnn_vi_ros.ros.topics.messages import (
     AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, TICK_TOPICS, TrajectoryFeedback)
 from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
-from hnn_vi_ros.ros.topics.spread_topic import SpreadTopic
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
@@ -30,7 +30,6 @@ from visualization_msgs.msg import MarkerArray
 
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # An alarm, or an answer, is not to be replaced by the next one before it has arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
@@ -127,10 +126,16 @@ def _tick(topic: str, message_type: type, encoder: Callable[..., Encode]) -> Out
 
 
 def _markers(run: Material, publisher: Publisher) -> Encode:
+    assert run.mechanism is not None, 'the row asks for it'
     hamiltonian = run.simulation.hamiltonian
     ends = ends_of(hamiltonian, run.simulation.q, run.simulation.p, run.box)
     return MarkerEncoder(publisher.get_subscription_count, MECHANISMS[run.mechanism],
                          reach_of(hamiltonian, ends), run.frame_id).encode
+
+
+def _spread(run: Material) -> SpreadTopic:
+    assert run.spread is not None, 'the row asks for it'
+    return run.spread
 
 
 # A sample goes out in this order: who is paced by /clock has its time before the sample.
@@ -148,6 +153,6 @@ OUTPUTS = (
            lambda settings, run: run and run.simulation.motors.aim is not None,
            lambda run, publisher: TrajectoryFeedback(run.simulation).encode, 'apart'),
     Output('~/uncertainty', JointState, TICKS, lambda settings, run: run and run.spread,
-           lambda run, publisher: run.spread.encode, 'apart'),
+           lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
 )

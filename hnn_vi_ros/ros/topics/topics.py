@@ -12,17 +12,16 @@ from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import UNDELIVERED, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, create_subscription, Endpoint
-from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH_TOPIC
+from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
-    DIAGNOSTICS, Material, NEWEST, Output, OUTPUTS, ROBOT, SCENE)
+    DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation.sample import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, String
@@ -35,8 +34,7 @@ LONGEST_REASON = 500
 # All that there can be: what a scene does not call for is known, but does not exist.
 ENDPOINTS = (
     *(Endpoint(output.topic, 'publisher') for output in OUTPUTS),
-    *(Endpoint(name, 'subscription') for name in (
-        *(one.topic for one in INPUTS), '~/initial_state', '~/wrench')))
+    *(Endpoint(one.topic, 'subscription') for one in INPUTS))
 
 
 class Topics:
@@ -95,7 +93,7 @@ class Topics:
                 self._hear_commands(one)
         self._body = body_of(simulation.hamiltonian.coordinates, simulation.command_names)
         if self._body is not None:
-            self.hear(*WRENCH_TOPIC, self._on_wrench)
+            self.hear(WRENCH, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the samples from what is measured of a run, in its initial state."""
@@ -108,28 +106,25 @@ class Topics:
         if stamp is not None and output.recorded == 'apart':
             self._record(self._described[output.topic], stamp, payload)
 
-    def hear(self, topic: str, message_type: type, take: Callable[[Any], None],
-             qos: QoSProfile = NEWEST) -> Subscription:
+    def hear(self, one: Input, take: Callable[[Any], None]) -> Subscription:
         """
         Hear a topic; what cannot be used is reported and ignored.
 
         Parameters
         ----------
-        topic : str
-            Its name.
-        message_type : type
-            Of its messages.
+        one : Input
+            Which.
         take : callable
             Uses a message, or raises ValueError and changes nothing.
-        qos : QoSProfile
-            By default the newest message counts.
 
         """
+        topic = one.topic
+
         def on_message(payload: bytes) -> None:
             try:
                 if len(payload) > LARGEST_MESSAGE:
                     raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
-                take(deserialize_message(payload, message_type))
+                take(deserialize_message(payload, one.message_type))
             except (ValueError, RuntimeError) as problem:
                 # RuntimeError: the bytes are no message of this type.
                 self.ignored[topic] += 1
@@ -139,7 +134,7 @@ class Topics:
                     throttle_duration_sec=1.0)
 
         subscription = create_subscription(
-            self._node, message_type, topic, on_message, qos, raw=True)
+            self._node, one.message_type, topic, on_message, one.qos, raw=True)
         self._subscriptions.append(subscription)
         return subscription
 
@@ -156,7 +151,7 @@ class Topics:
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
         """Publish a sample; return the messages as they were sent, as the log takes them."""
-        payloads = []
+        payloads: list[bytes] = []
         for output, encode in self._encoders.values():
             messages = encode(sample)
             for message in messages:
@@ -208,12 +203,13 @@ class Topics:
 
     def _hear_commands(self, one: Input) -> None:
         """Hear a topic of commands, and record what acts."""
-        heard = self.hear(one.topic, one.message_type, partial(self._take, one), one.qos)
+        heard = self.hear(one, partial(self._take, one))
         self._described[one.topic] = describe_topic(
             heard.topic_name, one.message_type, heard.qos_profile)
 
     def _take(self, one: Input, message: Any) -> None:
         stamp = self._stamp()
+        assert one.read is not None, 'it holds commands'
         self._material.simulation.set_command(one.read(message, stamp))
         # Anew, not as it came: the padding is the sender's, which no two runs have in common.
         self._record(self._described[one.topic], stamp, serialize(message))
