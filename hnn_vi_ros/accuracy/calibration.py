@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choose the cheapest method and step size that hold a tolerance, by trying them."""
+"""Choose the cheapest method and largest step size that hold a tolerance, by trials."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of samples and steps: energy error and drift, modified energy, defects, order."""
+"""Quality of samples and steps: energy error, drift and scale, local error, defects, order."""
 
 from collections.abc import Callable, Sequence
 import math

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Content of an MCAP file and its places, found without opening its chunks."""
+"""Survey of an MCAP file: its content, places and definitions, without opening its chunks."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of what accuracy costs: error against time, a line for each method."""
+"""The picture of what accuracy costs: error against time, a labelled line for each method."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise

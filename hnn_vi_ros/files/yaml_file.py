@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read a YAML file into a pydantic model; every error names file, line and key."""
+"""Read YAML files into pydantic models, whose errors name file, line and key; their schemas."""
 
 from collections.abc import Callable, Mapping, Sequence
 import json

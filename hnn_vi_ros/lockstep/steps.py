@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The steps of variational methods for many trajectories; the methods' own files have formulas.
+Steps of variational methods for many trajectories, and the solvers of their equations.
 
 The equations x = G(x) of each trajectory are solved by itself and carried to round-off: by the
 fixed-point iteration, the secant method and Anderson's of ``integrators.solvers``, which has what

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The YAML of classes that a scene names by kind: the schema is the constructor's signature."""
+"""Parts of a scene in YAML: classes by kind, initial state, conditions, invariants."""
 
 import ast
 from collections.abc import Callable, Iterator, Mapping, Sequence

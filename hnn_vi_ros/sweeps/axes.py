@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Axes of a sweep: the values of its keys at any place of an axis, by the place alone."""
+"""Axes of a sweep: keys of a scene, and their values at any place of an axis."""
 
 from abc import ABC, abstractmethod
 from array import array

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The trajectories of a sweep: a block of neighbours at a time, each failure a row."""
+"""The trajectories of a sweep, a block at a time, with their measures; a failure is a row."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
