@@ -206,8 +206,8 @@ class EnergyScale:
     def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
         """Return H' (v_q, v_p) by differences, for a kernel that gives no gradient of H."""
         ahead, behind = self._hamiltonian.energy(
-            np.array([q + _SCALE_SPACING * v_q, q - _SPACING * v_q]),
-            np.array([p + _SCALE_SPACING * v_p, p - _SPACING * v_p]))
+            np.array([q + _SCALE_SPACING * v_q, q - _SCALE_SPACING * v_q]),
+            np.array([p + _SCALE_SPACING * v_p, p - _SCALE_SPACING * v_p]))
         return float(np.sum(ahead - behind)) / (2.0 * _SCALE_SPACING)
 
 

@@ -53,7 +53,7 @@ def test_kernel_compiled_by_one_process_is_found_by_the_next(tmp_path):
 def test_second_system_of_a_method_compiles_no_loop(tmp_path):
     assert run(tmp_path)[:2] == ['0', '1']
     assert run(tmp_path, 'pendulum')[:2] == ['1', '0']
-    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 1
+    assert len([*tmp_path.rglob('assembly.advance_*.nbi')]) == 1
 
 
 @pytest.mark.parametrize('name', ['pendulum', 'henon_heiles'])

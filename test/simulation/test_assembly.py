@@ -103,7 +103,7 @@ def test_second_set_of_effects_compiles_neither_the_method_nor_the_loop(tmp_path
     # Other processes find all of it, whatever was compiled first.
     assert run(tmp_path, 'thermostat,damping', 'damping') == [
         ['0', '0', bathed[2]], ['0', '0', first[2]]]
-    assert len([*tmp_path.rglob('loops.advance_*.nbi')]) == 1
+    assert len([*tmp_path.rglob('assembly.advance_*.nbi')]) == 1
 
 
 WAYS = """
