@@ -64,6 +64,7 @@ class Stepping(ABC):
         self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
+        self._own = [*self._arrays().values()]
         # Not the point's own: what a step finds there must not depend on when it was looked at.
         self._dH_dq, self._dH_dp = np.empty((2, n))
 
@@ -138,12 +139,12 @@ class Stepping(ABC):
     def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
               ) -> None:
         """Take the steps to the last sample, or to that in which the time comes, or raise."""
-        before = None if self.rescue_ready else (self.snapshot(), self._costs())
-        done, changed, failure, last = 0, -1, None, len(q_out) * every
+        done, changed, last = 0, -1, len(q_out) * every
+        begun, before, costs = done, self._kept(), self._costs()
         while True:
             outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
-            if outcome != OK and before is not None and not self.rescue_ready:
-                self._go_back(*before, done)
+            if outcome != OK and not self.rescue_ready:
+                self._go_back(before, costs, done - begun)
                 raise RescuePending
             if outcome == BEYOND and (self._active == 0 or done > changed):
                 self._change_method()
@@ -152,16 +153,20 @@ class Stepping(ABC):
             if outcome != OK:
                 failure = self._take_failed_step(outcome, residual, spent)
                 if failure is not None:
-                    break
+                    # A replay knows only the steps that were taken: one that was not must leave
+                    # no trace in what the next ones start from.
+                    costs = self._costs()
+                    self._go_back(before, costs, done - begun)
+                    vars(self).update(costs)
+                    raise failure
                 done += 1
                 if done % every == 0:
                     q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
             if done >= last or time.perf_counter() >= until:
                 break
             heed()
+            begun, before, costs = done, self._kept(), self._costs()
         self._update_gradient()
-        if failure is not None:
-            raise failure
 
     def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
@@ -185,9 +190,16 @@ class Stepping(ABC):
         return {name: getattr(self, name) for name in (
             'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
 
-    def _go_back(self, snapshot: dict[str, np.ndarray], costs: dict[str, Any], done: int) -> None:
+    def _kept(self) -> tuple[int, int, list[np.ndarray]]:
+        """Return what a stretch begins with: a snapshot without names, which takes microseconds."""
+        return self.steps, self._active, [array.copy() for array in self._own]
+
+    def _go_back(self, kept: tuple[int, int, list[np.ndarray]], costs: dict[str, Any], done: int
+                 ) -> None:
         """Go to where the steps that were done end: what one that failed has left is gone."""
-        self.restore(snapshot)
+        self.steps, self._active, arrays = kept
+        for array, value in zip(self._own, arrays, strict=True):
+            array[...] = value
         vars(self).update(costs)
         self._take(done, *np.empty((2, 1, self._z.q.size)))
 

@@ -306,6 +306,34 @@ def test_step_that_waits_for_its_rescue_leaves_no_trace(make):
     assert (waiting.rescued, waiting.gradients) == (whole.rescued, whole.gradients)
 
 
+@pytest.mark.parametrize('name', [
+    'variational_euler', 'symplectic_euler', 'generalized_leapfrog', 'implicit_midpoint', 'gauss4',
+    'yoshida4', 'kahan_li8', 'lie_leapfrog', 'lie_gauss4'])
+def test_step_that_nothing_can_take_leaves_no_trace(name):
+    """No replay knows of it: a log holds the steps that were taken, and the commands."""
+    system = HAMILTONIANS['quadrotor' if name.startswith('lie') else 'double_pendulum']()
+    names = ['body_rx', 'body_ry'] if name.startswith('lie') else ['angle1', 'angle2']
+    n = 6 if name.startswith('lie') else 2
+
+    def make():
+        simulation = Simulation(
+            system, INTEGRATORS[name](), 0.01, [0.1] * n if n == 2 else [0.0] * 6 + [1.0],
+            [0.2] * n, [EFFECTS['external_force'](names, timeout=1e3)])
+        simulation.advance(5)
+        return simulation
+    tried, spared = make(), make()
+    for size in (1e10, 1e12):
+        for simulation in (tried, spared):
+            simulation.set_command([size, -size])
+        with pytest.raises(StepFailure):
+            # Some of them may be taken before one fails.
+            tried.advance(1000)
+        spared.advance(tried.steps - spared.steps)
+        now, expected = tried.snapshot(), spared.snapshot()
+        assert [key for key in expected if not np.array_equal(now[key], expected[key])] == []
+    assert tried.gradients > spared.gradients
+
+
 @pytest.mark.parametrize('make', [
     lambda: Simulation(HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6],
                        [0.0]),
