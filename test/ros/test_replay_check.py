@@ -160,9 +160,12 @@ def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun
 
         def drive(count: int) -> None:
             for i in range(count):
+                seen = len(other.states)
                 publisher.publish(Float64MultiArray(data=[(-1.0)**i]))
-                # Now and then for longer than the watchdog allows.
+                # Now and then for longer than the watchdog allows; on a machine that is busy for
+                # as long as it takes the simulator, whose queue is short, to come to it.
                 other.spin(0.1 if i % 7 == 0 else 0.007)
+                other.spin_until(lambda before=seen: len(other.states) > before)
 
         drive(30)
         assert other.trigger('stop_recording').success
