@@ -41,6 +41,7 @@ def main() -> NoReturn:
     if name in COMMANDS:
         _run(name, sys.argv[2:])
     guard_streams()
+    status: str | int | None
     try:
         status = refuse(word)
     except SystemExit as end:
@@ -220,7 +221,7 @@ def _warn_in_lines(shown: str) -> None:
     """Let each warning be one line on standard error, once for each text."""
     told: set[str] = set()
 
-    def show(message: Warning | str, *_where: Any) -> None:
+    def show(message: Warning | str, *_where: Any, **_more: Any) -> None:
         text = ' '.join(str(message).split())
         if text not in told:
             told.add(text)

@@ -68,11 +68,10 @@ class SqliteFile(Source):
     def read(self, piece: Piece) -> list[Message]:
         """See Source."""
         with self._open() as database:
-            rows = database.execute(
+            rows = self._taken(database.execute(
                 'SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages '
                 f'WHERE rowid BETWEEN ? AND ? AND {_STAMPED} ORDER BY rowid',
-                (piece.start, piece.start + piece.length - 1))
-            rows = self._taken(rows)
+                (piece.start, piece.start + piece.length - 1)))
         messages = [Message(topic, time, data or b'', time, 0) for topic, time, data in rows
                     if topic in self.channels]
         if len(messages) < len(rows):

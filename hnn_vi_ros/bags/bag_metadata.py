@@ -165,7 +165,7 @@ def counted_messages(folder: Path, names: Sequence[str]) -> int | None:
     """Return how many messages metadata.yaml counts in files of a bag; None if it does not."""
     described = read_bag_metadata(folder)
     if described.get('relative_file_paths') == list(names):
-        counts = [described.get('message_count')]
+        counts: list[Any] = [described.get('message_count')]
     else:
         # Some files of several.
         listed = described.get('files')

@@ -28,10 +28,10 @@ class Missing(NamedTuple):
 
     after: int
     before: int
-    count: int
+    count: int  # type: ignore[assignment]  # not tuple.count
 
 
-def missing_stamps(stamps: Sequence[int], spacing: int | None = None) -> list[Missing]:
+def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None) -> list[Missing]:
     """
     Return the gaps in a grid, whose spacing is the most frequent difference if none is given.
 
@@ -48,11 +48,11 @@ def missing_stamps(stamps: Sequence[int], spacing: int | None = None) -> list[Mi
     """
     t = np.unique(np.asarray(stamps, dtype=np.uint64))
     differences = np.diff(t).astype(np.float64)
-    spacing = spacing or _frequent(differences)
-    if spacing is None:
+    usual = spacing or _frequent(differences)
+    if usual is None:
         return []
-    return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / spacing) - 1)
-            for i in np.flatnonzero(differences > 1.5 * spacing)]
+    return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / usual) - 1)
+            for i in np.flatnonzero(differences > 1.5 * usual)]
 
 
 def _frequent(differences: np.ndarray) -> float | None:

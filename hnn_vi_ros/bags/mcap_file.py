@@ -17,7 +17,7 @@ from hnn_vi_ros.bags.mcap_survey import Definitions, loose_definitions, Survey, 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
 from mcap.opcode import Opcode
-from mcap.records import Attachment, McapRecord, Message
+from mcap.records import Attachment, Channel, McapRecord, Message, Schema
 import numpy as np
 
 _CHANNEL = struct.Struct('<H')
@@ -142,7 +142,7 @@ class McapFile(Source):
             records, sound = self._open(stream, piece)
         for record in records:
             if not isinstance(record, Message):
-                if self._defined.contradicts(record):
+                if isinstance(record, Schema | Channel) and self._defined.contradicts(record):
                     sound = False
                     break
             elif record.channel_id in self.channels:
@@ -186,7 +186,7 @@ class McapFile(Source):
             if isinstance(record, Message):
                 self._numbers.add(record.channel_id)
                 times.append(record.log_time)
-            else:
+            elif isinstance(record, Schema | Channel):
                 self._defined.take(record)
         if times:
             self._add_piece(Piece(min(times), max(times), chunk.start, chunk.length, kind),

@@ -190,10 +190,10 @@ class BagReader:
             number = part.numbers[message.channel_id]
             if number not in wanted:
                 continue
-            data = message.data
+            data: bytes | None = message.data
             # A message that is not packed begins with its encoding, 00 .. in CDR.
-            if data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
-                data = _unpacked(data)
+            if message.data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
+                data = _unpacked(message.data)
             if data is None:
                 part.source.unread[part.piece.start] = len(message.data)
             else:

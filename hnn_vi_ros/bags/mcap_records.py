@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from io import BytesIO
 import re
 import struct
-from typing import BinaryIO, NamedTuple, TypeGuard
+from typing import Any, BinaryIO, NamedTuple, TypeGuard
 import zlib
 
 import lz4.frame
@@ -26,7 +26,7 @@ PREFIX = struct.Struct('<BQ')
 # A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
 _CHUNK = struct.Struct('<QQQII')
 _SIZE = struct.Struct('<Q')
-_READERS = {
+_READERS: dict[int, type[Any]] = {
     Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
     Opcode.MESSAGE_INDEX: MessageIndex, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
     Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
@@ -431,7 +431,7 @@ class _Finder:
 
     def _mended_chunk(self, frame: Frame, own: int | None) -> Frame | None:
         """Return a chunk whose opcode, length or one of its inner lengths is damaged."""
-        for length in {own, frame.length if frame.opcode == Opcode.CHUNK else None} - {None}:
+        for length in filter(None, {own, frame.length if frame.opcode == Opcode.CHUNK else None}):
             chunk = Frame(Opcode.CHUNK, frame.start, length, True)
             if chunk.end <= self._size and self._sound(chunk):
                 return chunk

@@ -3,11 +3,11 @@
 """Check an MCAP bag and make it whole if it was interrupted or damaged."""
 
 from array import array
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 import fcntl
-from itertools import count as numbers
 import os
 from pathlib import Path
 import shutil
@@ -27,7 +27,7 @@ from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Schema
+from mcap.records import Channel, DataEnd, MessageIndex, Schema
 from mcap.writer import CompressionType, Writer
 
 _CRC = struct.Struct('<I')
@@ -69,24 +69,25 @@ def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
 
 def _framed(stream: BinaryIO) -> bool:
     """Return whether records follow one another between two magics, with nothing else."""
-    size, end = os.fstat(stream.fileno()).st_size, len(MAGIC)
+    size, end, last = os.fstat(stream.fileno()).st_size, len(MAGIC), None
     for frame in walk(stream, size):
         if isinstance(frame, Gap):
             return False
         stream.seek(frame.start - PREFIX.size)
         if PREFIX.unpack(stream.read(PREFIX.size)) != (frame.opcode, frame.length):
             return False
-        end = frame.end
+        end, last = frame.end, frame.opcode
     stream.seek(0)
     begin = stream.read(len(MAGIC))
     stream.seek(end)
-    return frame.opcode == Opcode.FOOTER and begin == stream.read() == MAGIC
+    return last == Opcode.FOOTER and begin == stream.read() == MAGIC
 
 
 def _counts(survey: Survey) -> bool:
     """Return whether the statistics count what there is."""
     statistics = survey.statistics
-    return (statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
+    return statistics is not None and (
+        statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
         len(survey.chunks), len(survey.attachments), len(survey.metadata))
 
 
@@ -108,10 +109,11 @@ def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
     content = read_content(stream, indexed.chunk)
     head, messages = chunk_head(content), _messages(unpack(content, True)[0])
     times = [time for some in messages.values() for time, _ in some]
-    if times and (head.first, head.last) != (min(times), max(times)):
+    if head is None or (times and (head.first, head.last) != (min(times), max(times))):
         return False
     indexes = [decode(frame.opcode, read_content(stream, frame)) for frame in indexed.indexes]
-    listed = [(index.channel_id, sorted(index.records)) for index in indexes if index.records]
+    listed = [(index.channel_id, sorted(index.records)) for index in indexes
+              if isinstance(index, MessageIndex) and index.records]
     return not indexes or sorted(listed) == sorted(messages.items())
 
 
@@ -324,9 +326,9 @@ def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
 
 def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
     """Return what can be read of a file, and what is lost; it is to be changed if not whole."""
-    recovery, stamps = Recovery(file.path), {}
+    recovery, stamps = Recovery(file.path), defaultdict[int, 'array[int]'](lambda: array('Q'))
     for message in file.messages():
-        stamps.setdefault(message.channel_id, array('Q')).append(message.log_time)
+        stamps[message.channel_id].append(message.log_time)
     recovery.messages = sum(map(len, stamps.values()))
     recovery.first = min(map(min, stamps.values()), default=NEVER)
     recovery.last = max(map(max, stamps.values()), default=0)
@@ -398,7 +400,9 @@ def _read_back(path: Path, messages: int) -> None:
 
 def _keep(path: Path) -> Path:
     """Give a file a second name, that none has yet, and return that."""
-    for number in numbers(1):
+    number = 0
+    while True:
+        number += 1
         original = path.with_name(f'{path.name}.orig' + (f'-{number}' if number > 1 else ''))
         try:
             os.link(path, original)

@@ -32,7 +32,7 @@ class _Record(bytes):
         builder.write(self)
 
 
-class _Records(list[_Record]):
+class _Records(list[Any]):
     """Notes of a writer on its chunks."""
 
     def append(self, index: ChunkIndex) -> None:
@@ -49,7 +49,7 @@ def compact_index(writer: Writer) -> None:
     It has two chunks a second of wall time, and keeps an object with a dictionary of each until
     the file is closed: 6 MB an hour.
     """
-    writer._Writer__chunk_indices = _Records()
+    vars(writer)['_Writer__chunk_indices'] = _Records()
 
 
 CHUNK_SIZE = 256 * 1024

@@ -5,7 +5,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 import os
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from hnn_vi_ros.bags.bag_source import Piece
 from hnn_vi_ros.bags.mcap_records import (
@@ -258,7 +258,7 @@ class Definitions:
         self.contradicted |= self.contradicts(record)
         self._of(record).setdefault(record.id, record)
 
-    def contradicts(self, record: McapRecord) -> bool:
+    def contradicts(self, record: Schema | Channel) -> bool:
         """Return whether a record of its number is another one."""
         return self._of(record).get(record.id, record) != record
 
@@ -267,7 +267,7 @@ class Definitions:
         self.schemas |= others.schemas | self.schemas
         self.channels |= others.channels | self.channels
 
-    def _of(self, record: McapRecord) -> dict:
+    def _of(self, record: Schema | Channel) -> dict[int, Any]:
         return self.schemas if isinstance(record, Schema) else self.channels
 
 

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 import math
-from typing import Any, Protocol
+from typing import Any, cast, Protocol
 
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.simulation import Simulation
@@ -22,6 +22,11 @@ class Companion(Protocol):
 
     def begin(self, simulation: Simulation) -> None:
         """Restart from the state of the simulation, at its step."""
+
+
+def accompany(simulation: Simulation, companions: Sequence[Companion]) -> Simulation:
+    """Return a simulation with its companions, in its place; itself if there are none."""
+    return cast(Simulation, Accompanied(simulation, companions)) if companions else simulation
 
 
 class Accompanied:

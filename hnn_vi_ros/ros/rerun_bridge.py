@@ -145,7 +145,7 @@ class BridgePicture:
         return balance / abs(self._energy0) if self._energy0 else balance
 
     def _write(self, state: State, dH_dp: np.ndarray, error: float) -> None:
-        modified = math.nan
+        modified: Any = math.nan
         if self._integrator is not None:
             modified = self._integrator.modified_energy(
                 self._hamiltonian, self._step_size, state.q, state.p, state.energy,
@@ -236,7 +236,7 @@ class RerunBridge(RobustNode):
                 self._tick_subscriptions.append(subscription)
         self.get_logger().info(f'waiting for {self._settings.simulator}/scene')
 
-    def _find_topics(self) -> dict[str, tuple[type, Callable, QoSProfile, bool]]:
+    def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""
         simulator = self._settings.simulator
         try:
@@ -284,7 +284,8 @@ class RerunBridge(RobustNode):
         if lacking := NEEDED.difference(names.values()):
             raise RecordingError(f'{run.reader.path}: holds no {min(lacking)} of {run.node}: '
                                  'without ~/state, that is needed to show its samples')
-        tick, stamp = {}, -1
+        tick: dict[str, Any] = {}
+        stamp = -1
         for message in run.reader.messages(names):
             if message.time != stamp:
                 self._show_tick(tick)
@@ -327,9 +328,10 @@ class RerunBridge(RobustNode):
     def _next_target(self) -> Target:
         """Return where the next picture goes: after the first, a file that is not there yet."""
         target, self._scenes = self.target, self._scenes + 1
-        if isinstance(target, Path) and self._scenes > 1:
-            while (target := self.target.with_name(
-                    f'{self.target.stem}-{self._scenes}{self.target.suffix}')).exists():
+        if isinstance(target, Path):
+            first = target
+            while self._scenes > 1 and (target := first.with_name(
+                    f'{first.stem}-{self._scenes}{first.suffix}')).exists():
                 self._scenes += 1
         return target
 
@@ -344,11 +346,11 @@ class RerunBridge(RobustNode):
             self.get_logger().error(
                 f'~/state is no state: {problem}', throttle_duration_sec=1.0)
 
-    def _keeper(self, name: str) -> Callable:
+    def _keeper(self, name: str) -> Callable[..., None]:
         """Return the callback for messages of a topic when ~/state is missing."""
         state = f'{self._settings.simulator}/state'
 
-        def keep(message: Any, info: dict) -> None:
+        def keep(message: Any, info: dict[str, Any]) -> None:
             # The simulator announces ~/state before the topics that are heard here.
             if self.count_publishers(state):
                 return

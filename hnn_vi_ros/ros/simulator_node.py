@@ -10,7 +10,7 @@ import signal
 import sys
 import time
 
-from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.announcing import announced
 from hnn_vi_ros.ros import arguments as command_lines
@@ -48,8 +48,6 @@ class SimulatorNode(ManagedNode):
 
     Attributes
     ----------
-    exit_status : int or None
-        None while the node runs; then the exit status of the process.
     run, control : Run, Control or None
         The simulation and its control; None while the node is not configured.
     topics : Topics or None
@@ -64,7 +62,6 @@ class SimulatorNode(ManagedNode):
 
     def __init__(self, arguments: Sequence[str] = ()):
         super().__init__('hnn_simulator')
-        self.exit_status: int | None = None
         self.run: Run | None = None
         self.control: Control | None = None
         self.topics: Topics | None = None
@@ -103,8 +100,9 @@ class SimulatorNode(ManagedNode):
             self.topics = Topics(self, settings)
             topics, discovery = self.topics.descriptions, Discovery(
                 self.topics.count_subscribers, settings.discovery_time)
-            await self.in_thread(lambda: self._prepare(settings, topics, discovery))
-            self.run = Run(self, self.topics, self._prepared, settings, self.stop)
+            prepared = await self.in_thread(
+                lambda: self._prepare(settings, topics, discovery))
+            self.run = Run(self, self.topics, prepared, settings, self.stop)
             StateTopic(self, self.topics, self.run, self._reset_to_state)
         except HnnViRosError:
             self._close_prepared()
@@ -116,8 +114,8 @@ class SimulatorNode(ManagedNode):
         # Those that were changed meanwhile count as well.
         self._declared.run = self
         self.apply(self.settings)
-        if not self._prepared.simulation.rescue_ready:
-            self.executor.create_task(self._compile_rest, self._prepared.simulation)
+        if not prepared.simulation.rescue_ready:
+            self.spinner.create_task(self._compile_rest, prepared.simulation)
         return SUCCESS
 
     async def _compile_rest(self, simulation: Simulation) -> None:
@@ -130,12 +128,12 @@ class SimulatorNode(ManagedNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Go on, or begin."""
-        self.control.activate()
+        self._driven.activate()
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stand still and keep the state."""
-        self.control.deactivate()
+        self._driven.deactivate()
         return SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -161,26 +159,34 @@ class SimulatorNode(ManagedNode):
             if self.control is not None:
                 self.control.stop()
 
-    def finish(self) -> None:
-        """Close the files and say where they are; makes no ROS call but to the log."""
+    def finish(self) -> int:
+        """Close the files, say where they are, return the exit status; calls only ROS's log."""
         if self.run is None:
             self._close_prepared()
         self._close_run()
         if self._incomplete:
             self.exit_status = self.exit_status or 1
+        return self.exit_status or 0
 
     def check(self, settings: Settings) -> None:
         """Raise ParameterError if changed parameters do not fit the run."""
-        self.run.check(settings)
+        self._driven.run.check(settings)
 
     def apply(self, settings: Settings) -> None:
         """Go on with changed parameters."""
-        self.run.apply(settings)
-        self.control.set_period()
+        self._driven.run.apply(settings)
+        self._driven.set_period()
 
-    def _prepare(self, settings: Settings, topics: list[Topic], discovery: Discovery) -> None:
+    @property
+    def _driven(self) -> Control:
+        """Return the control of the run; only a configured node is activated or changed."""
+        assert self.control is not None
+        return self.control
+
+    def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> Prepared:
         """Keep what is prepared: the node may be stopped before it can take it."""
         self._prepared = prepare(settings, topics, discovery, self.get_logger(), self._set_stage)
+        return self._prepared
 
     def _close_prepared(self) -> None:
         """Close the files of a run that has not begun, those as well that are being opened."""
@@ -198,7 +204,7 @@ class SimulatorNode(ManagedNode):
     def _reset_to_state(self) -> Answer | None:
         """Reset at once, if that is what a state to begin at asks for."""
         settings = self.settings
-        return self.control.reset(
+        return self._driven.reset(
             settings.reset_time) if settings.reset_on_initial_state else None
 
     def _close_run(self) -> None:
@@ -224,14 +230,14 @@ def main(argv: list[str]) -> int:
         try:
             _spin(node, received)
         finally:
-            node.finish()
+            status = node.finish()
             busy = node.busy
             node.destroy_node()
     if busy:
         # A compilation that nobody needs cannot be interrupted, nor be left to run into the end.
         sys.stdout.flush()
-        os._exit(node.exit_status)
-    return node.exit_status
+        os._exit(status)
+    return status
 
 
 def _spin(node: SimulatorNode, received: list[int]) -> None:

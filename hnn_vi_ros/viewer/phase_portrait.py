@@ -3,6 +3,7 @@
 """The still part of a phase portrait: its frame, its ticks and the level sets of H."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from contourpy import contour_generator
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -220,7 +221,8 @@ def contours(hamiltonian: Hamiltonian, frame: Frame, q0: np.ndarray, p0: np.ndar
     energy = np.ma.masked_invalid(hamiltonian.energy(q, p))
     lowest, highest = float(energy.min()), float(energy.max())
     levels = lowest + (highest - lowest) * ((np.arange(LEVELS) + 0.5) / LEVELS) ** 2
-    generator = contour_generator(x, y, energy)
+    # One of several forms of lines, by another argument.
+    generator: Any = contour_generator(x, y, energy)
     return [(float(level), generator.lines(level)) for level in levels]
 
 

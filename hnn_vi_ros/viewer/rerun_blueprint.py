@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.mechanisms.parts import Ball, Line, Part, Trail
@@ -348,7 +348,7 @@ def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement:
     if not views:
         return world
     if arrangement.quarters:
-        return rrb.Grid(world, *views, grid_columns=2)
+        return rrb.Grid(*views if world is None else (world, *views), grid_columns=2)
     portraits = rrb.Tabs(*views) if arrangement.tabbed else rrb.Grid(
         *views, grid_columns=arrangement.columns)
     if world is None:
@@ -469,7 +469,7 @@ def _world_view(bounds: np.ndarray, aspect: float, trails: Mapping[str, rrb.Visi
     contents = ['$origin/**', *([f'- {hidden}/**'] if hidden else [])]
     return rrb.Spatial3DView(
         name='Mechanism', origin='/world', contents=contents, background=BACKGROUND,
-        overrides=dict(trails),
+        overrides=dict[Any, Any](trails),
         line_grid=rrb.LineGrid3D(visible=False), eye_controls=rrb.EyeControls3D(
             position=eye_of(bounds, aspect), look_target=bounds.mean(axis=0),
             eye_up=[0.0, 0.0, 1.0]))

@@ -13,7 +13,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
-from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Trail
+from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
@@ -97,7 +97,8 @@ class RerunSink:
         # In a body that turns, no coordinate has a plane of its own with its momentum.
         self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
-        self._robot, self._picture = hamiltonian.robot, None
+        self._robot = hamiltonian.robot
+        self._picture: RobotPicture | None = None
         self._interval, self._epoch, self._due = max(1, interval), epoch, 0
         self._begin = begin
         self._pending: list[Sample] = []
@@ -274,7 +275,7 @@ class RerunSink:
             self._columns(path, times, _scalars(values))
         self._portraits.send(times, q, p)
         if self._mechanism is not None:
-            self._send_mechanism(times, q)
+            self._send_mechanism(times, self._mechanism(q, self._reach))
         if self._forces is not None:
             self._send_forces(self._forces, times, samples)
         if self._robot is not None:
@@ -314,8 +315,7 @@ class RerunSink:
         if np.isfinite(bounds).all():
             self._bounds_shown = _around(bounds, self._bounds_shown)
 
-    def _send_mechanism(self, times: list[rr.TimeColumn], q: np.ndarray) -> None:
-        parts = self._mechanism(q, self._reach)
+    def _send_mechanism(self, times: list[rr.TimeColumn], parts: dict[str, Part]) -> None:
         self._show(bounds_of(parts))
         for name, part in parts.items():
             if isinstance(part, Trail):

@@ -12,7 +12,7 @@ from uuid import NAMESPACE_OID, uuid5
 
 from hnn_vi_ros.errors import RecordingError
 import rerun as rr
-from rerun import bindings
+from rerun import bindings  # type: ignore[attr-defined]  # not exported, but needed
 import rerun.blueprint as rrb
 
 Target = Path | str | int
@@ -53,7 +53,7 @@ class RerunStream:
 
     def __init__(self, application: str, target: Target):
         self.live = not isinstance(target, Path)
-        self._target, self._size = target, 0
+        self._application, self._target, self._size = application, target, 0
         self.recording = _open(application, target)
 
     def send_blueprint(self, blueprint: rrb.Blueprint) -> None:
@@ -65,7 +65,7 @@ class RerunStream:
         """
         _number(blueprint.root_container, 'root')
         stream = rr.RecordingStream._from_native(bindings.new_blueprint(
-            application_id=self.recording.get_application_id(), make_default=False,
+            application_id=self._application, make_default=False,
             make_thread_default=False, default_enabled=True))
         stream.set_time('blueprint', sequence=0)
         blueprint._log_to_stream(stream)
@@ -83,7 +83,7 @@ class RerunStream:
             The file was removed, or cannot be written any more; the stream is closed.
 
         """
-        if self.live:
+        if not isinstance(self._target, Path):
             return
         try:
             before, self._size = self._size, self._target.stat().st_size
@@ -114,7 +114,7 @@ class RerunStream:
             raise RecordingError(f'{self._target}: the end of the rerun recording is lost '
                                  f'({_reason(problem)}): perhaps {why}') from problem
         self._hang_up(HANG_UP if isinstance(self._target, str) else FINISH)
-        if not self.live and not bindings.check_for_rrd_footer(self._target):
+        if isinstance(self._target, Path) and not bindings.check_for_rrd_footer(self._target):
             raise RecordingError(f'{self._target}: the end of the rerun recording is lost: '
                                  'perhaps the disk is full')
 

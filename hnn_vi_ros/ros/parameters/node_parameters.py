@@ -5,7 +5,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
@@ -165,6 +165,16 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     return settings(**values)
 
 
+class Adjustable(Protocol):
+    """Part of a node that follows changes of its parameters."""
+
+    def check(self, settings: Any) -> None:
+        """Raise ParameterError if changed settings do not fit."""
+
+    def apply(self, settings: Any) -> None:
+        """Go on with changed settings."""
+
+
 class Parameters:
     """
     The parameters of a node: declared, checked, and changed only where they may.
@@ -182,9 +192,8 @@ class Parameters:
         What they are worth.
     configured : bool
         Whether a configured run uses them.
-    run : object or None
-        It receives changes while it runs: ``check(settings)``, which may raise ParameterError,
-        and then ``apply(settings)``.
+    run : Adjustable or None
+        It receives changes while it runs.
 
     Raises
     ------
@@ -195,7 +204,8 @@ class Parameters:
 
     def __init__(self, node: Node):
         self.settings = declare_parameters(node, Settings)
-        self.configured, self.run = False, None
+        self.configured = False
+        self.run: Adjustable | None = None
         node.add_pre_set_parameters_callback(_with_doubles)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)

@@ -15,6 +15,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock as SteadyClock, ClockType
+from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -78,6 +79,11 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     name : str
         Of the node.
 
+    Attributes
+    ----------
+    exit_status : int or None
+        None while the node runs; then the exit status of the process.
+
     """
 
     def __init__(self, name: str):
@@ -89,6 +95,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         answer_changes(self, self._on_change_state)
         self._machine = state_machine(self)
         self._threads: list[threading.Thread] = []
+        self.exit_status: int | None = None
         self._turn = sys.getswitchinterval()
 
     @property
@@ -145,10 +152,15 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         if self.state != State.PRIMARY_STATE_FINALIZED:
             self._machine.trigger_transition_by_label(result.to_label(), True)
 
+    @property
+    def spinner(self) -> Executor:
+        """Return the executor, which there is while the node is spun."""
+        assert self.executor is not None
+        return self.executor
+
     async def in_thread(self, work: Callable[[], Any]) -> Any:
         """Let a thread do the work; return what it returns, raise what it raises."""
-        future, executor = Future(), self.executor
-        assert executor is not None, 'it spins the node'
+        future, executor = Future(), self.spinner
 
         def run() -> None:
             try:

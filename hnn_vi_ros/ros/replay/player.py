@@ -8,8 +8,8 @@ from itertools import chain, islice
 from queue import Full, Queue
 import threading
 import time
-from typing import Protocol
 
+from hnn_vi_ros.bags.mcap_reader import Recorded
 from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 
@@ -21,18 +21,12 @@ _ERRORS = 1_000_000
 _LONGEST_STEP = 5.0
 
 
-class Timed(Protocol):
-    """A message with its time [ns]."""
-
-    time: int
-
-
-def read_ahead(messages: Iterator[Timed]) -> Iterator[Timed]:
+def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     """Return what yields what an iterator yields; a thread asks it in advance, from now on."""
-    batches: Queue[list | BaseException | None] = Queue(_BATCHES)
+    batches: Queue[list[Recorded] | BaseException | None] = Queue(_BATCHES)
     given_up = threading.Event()
 
-    def put(item: list | BaseException | None) -> None:
+    def put(item: list[Recorded] | BaseException | None) -> None:
         while not given_up.is_set():
             try:
                 return batches.put(item, timeout=0.1)
@@ -40,7 +34,8 @@ def read_ahead(messages: Iterator[Timed]) -> Iterator[Timed]:
                 continue
 
     def read() -> None:
-        batch, size = [], 0
+        batch: list[Recorded] = []
+        size = 0
         try:
             for message in messages:
                 batch.append(message)
@@ -57,7 +52,7 @@ def read_ahead(messages: Iterator[Timed]) -> Iterator[Timed]:
             put(batch)
             put(None)
 
-    def take() -> Iterator[Timed]:
+    def take() -> Iterator[Recorded]:
         try:
             while (batch := batches.get()) is not None:
                 if isinstance(batch, BaseException):
@@ -70,7 +65,7 @@ def read_ahead(messages: Iterator[Timed]) -> Iterator[Timed]:
     return take()
 
 
-def _begun(messages: Iterator[Timed]) -> Iterator[Timed]:
+def _begun(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     """Return an iterator whose first message is there already."""
     first = list(islice(messages, 1))
     return chain(first, messages)
@@ -108,7 +103,7 @@ class Player(threading.Thread):
 
     """
 
-    def __init__(self, read: Callable[[], Iterator[Timed]], publish: Callable[[Timed], None],
+    def __init__(self, read: Callable[[], Iterator[Recorded]], publish: Callable[[Recorded], None],
                  tell_time: Callable[[int], None] | None, first: int, last: int,
                  rate: float = 1.0, loop: bool = False, paused: bool = False):
         super().__init__(name='player', daemon=True)
@@ -120,7 +115,8 @@ class Player(threading.Thread):
         self._position, self._since = first, time.monotonic_ns()
         self._clock_due = 0
         self._errors: deque[int] = deque(maxlen=_ERRORS)
-        self.published, self.problem = 0, None
+        self.published = 0
+        self.problem: Exception | None = None
 
     def run(self) -> None:
         """Play until the end, or until it is stopped."""
@@ -129,8 +125,8 @@ class Player(threading.Thread):
             self._since = time.monotonic_ns()
             while True:
                 # Those of the next round are read while this one is played.
-                messages, upcoming = upcoming, self._read() if self._loop else None
-                if not self._play(messages) or upcoming is None:
+                messages, upcoming = upcoming, self._read() if self._loop else iter(())
+                if not self._play(messages) or not self._loop:
                     return
                 with self._changed:
                     # Due now, or a while ago: nothing drifts from round to round either.
@@ -183,7 +179,7 @@ class Player(threading.Thread):
     def _deadline(self, stamp: int) -> int:
         return self._since + round((stamp - self._position) / self._rate)
 
-    def _play(self, messages: Iterator[Timed]) -> bool:
+    def _play(self, messages: Iterator[Recorded]) -> bool:
         """Play a round from the start to the end; False if it was stopped."""
         self._clock_due = max(self._first, 1)
         step = None

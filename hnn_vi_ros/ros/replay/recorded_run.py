@@ -112,7 +112,8 @@ class RecordedRun:
             self._described(), self._where, trust_code)
         self.origin = self._count('origin')
         self.first_step = self._count('first_step')
-        self._nanoseconds = Fraction(repr(self.scene.step_size)) * 10**9
+        step_size = Fraction(repr(self.scene.step_size))
+        self._step_size, self._nanoseconds = float(step_size), step_size * 10**9
 
     @property
     def names(self) -> dict[int, str]:
@@ -126,14 +127,16 @@ class RecordedRun:
         That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
         """
         if self.states:
-            for _, state in self.in_order(self.states, first):
+            # No other channel was asked for.
+            for state in (sample for _, sample in self.in_order(self.states, first) if sample):
                 yield state.stamp, {
                     'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
                     'H': np.array([state.energy]), 'work': np.array([state.work])}
             return
         # A bag of before ~/state: messages of one log time belong together.
         names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
-        stamp, found = -1, {}
+        stamp = -1
+        found: dict[str, Recorded] = {}
         for message in self.reader.messages(names, first):
             if message.time != stamp:
                 stamp, found = message.time, {}
@@ -240,7 +243,7 @@ class RecordedRun:
         rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
         try:
             if isinstance(rate, float | int) and 0 < rate < math.inf:
-                spacing = round(steps_between(rate, self.scene.step_size) * self._nanoseconds)
+                spacing = round(steps_between(rate, self._step_size) * self._nanoseconds)
                 if spacing < _LONGEST:
                     return spacing
         except (OverflowError, ZeroDivisionError):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -54,7 +54,7 @@ def recorded_qos(text: str) -> QoSProfile:
         YAML list of profiles, with policies by name or, as older bags have them, by number.
 
     """
-    first = next(iter(qos_profiles(text)), {})
+    first = next(iter(qos_profiles(text)), None)
     profile: Mapping[str, Any] = first if isinstance(first, dict) else {}
     depth = profile.get('depth')
     history = _policy(HistoryPolicy, profile.get('history'), HistoryPolicy.KEEP_LAST)
@@ -69,7 +69,7 @@ def recorded_qos(text: str) -> QoSProfile:
         deadline=_duration(profile.get('deadline')), lifespan=_duration(profile.get('lifespan')))
 
 
-def _policy(policies: type, value: object, default: Any) -> Any:
+def _policy(policies: Any, value: object, default: Any) -> Any:
     """Return a policy from its name or number, the default if none such can be offered."""
     offered = {policy.short_key: policy for policy in policies
                if policy.name not in ('SYSTEM_DEFAULT', 'UNKNOWN', 'BEST_AVAILABLE')}
@@ -136,12 +136,11 @@ class ReplayNode(RobustNode):
                 f'{(last - self._reader.first) * 1e-9:g} s long')
         if settings.duration:
             last = min(last, first + round(settings.duration * 1e9))
-        clock = create_publisher(
-            self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS) if settings.publish_clock else None
+        tell_time = self._open_clock() if settings.publish_clock else None
         self.player = Player(
             lambda: read_ahead(chain(
                 self._latched(first), self._reader.messages(self._publishers_of, first, last))),
-            self._publish, clock and (lambda stamp: clock.publish(clock_message(stamp))),
+            self._publish, tell_time,
             first, last, settings.rate, settings.loop, settings.start_paused)
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
@@ -189,7 +188,7 @@ class ReplayNode(RobustNode):
                 continue
             try:
                 if name not in topics:
-                    topics[name] = self._publisher(channel)
+                    topics[name] = self._publisher(number)
                 publishers[number] = topics[name]
             except RecordingError as problem:
                 self.get_logger().warning(f'{name} is left out: {problem}')
@@ -217,7 +216,13 @@ class ReplayNode(RobustNode):
                       in self._reader.messages(latched, last=first - 1)}
             yield from (message._replace(time=first) for message in newest.values())
 
-    def _publisher(self, channel) -> Publisher:
+    def _open_clock(self) -> Callable[[int], None]:
+        """Return what publishes the time of the bag [ns]."""
+        clock = create_publisher(self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS)
+        return lambda stamp: clock.publish(clock_message(stamp))
+
+    def _publisher(self, number: int) -> Publisher:
+        channel = self._reader.channels[number]
         schema = self._reader.schemas.get(channel.schema_id)
         if channel.message_encoding != 'cdr' or schema is None:
             raise RecordingError(f'its messages are encoded as {channel.message_encoding!r}, '

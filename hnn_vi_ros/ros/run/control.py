@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control of when a run advances: start, halt, pause, steps by number, reset."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 import gc
 import json
 import time
@@ -11,11 +11,10 @@ from typing import Any, NamedTuple, Protocol
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
-from hnn_vi_ros.ros.plumbing.managed_node import steady_timer
+from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.run.pacing import LONGEST_CALL
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -43,7 +42,7 @@ class Control:
 
     Parameters
     ----------
-    node : Node
+    node : ManagedNode
         The simulator.
     run : Run
         The run to drive.
@@ -62,14 +61,15 @@ class Control:
 
     """
 
-    def __init__(self, node: Node, run: Run, discovery: Discovery, settings: Settings):
-        self._node, self._run, self._discovery = node, run, discovery
+    def __init__(self, node: ManagedNode, run: Run, discovery: Discovery, settings: Settings):
+        self._node, self.run, self._discovery = node, run, discovery
         self.active, self.paused, self.stopped = False, settings.start_paused, True
-        self._run.status.paused = self.paused
+        self.run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
         # Steps of the request that is being worked on, and who waits for its end.
-        self._left, self._asked, self._waiting = 0, 0, None
+        self._left, self._asked = 0, 0
+        self._waiting: Future | None = None
         self._progress: Callable[[int, int], None] | None = None
         self._moved = 0.0
 
@@ -82,7 +82,7 @@ class Control:
         """Go on, for the first time once subscribers that are there have been found."""
         self.active, self.stopped = True, False
         if self.paused:
-            self._run.tell('paused until ~/set_pause ends it', 'INFO')
+            self.run.tell('paused until ~/set_pause ends it', 'INFO')
         if self._timer is None and not self._timers:
             self._add_timer(DISCOVERY_PERIOD, self._start_when_discovered)
         self._schedule()
@@ -92,14 +92,14 @@ class Control:
         self.active = False
         self._end_request(Answer(False, 'the node was deactivated'))
         self._schedule()
-        self._run.recording.flush()
+        self.run.recording.flush()
 
     def stop(self) -> None:
         """Take no more steps, and report how the run has ended."""
         self.active = False
         self._end_request(Answer(False, 'the run has ended'))
         if self._timer is not None:
-            self._run.publish_diagnostics()
+            self.run.publish_diagnostics()
 
     def close(self) -> None:
         """Take the timers away."""
@@ -113,13 +113,13 @@ class Control:
         word = 'paused' if paused else 'running' if self.active else 'to run once active'
         self.stopped = False
         if paused != self.paused:
-            self.paused = self._run.status.paused = paused
+            self.paused = self.run.status.paused = paused
             self._end_request(Answer(False, 'the pause was ended'))
             self._schedule()
-            self._run.tell('paused' if paused else 'pause ended', 'INFO')
+            self.run.tell('paused' if paused else 'pause ended', 'INFO')
             if paused:
-                self._run.recording.flush()
-        return Answer(True, f'{word} at t = {self._run.sampler.time:.9g} s')
+                self.run.recording.flush()
+        return Answer(True, f'{word} at t = {self.run.sampler.time:.9g} s')
 
     def request_steps(self, count: int, progress: Callable[[int, int], None] | None = None
                       ) -> Future:
@@ -159,19 +159,19 @@ class Control:
         """Go back to the initial state, running or paused as before."""
         self._end_request(Answer(False, 'the simulation was reset'))
         try:
-            self._run.reset(time_too)
+            self.run.reset(time_too)
         except (ValueError, StepFailure) as problem:
             return Answer(False, f'not reset: the initial state is refused: {problem}')
         finally:
             self._schedule()
-        self._run.tell('reset', 'INFO')
-        simulation = self._run.simulation
+        self.run.tell('reset', 'INFO')
+        simulation = self.run.simulation
         return Answer(True, self._where(q=simulation.q.tolist(), p=simulation.p.tolist(),
                                         reset_time=time_too))
 
     def reset_time(self) -> Answer:
         """Restart simulated time from the current state; resets go back as before."""
-        run, start = self._run, self._run.start
+        run, start = self.run, self.run.start
         run.set_start(run.simulation.q.copy(), run.simulation.p.copy())
         try:
             return self.reset(True)
@@ -181,13 +181,13 @@ class Control:
     def set_period(self) -> None:
         """Follow a change of the pace."""
         if self._timer is not None:
-            self._timer.timer_period_ns = round(self._run.pacer.timer_period * 1e9)
+            self._timer.timer_period_ns = round(self.run.pacer.timer_period * 1e9)
 
     def _schedule(self) -> None:
         """Let the timer run while there is something to do, owing nothing as of now."""
         if self._timer is None:
             return
-        self._run.start_clocks()
+        self.run.start_clocks()
         if self.active and (not self.paused or self._waiting is not None):
             self._timer.reset()
         else:
@@ -199,9 +199,9 @@ class Control:
             self._node.destroy_timer(self._timers.pop())
             # The preparation froze the rest; this freezes the objects made since.
             gc.freeze()
-            self._run.watch()
-            self._add_timer(_DIAGNOSTICS_PERIOD, self._run.publish_diagnostics)
-            self._timer = self._add_timer(self._run.pacer.timer_period, self._on_timer)
+            self.run.watch()
+            self._add_timer(_DIAGNOSTICS_PERIOD, self.run.publish_diagnostics)
+            self._timer = self._add_timer(self.run.pacer.timer_period, self._on_timer)
             self._schedule()
 
     def _add_timer(self, period: float, callback: Callable[[], None]) -> Timer:
@@ -216,7 +216,7 @@ class Control:
         Ticks that are shorter than this while are waited for here: a turn of the executor looks
         through all services, which costs more than a tick. Commands are heard after each.
         """
-        run, until = self._run, time.monotonic() + LONGEST_CALL
+        run, until = self.run, time.monotonic() + LONGEST_CALL
         while self.active and time.monotonic() < until:
             if self.paused:
                 if self._waiting is None:
@@ -236,7 +236,7 @@ class Control:
 
     def _take_requested(self) -> None:
         """Take a batch of the steps that were asked for; show where they end."""
-        taken = self._run.step(self._left)
+        taken = self.run.step(self._left)
         if taken is None:
             time.sleep(LONGEST_CALL)
             if time.monotonic() - self._moved > _LONGEST_WAIT and self._progress is None:
@@ -252,8 +252,8 @@ class Control:
             self._end_request(Answer(False, f'{why}: the state is the last good one'))
             self._schedule()
         elif self._left == 0 and self._waiting is not None:
-            if not self._run.at_sample:
-                self._run.show_state()
+            if not self.run.at_sample:
+                self.run.show_state()
             self._end_request(Answer(True, ''))
             self._schedule()
 
@@ -264,11 +264,11 @@ class Control:
             where = self._where(steps=self._asked - self._left)
             waiting, self._waiting, self._left = self._waiting, None, 0
             waiting.set_result(Answer(answer.success, ': '.join([*words, where])))
-            self._node.executor.wake()
+            self._node.spinner.wake()
 
     def _where(self, **figures: Any) -> str:
         """Return figures, and at which step, time [s] and stamp [ns] the run stands, as JSON."""
-        run = self._run
+        run = self.run
         return json.dumps(figures | {'step': run.simulation.steps, 'time': run.sampler.time,
                                      'stamp': run.sampler.stamp})
 
@@ -278,10 +278,20 @@ class Simulator(Protocol):
 
     run: Run | None
     control: Control | None
-    settings: Settings
-    state: int
-    stop: Callable[[int, str], None]
-    change_state: Callable[[int], Awaitable[bool]]
-    in_thread: Callable[[Callable[[], Any]], Awaitable[Any]]
-    set_parameters_atomically: Callable[[list[Parameter]], SetParametersResult]
-    refusal: str
+
+    @property
+    def settings(self) -> Settings: ...
+
+    @property
+    def state(self) -> int: ...
+
+    @property
+    def refusal(self) -> str: ...
+
+    def stop(self, status: int, reason: str) -> None: ...
+
+    async def change_state(self, transition: int) -> bool: ...
+
+    async def in_thread(self, work: Callable[[], Any]) -> Any: ...
+
+    def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult: ...

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prepare a run, which takes long, in another thread than the one that serves."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 import time
 from typing import Any, NamedTuple
@@ -216,13 +216,12 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
 
 def _load(settings: Settings) -> tuple[Scene, int, int, str]:
     """Return the scene, the step and the stamp of step 0 [ns] to go on from, damage of its log."""
-    overrides = {name: value for name, value in (
-        ('step_size', settings.step_size), ('integrator', settings.integrator)) if value}
+    step_size, integrator = settings.step_size or None, settings.integrator or None
     if not settings.resume:
-        return load_scene(settings.scene).with_overrides(
-            overrides.get('step_size'), overrides.get('integrator')), 0, 0, ''
-    if overrides:
-        raise ParameterError(f'parameter {next(iter(overrides))}: cannot be changed in a run that '
+        return load_scene(settings.scene).with_overrides(step_size, integrator), 0, 0, ''
+    if step_size or integrator:
+        name = 'step_size' if step_size else 'integrator'
+        raise ParameterError(f'parameter {name}: cannot be changed in a run that '
                              'is resumed; leave it out, or leave out resume')
     # Imported here: it reads bags, which few runs begin with.
     from hnn_vi_ros.ros.replay.recorded_run import resume
@@ -263,7 +262,7 @@ def compile_rest(simulation: Simulation,
     return True
 
 
-def with_start(scene: Scene, q: Sequence[float], p: Sequence[float]) -> Scene:
+def with_start(scene: Scene, q: np.ndarray, p: np.ndarray) -> Scene:
     """Return the scene with another initial state."""
     state = scene.initial_state.model_copy(
         update={'q': list(map(float, q)), 'p': list(map(float, p))})

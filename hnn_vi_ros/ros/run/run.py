@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A configured run: one scene from its initial state on, its messages, files and figures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 import math
 import time
 from typing import Any
 
-from hnn_vi_ros.companions.base import Accompanied
+from hnn_vi_ros.companions.base import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
@@ -33,6 +33,7 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.simulation.stepping import RescuePending
+import numpy as np
 from rclpy.node import Node
 
 
@@ -67,14 +68,15 @@ class Run:
         self._chosen = prepared.chosen
         simulation = watched(prepared.simulation, prepared.scene)
         self._members = prepared.members
-        self._spread = None if self._members is None else SpreadTopic(
-            self._members, simulation.hamiltonian, prepared.scene.uncertainty.limit)
+        uncertainty = prepared.scene.uncertainty
+        self._spread = None if self._members is None or uncertainty is None else SpreadTopic(
+            self._members, simulation.hamiltonian, uncertainty.limit)
         self._twin = None if prepared.twin is None else TwinTopic(
             prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
                 topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp)
-        companions = [one for one in (self._members, self._twin) if one is not None]
-        self.simulation = Accompanied(simulation, companions) if companions else simulation
+        self.simulation = accompany(
+            simulation, [one for one in (self._members, self._twin) if one is not None])
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step, self._waits = 1, math.inf, False
@@ -248,12 +250,12 @@ class Run:
     def _moved_by_others(self) -> bool:
         return bool(self.simulation.motors.takes) or self._start is not self._own_start
 
-    def set_start(self, q: Sequence[float], p: Sequence[float]) -> None:
+    def set_start(self, q: np.ndarray, p: np.ndarray) -> None:
         """Begin at this state from the next reset on."""
         self._next_start = q, p
 
     @property
-    def start(self) -> tuple[Sequence[float], Sequence[float]]:
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the initial state from the next reset on."""
         return self._next_start
 
