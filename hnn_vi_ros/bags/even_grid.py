@@ -31,7 +31,8 @@ class Missing(NamedTuple):
     count: int  # type: ignore[assignment]  # not tuple.count
 
 
-def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None) -> list[Missing]:
+def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
+                   ) -> list[Missing]:
     """
     Return the gaps in a grid, whose spacing is the most frequent difference if none is given.
 
