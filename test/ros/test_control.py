@@ -75,7 +75,7 @@ class Timers:
 
     def __init__(self):
         self.callbacks: list[Callable[[], None]] = []
-        self.executor = SimpleNamespace(wake=lambda: None)
+        self.spinner = SimpleNamespace(wake=lambda: None)
 
     def create_timer(self, period: float, callback, clock) -> SimpleNamespace:
         self.callbacks.append(callback)

@@ -221,7 +221,7 @@ def test_get_state_during_all_this_is_answered_by_every_node_of_two_namespaces(f
 
 
 def test_threads_that_overlap_leave_the_interpreter_as_they_found_it():
-    node = SimpleNamespace(executor=SimpleNamespace(wake=lambda: None), _threads=[],
+    node = SimpleNamespace(spinner=SimpleNamespace(wake=lambda: None), _threads=[],
                            _turn=sys.getswitchinterval())
     gate = threading.Event()
     first, second = (ManagedNode.in_thread(node, gate.wait) for _ in range(2))
