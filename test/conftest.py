@@ -80,6 +80,9 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
     os.environ.setdefault('MPLBACKEND', 'Agg')
+    # Small matrices gain nothing from more threads; those of several workers wait for each other.
+    for library in ('OMP', 'OPENBLAS', 'MKL'):
+        os.environ.setdefault(f'{library}_NUM_THREADS', '1')
     # A Python that a test starts in this folder imports what was built, as this one does, and not
     # the sources here, whose kernels would be compiled once more.
     os.environ['PYTHONSAFEPATH'] = '1'
