@@ -22,7 +22,7 @@ from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
-from mechanical_models import random_mechanical
+from mechanical_models import network, random_mechanical
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
@@ -83,13 +83,6 @@ def saved(folder: Path, family: str, d: int, **changes) -> str:
     path = folder / f'{family}_{d}.safetensors'
     save_checkpoint(path, random_model(family, d, **changes))
     return str(path)
-
-
-def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
-    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers, strict=True)]
-    for weight, bias in hidden:
-        x = torch.tanh(weight @ x + bias)
-    return last[0] @ x + last[1]
 
 
 def torch_lagrangian(model: Checkpoint, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
