@@ -79,9 +79,12 @@ def test_oscillator_with_an_effect_follows_its_exact_solution(kind, arguments, e
     assert order == pytest.approx(2.0, abs=0.35)
 
 
-def test_damping_of_a_free_particle_is_exact_to_round_off():
+# The noise of a thermostat without heat is of the size of 1e-20, the momenta are above 1e-5.
+@pytest.mark.parametrize('friction', [('damping', [0.3, 2.0]), ('thermostat', 1e-40, [0.3, 2.0])],
+                         ids=lambda friction: friction[0])
+def test_friction_of_a_free_particle_is_exact_to_round_off(friction: tuple):
     simulation = Simulation(free('x', 'y'), INTEGRATORS['stormer_verlet'](), 0.1,
-                            [0.0, 0.0], [1.0, 1.0], [effect('damping', [0.3, 2.0])])
+                            [0.0, 0.0], [1.0, 1.0], [effect(*friction)])
     t, _, p = path(simulation, 50)
     # Two factors a step, each rounded.
     exact = np.exp(-np.outer(t, [0.3, 2.0]))
@@ -362,12 +365,3 @@ def test_thermostat_lets_the_velocity_of_a_free_particle_decay_exponentially():
     for lag in (0, 1, 4, 10):
         products = p[:len(p) - lag] * p[lag:]
         assert_within_three_errors(products, mass * np.exp(-rate * h * lag))
-
-
-def test_thermostat_without_heat_is_exact_friction():
-    simulation = Simulation(free('x', 'y'), INTEGRATORS['stormer_verlet'](), 0.1,
-                            [0.0, 0.0], [1.0, 1.0],
-                            [effect('thermostat', 1e-40, [0.3, 2.0])])
-    t, _, p = path(simulation, 50)
-    # The noise is of the size of 1e-20, the momenta above 1e-5; each step rounds twice.
-    assert np.abs(p / np.exp(-np.outer(t, [0.3, 2.0])) - 1.0).max() <= 2 * 50 * 2 * EPS
