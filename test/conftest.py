@@ -10,6 +10,7 @@ from hashlib import sha256
 from importlib.metadata import distributions
 import os
 from pathlib import Path
+import signal
 import socket
 import sys
 import tempfile
@@ -79,6 +80,8 @@ def _claim_domain() -> int:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set the environment before any test module imports rclpy; subprocesses inherit it."""
+    # What a shell starts in the background is deaf to Ctrl-C, which tests press.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
