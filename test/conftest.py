@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Give every test session a ROS 2 graph, a domain and log folders of its own."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 import fcntl
+from hashlib import sha256
+from importlib.metadata import distributions
 import os
 from pathlib import Path
+import signal
 import socket
 import sys
 import tempfile
@@ -76,10 +80,15 @@ def _claim_domain() -> int:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set the environment before any test module imports rclpy; subprocesses inherit it."""
+    # What a shell starts in the background is deaf to Ctrl-C, which tests press.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
     os.environ.setdefault('MPLBACKEND', 'Agg')
+    # Small matrices gain nothing from more threads; those of several workers wait for each other.
+    for library in ('OMP', 'OPENBLAS', 'MKL'):
+        os.environ.setdefault(f'{library}_NUM_THREADS', '1')
     # A Python that a test starts in this folder imports what was built, as this one does, and not
     # the sources here, whose kernels would be compiled once more.
     os.environ['PYTHONSAFEPATH'] = '1'
@@ -96,6 +105,31 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if missing := [str(path) for path in places if not path.is_file()]:
         raise pytest.UsageError(f'{__file__}: LONGEST has no file {", ".join(missing)}')
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
+
+
+@pytest.fixture
+def changed_sources(pytestconfig: pytest.Config
+                    ) -> Callable[[str], AbstractContextManager[list[str]]]:
+    """Return a context of the Python files that a linter has not found to be right before."""
+    root = Path(__file__).parents[1]
+    # Not those of .venv/, build/, install/ and docs/_build/.
+    paths = [root / 'setup.py', *(root / 'docs').glob('*.py'), *(
+        path for folder in ('docs/studies', 'hnn_vi_ros', 'launch', 'test')
+        for path in (root / folder).rglob('*.py'))]
+    # Another version of a plugin may find more.
+    tools = sorted(f'{tool.name} {tool.version}' for tool in distributions())
+    files = {str(path): sha256(f'{path} {tools}'.encode() + path.read_bytes()).hexdigest()
+             for path in paths}
+    cache = pytestconfig.cache
+    assert cache is not None
+
+    @contextmanager
+    def changed(linter: str) -> Iterator[list[str]]:
+        right = cache.get(f'{linter}/right', [])
+        # At least one: without any, a linter would look for files by itself.
+        yield [path for path, digest in files.items() if digest not in right] or [str(paths[0])]
+        cache.set(f'{linter}/right', [*files.values()])
+    return changed
 
 
 @dataclass(frozen=True)

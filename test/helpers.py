@@ -5,10 +5,14 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from math import comb
+import os
+from pathlib import Path
 
+from hnn_vi_ros.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
@@ -19,6 +23,7 @@ from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.scene import load_scene
 from mpmath import mp, mpf
 import numpy as np
 import torch
@@ -153,6 +158,38 @@ class Uncompiled(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions, uncompiled."""
         return python_kernel(self._base)
+
+
+def free(*names: str) -> Uncompiled:
+    """Return free coordinates of 1 kg each."""
+    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
+
+
+@cache
+def problem_of(name: str) -> InitialValueProblem:
+    """Return what a shipped scene simulates."""
+    scene = load_scene(name)
+    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
+                               np.array(scene.initial_state.q), np.array(scene.initial_state.p))
+
+
+def content_of(bag: Path) -> list[tuple[str, int, bytes]]:
+    """Return topic, time and data of the messages of a bag, which is not damaged."""
+    reader = BagReader(bag)
+    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
+    assert not reader.damage
+    return found
+
+
+class Malicious:
+    """Unpickling this makes a folder."""
+
+    def __init__(self, marker: Path):
+        self.marker = marker
+
+    def __reduce__(self):
+        """Have pickle call os.mkdir."""
+        return os.mkdir, (str(self.marker),)
 
 
 def python_gradient(hamiltonian: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

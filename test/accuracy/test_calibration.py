@@ -3,11 +3,11 @@
 """The integrator auto: what it chooses holds the tolerance, and what cannot be held is said."""
 
 from dataclasses import replace
-from functools import cache
 from itertools import accumulate, count
 import math
 
 from benchmarks import campaign
+from helpers import problem_of
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES, Choice, remembered
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
@@ -41,21 +41,12 @@ PAIRS = [
 ]
 
 
-@cache
-def problem(name: str) -> InitialValueProblem:
-    """Return what a shipped scene simulates."""
-    scene = load_scene(name)
-    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                               np.array(scene.initial_state.q), np.array(scene.initial_state.p))
-
-
 def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
     """Return the error that a choice makes up to the horizon, looked at a thousand times."""
-    method = Method(choice.method, choice.arguments)
-    simulation = problem(name).simulation(method, choice.step_size)
+    method, problem = Method(choice.method, choice.arguments), problem_of(name)
+    simulation = problem.simulation(method, choice.step_size)
     if tolerance.kind == PATH:
-        reference = make_reference(
-            problem(name).hamiltonian, problem(name).q, problem(name).p, tolerance.horizon)
+        reference = make_reference(problem.hamiltonian, problem.q, problem.p, tolerance.horizon)
         tenth = reference.instants.count // 10
         errors = []
         for k in range(10):
@@ -76,7 +67,7 @@ def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
 @pytest.mark.parametrize('name, tolerance', PAIRS, ids=lambda value: str(value) if isinstance(
     value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
 def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
-    choice = calibrate(problem(name), tolerance)
+    choice = calibrate(problem_of(name), tolerance)
     error = error_of(name, tolerance, choice)
     measured('error of what auto chose', f'{name}, {tolerance.kind} up to '
              f'{tolerance.horizon:g} s, {choice.method}, h = {choice.step_size:.3g}', error,
@@ -131,7 +122,7 @@ def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
 
 def test_step_that_the_publish_rate_bounds_is_said():
     tolerance = Tolerance(ENERGY, 1e-2, 40.0)
-    bounded, free = (calibrate(problem('exact_pendulum'), tolerance, largest)
+    bounded, free = (calibrate(problem_of('exact_pendulum'), tolerance, largest)
                      for largest in (1e-3, None))
     assert bounded.step_size == 1e-3
     assert 'h is no longer than the 0.001 s between two samples' in bounded.explain(tolerance)
@@ -140,7 +131,7 @@ def test_step_that_the_publish_rate_bounds_is_said():
 
 def test_path_that_round_off_hides_is_not_called_chaotic():
     with pytest.raises(CalibrationError, match='round-off: the motion is regular'):
-        calibrate(problem('exact_pendulum'), Tolerance(PATH, 1e-17, 20.0))
+        calibrate(problem_of('exact_pendulum'), Tolerance(PATH, 1e-17, 20.0))
 
 
 def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
@@ -160,7 +151,7 @@ def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(m
     """In gradients, which do not depend on the machine; the campaign has more of these."""
     monkeypatch.setattr(campaign, '_METHODS', [
         Method(name) for name in CANDIDATES if name != 'time_transformed'])
-    mine, tolerance = problem('exact_pendulum'), Tolerance(ENERGY, 1e-5, 40.0)
+    mine, tolerance = problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-5, 40.0)
     _, least, _ = campaign.sweep(mine, campaign.Truth(mine, tolerance.horizon), tolerance)
     assert calibrate(mine, tolerance).gradients_per_simulated_second <= 1.5 * least
 
@@ -170,19 +161,19 @@ def test_there_are_twenty_held_back_pairs():
 
 
 def test_step_divides_the_time_between_two_samples():
-    choice = calibrate(problem('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01)
+    choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01)
     parts = 0.01 / choice.step_size
     assert choice.step_size <= 0.01 and parts == pytest.approx(round(parts), rel=1e-12)
 
 
 def test_tolerance_below_round_off_is_refused_with_the_nearest():
     with pytest.raises(CalibrationError, match=r'no method holds .* the nearest is gauss\d+'):
-        calibrate(problem('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
+        calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
 
 
 def test_path_of_a_chaotic_motion_is_refused():
     with pytest.raises(CalibrationError, match=r'chaotic, with a Lyapunov time of \d'):
-        calibrate(problem('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0))
+        calibrate(problem_of('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0))
 
 
 def test_candidates_all_keep_their_energy():
@@ -264,7 +255,7 @@ def test_effect_that_no_candidate_takes_is_refused(scene):
 def test_remembered_tells_largest_steps_apart(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     tolerance = Tolerance(ENERGY, 1e-3, 50.0)
-    steps = [remembered(problem('exact_pendulum'), tolerance, largest, 'name').step_size
+    steps = [remembered(problem_of('exact_pendulum'), tolerance, largest, 'name').step_size
              for largest in (None, 0.01)]
     assert steps[1] <= 0.01 < steps[0]
 

@@ -6,22 +6,15 @@ from functools import cache
 import math
 
 from exact_motions import exact_orbit
+from helpers import problem_of
 from hnn_vi_ros.accuracy import cost
 from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
 from hnn_vi_ros.accuracy.path_reference import exact_path, Instants
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
+from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene import load_scene
 import numpy as np
 import pytest
-
-
-def problem_of(name: str) -> InitialValueProblem:
-    """Return what a shipped scene simulates."""
-    scene = load_scene(name)
-    return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
-                               np.array(scene.initial_state.q), np.array(scene.initial_state.p))
 
 
 @pytest.fixture

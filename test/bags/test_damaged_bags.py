@@ -17,6 +17,7 @@ import subprocess
 import sys
 
 from bag_mutations import joined, KINDS, Mutant, mutant, opcode_flips, records_of
+from helpers import content_of
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC, walk
@@ -58,13 +59,6 @@ def killed(tmp_path_factory) -> bytes:
 @pytest.fixture(scope='module')
 def finished(tmp_path_factory) -> bytes:
     return make(tmp_path_factory.mktemp('finished') / 'bag', TICKS, close=True)
-
-
-def content_of(bag: Path) -> Content:
-    reader = BagReader(bag)
-    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
-    assert not reader.damage
-    return found
 
 
 def expected(ticks: int = TICKS, topics: Sequence[Topic] = TOPICS, first: int = 0) -> Content:

@@ -5,7 +5,8 @@
 from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
-from benchmarks.networks import jax_gradient, random_network
+from benchmarks.networks import jax_gradient
+from helpers import random_checkpoint
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import jax
@@ -27,7 +28,7 @@ def rows(settings: Settings) -> Iterator[Row]:
     for width, target, n in _CASES:
         settings.say(f'2-{width}-{width}-1')
         n = n // 10 if settings.quick else n
-        checkpoint = random_network([2, width, width, 1], SEED)
+        checkpoint = random_checkpoint([2, width, width, 1], SEED)
         ours, check = _our_loop(NeuralHamiltonian(checkpoint).kernel, n)
         theirs = {unroll: _jax_loop(jax_gradient(checkpoint), n, unroll) for unroll in _UNROLL}
         # Descent does not amplify the rounding errors: 1e-12 a gradient, and n small steps.

@@ -8,7 +8,7 @@ from pathlib import Path
 import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from benchmarks.networks import random_network
+from helpers import random_checkpoint
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
@@ -35,7 +35,7 @@ def rows(settings: Settings) -> Iterator[Row]:
     """Measure a random 2-200-200-1 and the shipped pendulum."""
     with tempfile.TemporaryDirectory() as folder:
         save_checkpoint(Path(folder) / 'network.safetensors',
-                        random_network([2, 200, 200, 1], SEED))
+                        random_checkpoint([2, 200, 200, 1], SEED))
         path = Path(folder) / 'network.yaml'
         path.write_text(_RANDOM_SCENE)
         yield from _rows_of('2-200-200-1', load_scene(path), 20, settings)

@@ -17,16 +17,9 @@ from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
 import numpy as np
 import pytest
+from test_cli import ask
 
 SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
-
-
-def hnn(*words: str) -> subprocess.CompletedProcess:
-    """Run the command; the last line that it prints is what it has imported."""
-    code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
-            'from hnn_vi_ros.cli import main; main()')
-    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
-                          timeout=240, check=False)
 
 
 def test_every_executable_is_a_command():
@@ -36,18 +29,18 @@ def test_every_executable_is_a_command():
 
 
 def test_help_tells_all_commands_without_what_they_take():
-    result = hnn('--help')
+    result = ask('main', '--help')
     assert (result.returncode, result.stderr) == (0, '')
     *text, imported = result.stdout.splitlines()
     assert text[0].startswith('usage: hnn ')
     assert all(any(line.startswith(f'  {name} ') for line in text) for name in COMMANDS)
     assert not {'numpy', 'numba', 'rclpy', 'yaml', 'pydantic'} & set(imported.split())
-    assert hnn('--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
+    assert ask('main', '--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
 
 
 @pytest.mark.parametrize('name', ['import-checkpoint', 'run', 'train'])
 def test_help_of_a_command_names_it_as_it_was_called(name):
-    *text, _ = hnn(name, '--help').stdout.splitlines()
+    *text, _ = ask('main', name, '--help').stdout.splitlines()
     shown = name.replace('-', '_')
     assert text[0].startswith(f'usage: hnn {shown} ')
     assert any(line.startswith(f'  hnn {shown} ') for line in text)
@@ -69,13 +62,13 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
     (['scene', '--check', 'pendulumm'], 1, "hnn scene: no scene 'pendulumm'"),
 ])
 def test_mistake_is_one_line_with_the_command(words, status, begin):
-    result = hnn(*words)
+    result = ask('main', *words)
     assert result.returncode == status
     assert result.stderr.startswith(begin) and result.stderr.count('\n') == 1
 
 
 def test_model_that_must_be_trained_is_told_with_its_data_and_a_command_that_is_there():
-    result = hnn('run', 'air_track')
+    result = ask('main', 'run', 'air_track')
     assert result.returncode == 1 and result.stderr.count('\n') == 1
     assert 'train it with: hnn train --config air_track --data FILE, which is real_linear_h_1' \
         in result.stderr

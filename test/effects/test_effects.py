@@ -6,7 +6,7 @@ from pathlib import Path
 
 from effect_table import create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN
 from helpers import (
-    EPS, exact, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
+    EPS, exact, free, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
 from hnn_vi_ros.effects.commands import NUMBERS
@@ -27,11 +27,6 @@ pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network
 
 NAN, INF = float('nan'), float('inf')
 NAMES = ('x', 'y', 'z', 'x2', 'y2', 'z2')
-
-
-def free(*names: str) -> Hamiltonian:
-    """Return free coordinates of 1 kg each."""
-    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
 
 
 def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path = Path(),

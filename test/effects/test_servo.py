@@ -132,6 +132,14 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     assert simulation.dH_dq[1] == 0.0
 
 
+def assert_refused(simulation: Simulation, given: object, message: str) -> None:
+    simulation.set_command(command('xy', position=0.3))
+    before = simulation.motors.aim.targets
+    with pytest.raises(ValueError, match=message):
+        simulation.set_command(given)
+    assert np.array_equal(simulation.motors.aim.targets, before)
+
+
 @pytest.mark.parametrize('given, message', [
     (command('xw', position=1.0), "no joint 'w' is driven so; valid joints: x, y"),
     (command('xx', position=1.0), 'names a joint twice'),
@@ -156,12 +164,7 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     (path([1.0], [1.0], names='xy', delay=1.7e9), 'begins in 1.7e'),
     (path([1.0, 2.0], [1e13, 0.0], names='xy'), r'positions .* at most 1e\+12')])
 def test_command_that_cannot_be_used_is_refused_whole(given, message):
-    simulation = servo('x', 'y')
-    simulation.set_command(command('xy', position=0.3))
-    before = simulation.motors.aim.targets
-    with pytest.raises(ValueError, match=message):
-        simulation.set_command(given)
-    assert np.array_equal(simulation.motors.aim.targets, before)
+    assert_refused(servo('x', 'y'), given, message)
 
 
 @pytest.mark.parametrize('columns', [1, 2, 3])
@@ -296,12 +299,8 @@ LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
     (command('xy', position=[NAN, 3.0], velocity=0.0), 'position of y is 3, beyond its upper'),
     (path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy'), 'position of x is -1.25, beyond')])
 def test_position_beyond_a_limit_is_refused_and_the_last_one_stays(given, message):
-    simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
-    simulation.set_command(command('xy', position=0.3))
-    before = simulation.motors.aim.targets
-    with pytest.raises(ValueError, match=message):
-        simulation.set_command(given)
-    assert np.array_equal(simulation.motors.aim.targets, before)
+    assert_refused(servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog'), given,
+                   message)
 
 
 def test_position_on_a_limit_to_the_digits_of_a_file_is_taken():

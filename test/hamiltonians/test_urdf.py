@@ -62,6 +62,15 @@ def test_quaternions_turn_as_the_angles_that_they_stand_for(version):
 LIMIT = 'lower="-0.5" upper="0.5" velocity="1" effort="90"'
 
 
+def assert_read_or_refused(folder, text: str, expected: str | None) -> None:
+    if expected is None:
+        assert build(folder, text).dimension == 5
+        return
+    with pytest.raises(ModelError, match=expected) as caught:
+        build(folder, text)
+    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+
+
 @pytest.mark.parametrize('version, old, new, expected', [
     ('2.0', '', '', r"robot.urdf:1: robot version='2.0' cannot be read; valid: 1.0, 1.1, 1.2"),
     ('1', '', '', "robot version='1' cannot be read"),
@@ -93,12 +102,7 @@ def test_each_version_of_the_format_is_read_as_urdfdom_reads_it(
     text = TREE.replace(old, new, 1) if old else TREE
     if version is not None:
         text = text.replace('<robot ', f'<robot version="{version}" ', 1)
-    if expected is None:
-        assert build(tmp_path, text).dimension == 5
-        return
-    with pytest.raises(ModelError, match=expected) as caught:
-        build(tmp_path, text)
-    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+    assert_read_or_refused(tmp_path, text, expected)
 
 
 @pytest.mark.parametrize('old, new, expected', [
@@ -141,12 +145,7 @@ def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest
     text = TREE.replace(old, new, 1)
     if 'drake:' in new and 'xmlns' not in new:
         text = text.replace('<robot ', '<robot xmlns:drake="http://drake.mit.edu" ', 1)
-    if expected is None:
-        assert build(tmp_path, text).dimension == 5
-        return
-    with pytest.raises(ModelError, match=expected) as caught:
-        build(tmp_path, text)
-    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+    assert_read_or_refused(tmp_path, text, expected)
 
 
 def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):

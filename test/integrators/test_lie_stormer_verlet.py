@@ -4,12 +4,10 @@
 
 from helpers import Uncompiled
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
-from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
-from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.integrators.composition import KahanLi8
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
@@ -23,17 +21,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from test_lie_methods import (
-    check_order, defect, euler_poisson, P, product, Q, simulation, start, step,
-    trivialised_jacobian)
+    check_order, defect, P, product, Q, simulation, start, step, trivialised_jacobian)
 
 pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
-
-
-@pytest.fixture(scope='module')
-def reference() -> np.ndarray:
-    """Return the state of the top without symmetry at t = 1, of another method."""
-    return solve_ivp(euler_poisson, (0.0, 1.0), [*Q, *P], 'DOP853', rtol=1e-13, atol=1e-13
-                     ).y[:, -1]
 
 
 @pytest.fixture
@@ -43,13 +33,12 @@ def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(mpf, name, getattr(mpmath, name), raising=False)
 
 
-def test_lie_stormer_verlet_converges_with_order_2(reference: np.ndarray, measured):
-    check_order('lie_stormer_verlet', LieStormerVerlet(), [40, 80, 160], reference, measured)
+def test_lie_stormer_verlet_converges_with_order_2(measured):
+    check_order('lie_stormer_verlet', LieStormerVerlet(), [40, 80, 160], measured)
 
 
-def test_kahan_li8_over_lie_stormer_verlet_converges_with_order_8(reference: np.ndarray,
-                                                                  measured):
-    check_order('kahan_li8', KahanLi8('lie_stormer_verlet'), [6, 9, 12], reference, measured)
+def test_kahan_li8_over_lie_stormer_verlet_converges_with_order_8(measured):
+    check_order('kahan_li8', KahanLi8('lie_stormer_verlet'), [6, 9, 12], measured)
 
 
 @pytest.mark.parametrize('method', [LieStormerVerlet(), KahanLi8('lie_stormer_verlet')],
@@ -82,24 +71,6 @@ def test_free_body_of_two_equal_moments_moves_exactly(inertia: list[float]):
     assert np.allclose([*run.q, *run.p], true, rtol=0.0, atol=1e-11)
 
 
-def test_lie_stormer_verlet_keeps_energy_momentum_and_norm_over_a_million_steps(measured):
-    top = HeavyTop()
-    run, n = Simulation(top, LieStormerVerlet(), 0.01, Q, P), 1_000_000
-    q, p = run.record(n // 10, 10)
-    energies, vertical = top.energy(q, p) - top.energy(Q, P), spatial_momentum(q, p)[:, 2]
-    for what, value in (
-            ('norm of R^T R - I', abs(np.sum(q * q, axis=-1) - 1.0).max()),
-            ('vertical momentum', abs(vertical - spatial_momentum(Q, P)[2]).max()),
-            ('spin of a symmetric top', abs(p[:, 2] - P[2]).max())):
-        measured(f'{what}, 1e6 steps', 'lie_stormer_verlet, heavy_top', value, '<= 1e-12')
-        assert value <= 1e-12
-    first, last = energies[:n // 100], energies[-n // 100:]
-    # A band, that of the first tenth; 1e-2 of it is what the phase of samples makes of it.
-    band = first.max() - first.min()
-    assert abs(last.max() - first.max()) < 1e-2 * band
-    assert abs(last.min() - first.min()) < 1e-2 * band
-
-
 def test_pose_on_a_spring_moves_as_by_the_gauss_method():
     spring = EFFECTS['spring'](['body'], point_in_body=[0.03, -0.04, 0.02], stiffness=4.0,
                                anchor=[0.1, 0.0, 9.5], rest_length=0.5)
@@ -111,14 +82,6 @@ def test_pose_on_a_spring_moves_as_by_the_gauss_method():
         ends.append(np.array([*run.q, *run.p]))
     # Half the step changes either by 1.5e-9 at most.
     assert np.allclose(*ends, rtol=0.0, atol=1e-8)
-
-
-def test_lie_stormer_verlet_fails_where_a_step_would_turn_the_body_by_nearly_pi():
-    run = simulation(LieStormerVerlet(), 1.0, FreeRigidBody([1.0, 1.0, 1.0]),
-                     (Q, [0.0, 0.0, 3.1]), on_failure='stop')
-    with pytest.raises(StepFailure, match='turn by nearly pi'):
-        run.advance(1)
-    assert run.steps == 0 and (run.q == Q).all()
 
 
 def test_lie_stormer_verlet_refuses_what_it_cannot_take():

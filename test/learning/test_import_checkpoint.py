@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks of others: the same energy as their source, and nothing of a file is run."""
 
-import os
 from pathlib import Path
 import pickle
 import tarfile
 import zipfile
 
+from helpers import Malicious
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
 from hnn_vi_ros.learning.import_checkpoint import main, MAX_BYTES, read_layers
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -120,17 +120,6 @@ def test_box_can_be_that_of_the_data_of_a_configuration(tmp_path):
                               'harmonic_oscillator')
     # 1000 uniform samples of [-2, 2].
     assert np.abs(np.abs(hamiltonian.box) - 2.0).max() < 0.02
-
-
-class Malicious:
-    """Unpickling this makes a folder."""
-
-    def __init__(self, marker: Path):
-        self.marker = marker
-
-    def __reduce__(self):
-        """Have pickle call os.mkdir."""
-        return os.mkdir, (str(self.marker),)
 
 
 @pytest.mark.parametrize('legacy', [False, True])

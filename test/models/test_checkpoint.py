@@ -10,6 +10,7 @@ import pickle
 import subprocess
 import sys
 
+from helpers import Malicious
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.models.checkpoint import (
@@ -178,17 +179,6 @@ def test_pointer_of_git_lfs_is_named_as_such(tmp_path):
 def test_named_pipe_is_refused_without_waiting(tmp_path):
     os.mkfifo(tmp_path / 'pipe.safetensors')
     assert_refused(tmp_path / 'pipe.safetensors', 'is no regular file')
-
-
-class Malicious:
-    """Unpickling this makes a folder."""
-
-    def __init__(self, marker: Path):
-        self.marker = marker
-
-    def __reduce__(self):
-        """Have pickle call os.mkdir."""
-        return os.mkdir, (str(self.marker),)
 
 
 @pytest.mark.parametrize('writer', ['pickle', 'torch'])

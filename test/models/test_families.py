@@ -22,7 +22,7 @@ from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
-from mechanical_models import random_mechanical
+from mechanical_models import assert_agrees_with_torch, network, random_mechanical
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
@@ -85,13 +85,6 @@ def saved(folder: Path, family: str, d: int, **changes) -> str:
     return str(path)
 
 
-def network(layers: Layers, x: torch.Tensor) -> torch.Tensor:
-    *hidden, last = [tuple(map(torch.tensor, parts)) for parts in zip(*layers, strict=True)]
-    for weight, bias in hidden:
-        x = torch.tanh(weight @ x + bias)
-    return last[0] @ x + last[1]
-
-
 def torch_lagrangian(model: Checkpoint, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     mass = torch.tensor(model.card.mass, dtype=torch.float64)
     return 0.5 * v @ mass @ v + network(model.networks['lagrangian'], torch.cat([q, v]))[0]
@@ -147,21 +140,11 @@ def states(d: int, n: int = 5) -> np.ndarray:
 @pytest.mark.parametrize('d', [1, 3])
 @pytest.mark.parametrize('family', FAMILIES)
 def test_kernel_of_each_family_agrees_with_torch_autograd(family: str, d: int):
-    hamiltonian = learned(family, d)
-    z, v = states(d), states(d)[::-1]
-    gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
-    product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
-    energies = hamiltonian.energy(z[:, :d], z[:, d:])
-    for i in range(len(z)):
-        state = torch.tensor(z[i], requires_grad=True)
-        energy = torch_energy(hamiltonian.checkpoint, state)
-        (slope,) = torch.autograd.grad(energy, state, create_graph=True)
-        (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
-        assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
-        assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
-        if family != 'lagrangian':
-            # One step of Newton's method carries no second derivative of v: see the next test.
-            assert np.abs(product[i] - curved.numpy()).max() <= ROUND_OFF
+    hamiltonian, z = learned(family, d), states(d)
+    # One step of Newton's method carries no second derivative of v: see the next test.
+    curvature = np.inf if family == 'lagrangian' else ROUND_OFF
+    assert_agrees_with_torch(hamiltonian, hamiltonian.checkpoint, z, z[::-1], torch_energy,
+                             curvature)
 
 
 @pytest.mark.parametrize('d', [1, 3])

@@ -155,21 +155,30 @@ def peer() -> Iterator[Peer]:
 
 
 @contextmanager
-def hearing(kind: type, topic: str) -> Iterator[tuple[list, SingleThreadedExecutor]]:
-    """Give what another node hears on a topic, and its executor."""
+def nodes_of(*names: str) -> Iterator[tuple[list[Node], SingleThreadedExecutor]]:
+    """Give nodes in a context of their own, and the executor of all."""
     context = Context()
     rclpy.init(context=context)
-    node = rclpy.create_node('subscriber', context=context)
+    nodes = [rclpy.create_node(name, context=context) for name in names]
     executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    messages: list = []
-    node.create_subscription(kind, topic, messages.append, 10)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        yield messages, executor
+        yield nodes, executor
     finally:
         executor.shutdown()
-        node.destroy_node()
+        for node in nodes:
+            node.destroy_node()
         rclpy.shutdown(context=context)
+
+
+@contextmanager
+def hearing(kind: type, topic: str) -> Iterator[tuple[list, SingleThreadedExecutor]]:
+    """Give what another node hears on a topic, and its executor."""
+    with nodes_of('subscriber') as ((node,), executor):
+        messages: list = []
+        node.create_subscription(kind, topic, messages.append, 10)
+        yield messages, executor
 
 
 def stamp(message: JointState) -> int:

@@ -25,6 +25,11 @@ def start(folder: Path, **parameters: object) -> subprocess.Popen:
     return start_executable('simulator', '--ros-args', *arguments, folder=folder)
 
 
+def to_file(path: Path) -> list[str]:
+    """Return the arguments by which rerun_bridge writes a file."""
+    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
+
+
 def start_executable(name: str, *words: object, folder: Path | None = None) -> subprocess.Popen:
     """Start one of the package's executables."""
     # What started the tests may have made them deaf to a closed terminal, as nohup does.

@@ -7,6 +7,7 @@ import re
 import shutil
 import sqlite3
 
+from helpers import content_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags import bag_files
 from hnn_vi_ros.bags.mcap_file import McapFile
@@ -77,20 +78,13 @@ FORMS |= {f'{plugin.name} with zstd around each {mode.name}':
           for plugin in StoragePlugin for mode in (CompressionMode.MESSAGE, CompressionMode.FILE)}
 
 
-def messages_of(bag: Path) -> list[tuple[str, int, bytes]]:
-    reader = BagReader(bag)
-    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
-    assert not reader.damage
-    return found
-
-
 @pytest.fixture(scope='module', params=FORMS)
 def foreign(request, run, tmp_path_factory) -> Path:
     return FORMS[request.param](run, tmp_path_factory.mktemp('foreign') / 'bag')
 
 
 def test_foreign_bag_holds_the_same_messages(run, foreign):
-    assert sorted(messages_of(foreign)) == sorted(messages_of(run))
+    assert sorted(content_of(foreign)) == sorted(content_of(run))
     reader = BagReader(foreign)
     assert (reader.first, reader.last) == (0, TICKS * 10**7)
     assert len(reader.channels) == len(BagReader(run).channels)
@@ -135,7 +129,7 @@ def show(bag: Path) -> None:
 def test_foreign_bag_is_replayed(run, foreign):
     status, _, log = finish(start_executable(
         'replay', foreign, '--rate', 100, '--discovery-time', 0))
-    assert status == 0 and f'{len(messages_of(run))} messages published' in log
+    assert status == 0 and f'{len(content_of(run))} messages published' in log
     assert 'WARN' not in log
 
 
@@ -283,7 +277,7 @@ def test_folder_of_several_bags_or_of_a_part_of_one_is_refused(run, tmp_path):
         BagReader(part)
     (part / 'metadata.yaml').unlink()
     # Those of five topics in the first half of the ticks, and the scene.
-    assert len(messages_of(part)) == 5 * TICKS // 2 + 1
+    assert len(content_of(part)) == 5 * TICKS // 2 + 1
 
 
 @pytest.mark.parametrize('named', [
@@ -296,7 +290,7 @@ def test_description_that_names_what_is_no_file_of_a_bag_is_one_line(run, tmp_pa
 
 def test_file_that_is_named_twice_is_read_once(run, tmp_path):
     describe(run, tmp_path, ['bag_0.mcap', 'bag_0.mcap'])
-    assert messages_of(tmp_path) == messages_of(run)
+    assert content_of(tmp_path) == content_of(run)
 
 
 def describe(run: Path, folder: Path, named: list[str]) -> None:

@@ -10,9 +10,8 @@ from hnn_vi_ros.mechanisms.parts import Ball, Box, Trail
 from hnn_vi_ros.ros.topics.markers import MarkerEncoder
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
+from peer import nodes_of
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -48,18 +47,8 @@ def test_markers_come_at_most_30_times_a_second():
 
 @pytest.fixture
 def executor() -> Iterator[SingleThreadedExecutor]:
-    """Give an executor with a node, in a context of its own."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('markers_test', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
+    with nodes_of('markers_test') as (_, executor):
         yield executor
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def check_geometry(marker: Marker, part) -> None:

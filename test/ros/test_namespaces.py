@@ -2,28 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two simulators in one graph, each in a namespace of its own."""
 
-
+from peer import nodes_of
 from processes import finish, read_bag, start
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64MultiArray
 
 SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
 
 
 def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('listener', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
     heard = {namespace: [] for namespace in SCENES}
     processes = [start(tmp_path, scene=scene, duration=2, record_path=namespace,
                        rerun_sink='none', discovery_time=20, __ns=f'/{namespace}', **{
                            f'qos_overrides./{namespace}/hnn_simulator/q.publisher.depth': 1000})
                  for namespace, scene in SCENES.items()]
-    try:
+    with nodes_of('listener') as ((node,), executor):
         for namespace, messages in heard.items():
             node.create_subscription(Float64MultiArray, f'/{namespace}/hnn_simulator/q',
                                      lambda m, to=messages: to.append(m.data.tolist()), 1000)
@@ -31,10 +23,6 @@ def test_two_simulators_in_two_namespaces_do_not_interfere(tmp_path):
             executor.spin_once(timeout_sec=0.05)
         for _ in range(50):
             executor.spin_once(timeout_sec=0.01)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
     assert [finish(process)[0] for process in processes] == [0, 0]
     for namespace in SCENES:
         recorded = read_bag(tmp_path / namespace)

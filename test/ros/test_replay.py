@@ -18,11 +18,9 @@ from hnn_vi_ros.ros.topics.messages import qos_yaml
 from hnn_vi_ros.ros.topics.outputs import LATCHED
 from mcap.writer import Writer
 import numpy as np
-from peer import wait_for_way_back
+from peer import nodes_of, wait_for_way_back
 from processes import finish, start_executable, wait_until
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -76,17 +74,8 @@ class Listener:
 
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('listener', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    try:
+    with nodes_of('listener') as ((node,), executor):
         yield Listener(node, executor)
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 @pytest.fixture(scope='module')

@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 import numpy as np
-from processes import finish, read_bag, start, start_executable, wait_until
+from processes import finish, read_bag, start, start_executable, to_file, wait_until
 import pytest
 import rclpy
 from rclpy.duration import Duration
@@ -33,10 +33,6 @@ from test_health import events_of
 
 def start_bridge(*words: object) -> subprocess.Popen:
     return start_executable('rerun_bridge', *words)
-
-
-def to_file(path: Path) -> list[str]:
-    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
 
 
 @pytest.mark.parametrize('kind', ['own', 'before ~/state', 'of another recorder'])

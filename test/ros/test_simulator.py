@@ -13,11 +13,9 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 import numpy as np
-from peer import peer, stamp
+from peer import nodes_of, peer, stamp
 from processes import finish, read_bag, recorded_until, start, wait_until
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -104,25 +102,16 @@ def test_simulator_samples_are_those_of_simulate(folder):
 @pytest.fixture
 def subscriber() -> Iterator[tuple[dict, SingleThreadedExecutor]]:
     """Yield what a node of this process receives, by topic, and its executor."""
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('subscriber', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    received: dict[str, list] = {}
-    for topic, message_type in {'/hnn_simulator/q': Float64MultiArray,
-                                '/hnn_simulator/p': Float64MultiArray,
-                                '/hnn_simulator/energy': Float64,
-                                '/joint_states': JointState}.items():
-        received[topic] = []
-        # A queue that no stall of this process overflows.
-        node.create_subscription(message_type, topic, received[topic].append, 30_000)
-    try:
+    with nodes_of('subscriber') as ((node,), executor):
+        received: dict[str, list] = {}
+        for topic, message_type in {'/hnn_simulator/q': Float64MultiArray,
+                                    '/hnn_simulator/p': Float64MultiArray,
+                                    '/hnn_simulator/energy': Float64,
+                                    '/joint_states': JointState}.items():
+            received[topic] = []
+            # A queue that no stall of this process overflows.
+            node.create_subscription(message_type, topic, received[topic].append, 30_000)
         yield received, executor
-    finally:
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def test_hundred_thousand_messages_are_recorded_and_received_none_lost_none_out_of_order(

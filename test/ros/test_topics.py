@@ -21,9 +21,8 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample
 from nav_msgs.msg import Odometry
 import numpy as np
+from peer import nodes_of
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -107,19 +106,8 @@ def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = 
 @pytest.fixture
 def nodes() -> Iterator[tuple[Node, Node, SingleThreadedExecutor]]:
     """Give the simulator's node, another one, and the executor of both."""
-    context = Context()
-    rclpy.init(context=context)
-    nodes = [rclpy.create_node(name, context=context) for name in ('simulator', 'other')]
-    executor = SingleThreadedExecutor(context=context)
-    for node in nodes:
-        executor.add_node(node)
-    try:
+    with nodes_of('simulator', 'other') as (nodes, executor):
         yield *nodes, executor
-    finally:
-        executor.shutdown()
-        for node in nodes:
-            node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def spin_until(executor: SingleThreadedExecutor, condition) -> None:

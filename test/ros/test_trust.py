@@ -26,7 +26,7 @@ from hnn_vi_ros.run.scene_report import resolved_scene, scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.simulation.build import build
-from processes import finish, start, start_executable, started, wait_until
+from processes import finish, start, start_executable, started, to_file, wait_until
 from pydantic import ValidationError
 import pytest
 import rclpy
@@ -82,10 +82,6 @@ def record(folder: Path, **described: object) -> Path:
 def described(**changes: object) -> str:
     scene = load_scene('exact_pendulum')
     return dump_yaml(resolved_scene(scene, build(scene)) | changes)
-
-
-def to_file(path: Path) -> list[str]:
-    return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
 
 
 READERS: dict[str, Callable] = {

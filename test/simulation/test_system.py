@@ -7,13 +7,12 @@ from pathlib import Path
 import sys
 
 from effect_table import create_effect, EFFECT_ROWS, EffectRow
-from helpers import EPS, Uncompiled
+from helpers import EPS, free, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import JointPath
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.addresses import original
 from hnn_vi_ros.scene import load_scene
@@ -33,11 +32,6 @@ step_size: 0.05
 initial_state: {{q: {q}, p: {q}}}
 """
 EFFECTS_FOLDER = Path(sys.modules['hnn_vi_ros.effects'].__file__).parent
-
-
-def free(*names: str) -> Hamiltonian:
-    """Return free coordinates of 1 kg each."""
-    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
 
 
 def effect(kind: str, *arguments: object, **more: object) -> object:

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from functools import cached_property
 
-from helpers import EPS, Uncompiled
+from helpers import EPS, free, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.gravity import Gravity
@@ -450,11 +450,6 @@ def test_constraint_takes_the_solution_that_goes_to_zero_with_h():
 def test_damping_of_a_momentum_that_is_not_that_of_the_velocity_is_warned_of():
     with pytest.warns(UserWarning, match='p is not the momentum of the velocity'):
         on_surface(Turning(3.0), 'sphere', 'generalized_leapfrog', 0.1, EFFECTS['damping'](0.5))
-
-
-def free(*names: str) -> Hamiltonian:
-    """Return free coordinates of 1 kg each."""
-    return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
 
 
 def at_rest(hamiltonian: Hamiltonian, q: list[float], effects: list[object],
