@@ -68,19 +68,15 @@ class JointFriction(torch.nn.Module):
 
     def _make_network(self, features: list[list[float]], hidden: Sequence[int],
                       scales: MotionScales, seed: int) -> None:
-        rows, columns = np.tril_indices(len(scales.v))
         d = len(scales.v)
-        place = np.zeros((len(rows), d * d))
-        place[np.arange(len(rows)), rows * d + columns] = 1.0
-        self.register_buffer('place', torch.tensor(place), persistent=False)
+        rows, columns = np.tril_indices(d)
+        self.register_buffer('place', torch.eye(d * d, dtype=torch.float64)[rows * d + columns],
+                             persistent=False)
         self.features = Features(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
-            hidden if features else [1], *self.features.units(scales), root, seed)
-        with torch.no_grad():
-            # Not zero, where the slope of B B^T would be none.
-            self.network.linears[-1].weight.mul_(0.1)
-            self.network.linears[-1].bias.copy_(torch.tensor(_FIRST_ROOT * (rows == columns)))
+            hidden if features else [1], *self.features.units(scales), root, seed,
+            torch.tensor(_FIRST_ROOT * (rows == columns)))
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
         """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
@@ -390,22 +386,18 @@ class MechanicalNetwork(torch.nn.Module):
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
-        place = np.zeros((len(rows), d * d))
-        place[np.arange(len(rows)), rows * d + columns] = 1.0
         for name, values in (
-                ('place', place), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
+                ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
                 ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
+        # At first M is about S^2: log(1 + exp(0.54)) is 1.
         self.mass = Perceptron(
-            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed)
-        with torch.no_grad():
-            # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
-            self.mass.linears[-1].weight.mul_(0.1)
-            self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
+            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed,
+            0.54 * self.on_diagonal)
         energy = float(np.mean(scales.inertia * scales.a))
         self.potential = Perceptron(hidden, *self.potential_features.units(scales),
                                     np.array([energy]), seed + 1)
