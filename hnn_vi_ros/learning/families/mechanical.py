@@ -107,6 +107,11 @@ class JointFriction(torch.nn.Module):
             total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]
         return total
 
+    def values(self) -> torch.Tensor:
+        """Return all b and c, shape (k,), in the order of ``columns``."""
+        b, c, *_ = self.coefficients()
+        return torch.cat([b[:self.structure.viscous * len(b)], c.flatten()])
+
     def columns(self, v: torch.Tensor) -> torch.Tensor:
         """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
         _, _, widths, speeds = (part.detach() for part in self.coefficients())
@@ -519,13 +524,13 @@ class MechanicalNetwork(torch.nn.Module):
     def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
         """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
         assert self.prior is not None
-        friction, values = self.friction, self.prior.values()
-        rigid = ((self.prior.mass(q, values) @ a[:, :, None])[:, :, 0]
-                 + self.prior.forces(q, v, values))
-        b, c, *_ = friction.coefficients()
-        rubbing = friction.columns(v) @ torch.cat([
-            b[:self.d * self.structure.viscous], c.flatten()])
-        return self.forces(q, v, a) - rigid - rubbing
+        rubbing = self.friction.columns(v) @ self.friction.values()
+        return self.forces(q, v, a) - self.prior.needed(q, v, a, self.prior.values()) - rubbing
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter of prior and friction if it is one, (N, d, k)."""
+        assert self.prior is not None
+        return torch.cat([self.prior.columns(q, v, a), self.friction.columns(v)], dim=2)
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""

@@ -48,6 +48,16 @@ class Prior(torch.nn.Module):
         turned, slope = self.slopes(q, v, values)
         return turned - slope
 
+    def needed(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, values: torch.Tensor
+               ) -> torch.Tensor:
+        """Return the forces that give accelerations a, all of shape (N, d)."""
+        return (self.mass(q, values) @ a[:, :, None])[:, :, 0] + self.forces(q, v, values)
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter where it alone is one, shape (N, d, k)."""
+        return torch.stack([self.needed(q, v, a, unit) for unit in torch.eye(
+            len(self.names), dtype=torch.float64)], dim=-1)
+
 
 class PlanarChain(Prior):
     """
