@@ -74,14 +74,9 @@ RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Retraction]] = {
     'cayley': _cayley, 'exponential': _exponential}
 
 
-def hat(x: torch.Tensor) -> torch.Tensor:
-    """Return the matrices, shape (N, 3, 3), of x cross."""
-    return (x @ _CROSS).reshape(-1, 3, 3)
-
-
 def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:
     """Return R tau(x), shape (N, 3, 3)."""
-    cross = hat(x)
+    cross = (x @ _CROSS).reshape(-1, 3, 3)
     return R + R @ (tau.turn[:, :, None] * cross + tau.twist[:, :, None] * (cross @ cross))
 
 
