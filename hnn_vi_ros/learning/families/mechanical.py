@@ -392,8 +392,9 @@ class MechanicalNetwork(torch.nn.Module):
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
         for name, values in (
-                ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
-                ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
+                ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns),
+                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia)),
+                ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)

@@ -15,8 +15,8 @@ from hnn_vi_ros.version import __version__
 import numpy as np
 
 # A note on the scale of energy for a model card.
-OPEN_BY_MAP = ('; an input map was learned, which leaves the scale of energy open: the mean square '
-               'of its columns is 1')
+OPEN_BY_MAP = ('; an input map was learned, which leaves the scale of energy open: the mean '
+               'square of its columns is 1')
 
 
 class Task(ABC):
