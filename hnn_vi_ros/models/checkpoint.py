@@ -250,7 +250,8 @@ def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """
     raw = _serialized(path, checkpoint)
     try:
-        _replace(path, raw)
+        with replacing(path) as temporary:
+            temporary.write_bytes(raw)
     except OSError as problem:
         raise ModelError(f'{path}: cannot be written: {problem.strerror}') from problem
 
@@ -284,20 +285,22 @@ def _tensors(path: Path, checkpoint: Checkpoint, prefix: str = '') -> dict[str, 
 def _write_new(path: Path, raw: bytes) -> None:
     path.open('xb').close()  # claims the name: of two that write it, one fails here
     try:
-        _replace(path, raw)
+        with replacing(path) as temporary:
+            temporary.write_bytes(raw)
     except BaseException:
         path.unlink(missing_ok=True)
         raise
 
 
-def _replace(path: Path, raw: bytes) -> None:
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary file, which replaces another unless an error stops the writing."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}')
     try:
-        temporary.write_bytes(raw)
+        yield temporary
         temporary.replace(path)
-    except BaseException:
+    finally:
         temporary.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_outputs, PackedOutputs, part_gradient, weigh)
+    evaluate_outputs, output_tangents, pack_outputs, PackedOutputs, part_gradient, root_of, weigh)
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
@@ -74,16 +74,12 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
         parameters = ControlAffineParameters(
             pack_outputs(self.checkpoint, 'mass_inverse'), self._packed('potential', 'q'),
             *np.zeros((4, d * (d + 1) // 2)), *np.zeros((4, d)))
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
-                      compiled=True)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         q, p = np.split(z.astype(np.longdouble), 2, axis=1)
-        d = self.dimension
-        at = (slice(None), *np.tril_indices(d))
-        entries, slopes = self._evaluated('mass_inverse', q)
-        A, A_q = np.zeros((len(z), d, d), q.dtype), np.zeros((len(z), d, d, d), q.dtype)
-        A[at], A_q[at] = entries, slopes
+        A, A_q = root_of(*self._evaluated('mass_inverse', q),
+                         np.argwhere(np.tri(self.dimension)).tolist(), False)
         u = (A * p[:, :, None]).sum(axis=1)
         H_q = (A_q * p[:, :, None, None] * u[:, None, :, None]).sum(axis=(1, 2))
         V_q = self._evaluated('potential', q)[1][:, 0]

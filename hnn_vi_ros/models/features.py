@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
+from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
 import numpy as np
 
 
@@ -43,7 +43,7 @@ class Features(NamedTuple):
 def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features:
     """Return the features of a network for the functions here, with space of their own."""
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
-    periodic = np.array([card.is_periodic(row) for row in features], dtype=np.int64)
+    periodic = np.array([is_periodic(card.kinds, row) for row in features], dtype=np.int64)
     return Features(rows, periodic, *np.zeros((4, _even(card.inputs(features)))))
 
 
@@ -67,7 +67,7 @@ def inputs_of(card: MechanicalCard, features: list[list[float]], q: np.ndarray
     at = 0
     for row in features:
         y, direction = q @ np.array(row), np.array(row)
-        if card.is_periodic(row):
+        if is_periodic(card.kinds, row):
             x[:, at], x[:, at + 1] = np.sin(y), np.cos(y)
             slope[:, at] = np.cos(y)[:, None] * direction
             slope[:, at + 1] = -np.sin(y)[:, None] * direction

@@ -143,8 +143,7 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         parameters = LagrangianParameters(
             self._packed('lagrangian'), self._mass, self._centre[0, d:] - inverse @ momentum,
             inverse, *np.zeros((8, d)), *np.zeros((2, d, d)))
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
-                      compiled=True)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         q, p = np.split(z.astype(np.longdouble), 2, axis=1)

@@ -8,7 +8,7 @@ import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.kernel import Energy, Gradient, HessianVector, Kernel, Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.networks.activations import ACTIVATIONS
 from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
@@ -97,6 +97,12 @@ class LearnedHamiltonian(Hamiltonian):
     @abstractmethod
     def _kernel(self) -> Kernel:
         """Return the functions, with working memory of their own."""
+
+    def _kernel_of(self, energy: Energy, gradient: Gradient, hessian_vector: HessianVector,
+                   parameters: Parameters) -> Kernel:
+        """Return a kernel of functions that are marked to be compiled."""
+        return Kernel(energy, gradient, hessian_vector, parameters, self.dimension, (0.0, 0.0),
+                      compiled=True, rotations=self.rotations)
 
     @abstractmethod
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
+    evaluate_outputs, output_tangents, pack_layers, PackedOutputs, part_gradient, root_of, weigh)
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
@@ -135,7 +135,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         return q, p[:-1]
 
     def _kernel(self) -> Kernel:
-        card, d = self._group, self.dimension
+        card = self._group
         n, e, k = 2 * card.size + 6, len(card.entries), card.size
         work = LieGroupWork(*np.zeros((6, n)), *np.zeros((4, e)), *np.zeros((2, k, k)),
                             *np.zeros((6, k)))
@@ -144,8 +144,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
             pack(*widened(self.checkpoint, 'potential'), self.checkpoint.card.activation),
             np.array(card.entries), np.array(card.mass_scale), card.floor,
             card.diagonal == 'softplus', work)
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, d, (0.0, 0.0),
-                      compiled=True, rotations=self.rotations)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _samples(self) -> np.ndarray:
         """Return states of the box, shape (m, 2 d), with any attitude; the last column is zero."""
@@ -183,20 +182,13 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
     def _roots(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return L, shape (m, k, k), and its derivatives by what can be seen."""
-        card, k = self._group, self._group.size
+        card = self._group
         at = card.columns(card.mass_depends_on)
         y, y_x = self._evaluated('mass', seen[:, at] if at else np.zeros((len(seen), 1)))
         y_z = np.zeros((*y.shape, seen.shape[1]), y.dtype)
         if at:
             y_z[:, :, at] = y_x
-        L = np.zeros((len(seen), k, k), y.dtype)
-        L_z = np.zeros((len(seen), k, k, seen.shape[1]), y.dtype)
-        for e, (i, j) in enumerate(card.entries):
-            L[:, i, j], L_z[:, i, j] = y[:, e], y_z[:, e]
-            if i == j and card.diagonal == 'softplus':
-                L[:, i, j] = np.logaddexp(0.0, y[:, e])
-                L_z[:, i, j] /= 1.0 + np.exp(-y[:, e])[:, None]
-        return L, L_z
+        return root_of(y, y_z, card.entries, card.diagonal == 'softplus')
 
 
 @kept(error_model='numpy')

@@ -11,7 +11,7 @@ from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.mechanical_kernel import (
     energy, gradient, hessian_vector, MassNetwork, MechanicalParameters, MechanicalWork,
     PotentialNetwork)
-from hnn_vi_ros.models.outputs import pack_layers
+from hnn_vi_ros.models.outputs import pack_layers, root_of
 from hnn_vi_ros.models.priors import added, prior_of
 from hnn_vi_ros.networks.perceptron_memory import pack
 import numpy as np
@@ -53,8 +53,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         prior = self._mechanical.prior
         if prior is not None and prior.alone:
             return tree_kernel(prior.bodies)
-        return Kernel(energy, gradient, hessian_vector, self.parameters(), self.dimension,
-                      (0.0, 0.0), compiled=True)
+        return self._kernel_of(energy, gradient, hessian_vector, self.parameters())
 
     def parameters(self) -> MechanicalParameters:
         """Return what the compiled functions take first, with working memory of its own."""
@@ -80,13 +79,7 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         card, d = self._mechanical, self.dimension
         x, x_q = inputs_of(card, card.mass_features, q)
         y, y_x = self._evaluated('mass', x)
-        y_q = y_x @ x_q
-        L, L_q = np.zeros((len(q), d, d), y.dtype), np.zeros((len(q), d, d, d), y.dtype)
-        for k, (i, j) in enumerate(card.entries):
-            L[:, i, j], L_q[:, i, j] = y[:, k], y_q[:, k]
-            if i == j:
-                L[:, i, j] = np.logaddexp(0.0, y[:, k])
-                L_q[:, i, j] /= 1.0 + np.exp(-y[:, k])[:, None]
+        L, L_q = root_of(y, y_x @ x_q, card.entries, True)
         S = np.array(card.mass_scale)
         gram = (L[:, :, None, :] * L[:, None, :, :]).sum(axis=3)
         return S[:, None] * (gram + card.floor * np.eye(d)) * S, L, L_q

@@ -225,13 +225,9 @@ class MechanicalCard(StrictModel):
             found['friction'] = self.friction_features, d * (d + 1) // 2
         return found
 
-    def is_periodic(self, row: list[float]) -> bool:
-        """Return whether a network sees the sine and cosine of a combination of coordinates."""
-        return is_periodic(self.kinds, row)
-
     def inputs(self, features: list[list[float]]) -> int:
         """Return the inputs of a network that sees these; one that sees nothing has one, 0."""
-        return max(1, sum(2 if self.is_periodic(row) else 1 for row in features))
+        return max(1, sum(2 if is_periodic(self.kinds, row) else 1 for row in features))
 
     @property
     def entries(self) -> list[tuple[int, int]]:

@@ -75,14 +75,13 @@ class MeanMechanism(MeanHamiltonian):
         d = self.dimension
         members, wholes = [], []
         for member in self.members:
-            terms = Kernel(inertia, slope, slope_change, member.parameters(), d, (0.0, 0.0),
-                           compiled=True)
+            terms = self._kernel_of(inertia, slope, slope_change, member.parameters())
             members.append(Target(*by_address(terms).parameters))
             wholes.append(Target(*by_address(member._kernel()).parameters))
         parameters = MeanParameters(
             members[0], tuple(members), tuple(wholes), np.zeros((d, d)), *np.zeros((5, d)),
             *np.zeros((2, d * d)))
-        return Kernel(energy, gradient, hessian_vector, parameters, d, (0.0, 0.0), compiled=True)
+        return self._kernel_of(energy, gradient, hessian_vector, parameters)
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""

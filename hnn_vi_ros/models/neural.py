@@ -36,8 +36,8 @@ class NeuralHamiltonian(LearnedHamiltonian):
         self._network = network
 
     def _kernel(self) -> Kernel:
-        return Kernel(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
-                      self._packed(self._network), self.dimension, (0.0, 0.0), compiled=True)
+        return self._kernel_of(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
+                               self._packed(self._network))
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         return self._evaluated(self._network, z)[1][:, 0]

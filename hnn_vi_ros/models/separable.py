@@ -42,8 +42,7 @@ class SeparableHamiltonian(LearnedHamiltonian):
         parameters = SeparableParameters(
             self._packed('kinetic', 'p'), self._packed('potential', 'q'),
             np.zeros(MAX_STATES * self.dimension))
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension, (0.0, 0.0),
-                      compiled=True)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         q, p = np.split(z, 2, axis=1)

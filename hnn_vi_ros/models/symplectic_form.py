@@ -86,8 +86,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
             energy, pack_outputs(self.checkpoint, 'one_form', 'both'),
             np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
             np.empty(n), *self._rounding(energy))
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension,
-                      (0.0, 0.0), compiled=True)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _rounding(self, energy: PackedPerceptron) -> tuple[float, float]:
         """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""

@@ -49,8 +49,7 @@ class VariationalHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         parameters = VariationalParameters(self.mass_inverse, self._packed('potential', 'q'))
-        return Kernel(_energy, _gradient, _hessian_vector, parameters, self.dimension, (0.0, 0.0),
-                      compiled=True)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
         q, p = np.split(z, 2, axis=1)

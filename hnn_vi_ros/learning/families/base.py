@@ -104,11 +104,13 @@ class Perceptron(torch.nn.Module):
         E, in the units of f.
     seed : int
         Of the initial weights.
+    first : torch.Tensor, shape (outputs,), optional
+        About the outputs at first, in units of E: they change little with x then.
 
     """
 
     def __init__(self, hidden: Sequence[int], centre: np.ndarray, scale: np.ndarray,
-                 output_scale: np.ndarray, seed: int):
+                 output_scale: np.ndarray, seed: int, first: torch.Tensor | None = None):
         super().__init__()
         self.widths = [len(centre), *hidden, len(output_scale)]
         for name, values in (('centre', centre), ('scale', scale), ('output_scale', output_scale)):
@@ -121,6 +123,11 @@ class Perceptron(torch.nn.Module):
             torch.nn.init.xavier_normal_(linear.weight, generator=generator)
             # Spread biases: with zero ones every unit is odd, a poor start for an energy.
             torch.nn.init.normal_(linear.bias, std=0.5, generator=generator)
+        if first is not None:
+            with torch.no_grad():
+                # Not zero, where a square of the outputs would have no slope.
+                linear.weight.mul_(0.1)
+                linear.bias.copy_(first)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return f, shape (N, outputs), of points x, shape (N, inputs)."""
@@ -161,9 +168,10 @@ class Perceptron(torch.nn.Module):
             g = (g * (1.0 - a.square())) @ linear.weight
         return g / self.scale
 
-    def layers(self, x0: np.ndarray | None = None, value: float = 0.0) -> Layers:
+    def layers(self, x0: np.ndarray | None = None, value: float = 0.0, factor: float = 1.0
+               ) -> Layers:
         """
-        Return a plain tanh perceptron of x that is f, or differs from it by a constant.
+        Return a plain tanh perceptron of x that is f, times a factor, but for a constant.
 
         Parameters
         ----------
@@ -171,6 +179,8 @@ class Perceptron(torch.nn.Module):
             A point with a given value; without it f stays unchanged.
         value : float
             What all outputs shall be there.
+        factor : float
+            Of f.
 
         """
         weights = [linear.weight.detach().numpy().copy() for linear in self.linears]
@@ -178,8 +188,8 @@ class Perceptron(torch.nn.Module):
         weights[0] /= self.scale.numpy()
         biases[0] -= weights[0] @ self.centre.numpy()
         scale = self.output_scale.numpy()
-        weights[-1] *= scale[:, None]
-        biases[-1] *= scale
+        weights[-1] = factor * (scale[:, None] * weights[-1])
+        biases[-1] = factor * (scale * biases[-1])
         if x0 is not None:
             a = x0
             for weight, bias in zip(weights[:-1], biases[:-1], strict=True):

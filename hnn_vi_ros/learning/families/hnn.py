@@ -16,7 +16,8 @@ import torch
 class _OneNetwork(EnergyFamily):
     """H(q, p) is one network of all of the state."""
 
-    def __init__(self, hidden: list[int], scales: Scales, seed: int):
+    def __init__(self, choice: HNNChoice | DGNetChoice, hidden: list[int], scales: Scales,
+                 seed: int):
         super().__init__()
         self.network = Perceptron(
             hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
@@ -50,9 +51,6 @@ class HNN(_OneNetwork):
     S. Greydanus, M. Dzamba, J. Yosinski, Hamiltonian Neural Networks, NeurIPS 2019.
 
     """
-
-    def __init__(self, choice: HNNChoice, hidden: list[int], scales: Scales, seed: int):
-        super().__init__(hidden, scales, seed)
 
 
 class SeparableHNN(EnergyFamily):
@@ -184,7 +182,7 @@ class DGNet(_OneNetwork):
     """
 
     def __init__(self, choice: DGNetChoice, hidden: list[int], scales: Scales, seed: int):
-        super().__init__(hidden, scales, seed)
+        super().__init__(choice, hidden, scales, seed)
         # Squared, for it is never negative; it begins at a tenth of the data's fastest rates.
         self.register_buffer('unit', torch.tensor(scales.p_rate / scales.p_half), persistent=False)
         self.root = torch.nn.Parameter(
@@ -260,11 +258,9 @@ class ControlAffine(EnergyFamily):
         where = scales.q_centre, scales.q_half
         self.rows, self.columns = np.tril_indices(d)
         root = np.sqrt(scales.v_half / scales.p_half)
-        self.root = Perceptron(hidden, *where, root[self.rows], seed)
-        with torch.no_grad():
-            # At first A is about diagonal and changes little.
-            self.root.linears[-1].weight.mul_(0.1)
-            self.root.linears[-1].bias.copy_(torch.tensor(1.0 * (self.rows == self.columns)))
+        # At first A is about diagonal.
+        self.root = Perceptron(hidden, *where, root[self.rows], seed,
+                               torch.tensor(self.rows == self.columns))
         self.potential = Perceptron(
             hidden, *where, np.array([np.mean(scales.p_rate * scales.q_half)]), seed + 1)
         self.input_map = Perceptron(

@@ -112,13 +112,7 @@ class LagrangianNetwork(Trainable):
         x0 = torch.cat([q0, v0])
         # H = p . v - L there; the constant of N supplies the rest.
         value = float(p0 @ v0 - 0.5 * factor * (self.mass * v0) @ v0) - energy0
-        weights, biases = self.network.layers()
-        layers = Layers((*weights[:-1], factor * weights[-1]), biases)
-        a = x0.numpy()
-        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            a = np.tanh(weight @ a + bias)
-        return {'lagrangian': layers._replace(
-            biases=(*biases[:-1], value - layers.weights[-1] @ a))}
+        return {'lagrangian': self.network.layers(x0.numpy(), value, factor)}
 
     def constants(self) -> dict[str, Any]:
         """Return M, and the velocities in which L was learned."""

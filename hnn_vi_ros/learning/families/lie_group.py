@@ -11,7 +11,7 @@ from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
 import torch
 
-# At first the networks of M and of B depend this much on the pose; log(1 + exp(0.54)) is 1.
+# The diagonal of the roots of D and, where log(1 + exp(0.54)) is 1, of M at first.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
 
 
@@ -67,11 +67,10 @@ class LieGroupNetwork(torch.nn.Module):
         self.card, self.k = card, card.size
         k, entries = card.size, card.entries
         rows, columns = np.array(entries).T
-        place = np.zeros((len(entries), k * k))
-        place[np.arange(len(entries)), rows * k + columns] = 1.0
         for name, values in (
                 ('velocity_unit', scales.velocity), ('momentum_unit', scales.momentum),
-                ('scale', card.mass_scale), ('place', place), ('on_diagonal', rows == columns)):
+                ('scale', card.mass_scale), ('place', np.eye(k * k)[rows * k + columns]),
+                ('on_diagonal', rows == columns)):
             self.register_buffer(name, torch.tensor(np.array(values)), persistent=False)
         self.rows, self.entry_columns = rows.tolist(), columns.tolist()
         still = np.concatenate([scales.half == 0.0, np.zeros(k, dtype=bool)])
@@ -81,36 +80,24 @@ class LieGroupNetwork(torch.nn.Module):
         self.features = {name: card.columns(getattr(card, f'{name}_depends_on'))
                          for name in card.networks}
         outputs = {
-            'mass': np.ones(len(entries)), 'potential': np.array([float(scales.force.mean())])}
-        damping = scales.force / scales.velocity
-        outputs['dissipation'] = np.sqrt(damping[rows])
+            'mass': np.ones(len(entries)), 'potential': np.array([float(scales.force.mean())]),
+            'dissipation': np.sqrt((scales.force / scales.velocity)[rows])}
+        first = {'mass': _UNIT_ROOT * self.on_diagonal, 'dissipation': _FIRST * self.on_diagonal}
         if scales.input_map is not None and scales.input_size is not None:
             outputs['input_map'] = np.outer(scales.force, 1.0 / scales.input_size).ravel()
+            first['input_map'] = torch.tensor(scales.input_map.ravel() / outputs['input_map'])
         for i, (name, at) in enumerate(self.features.items()):
             network = Perceptron(hidden if at else [1], centre[at] if at else np.zeros(1),
-                                 unit[at] if at else np.ones(1), outputs[name], seed + i)
+                                 unit[at] if at else np.ones(1), outputs[name], seed + i,
+                                 first.get(name))
             self.add_module(name, network)
             if at:
                 # The data say nothing of inputs that never change, so these get no weight.
                 network.linears[0].weight.data[:, still[at]] = 0.0
-            if name != 'potential':
-                self._begin(network, name, scales.input_map)
-            if not at:
+            else:
                 # What sees nothing is its last bias.
                 network.linears[0].requires_grad_(False)
                 network.linears[-1].weight.requires_grad_(False).zero_()
-
-    def _begin(self, network: Perceptron, name: str, input_map: np.ndarray | None) -> None:
-        last = network.linears[-1]
-        with torch.no_grad():
-            last.weight.mul_(_FIRST)
-            if name == 'mass':
-                last.bias.copy_(_UNIT_ROOT * self.on_diagonal)
-            elif name == 'dissipation':
-                last.bias.copy_(_FIRST * self.on_diagonal)
-            else:
-                assert input_map is not None, 'given where an input map is learned'
-                last.bias.copy_(torch.tensor(input_map.ravel()) / network.output_scale)
 
     @classmethod
     def of(cls, model: Checkpoint) -> 'LieGroupNetwork':
@@ -126,14 +113,12 @@ class LieGroupNetwork(torch.nn.Module):
             np.ones(inputs) if inputs else None)
         network = cls(card, [1], scales, 0)
         for name, layers in model.networks.items():
-            own = Perceptron([len(bias) for bias in layers.biases[:-1]],
-                             np.zeros(layers.weights[0].shape[1]),
-                             np.ones(layers.weights[0].shape[1]), np.ones(len(layers.biases[-1])),
-                             0)
-            with torch.no_grad():
-                for linear, weight, bias in zip(own.linears, *layers, strict=True):
-                    linear.weight.copy_(torch.tensor(weight))
-                    linear.bias.copy_(torch.tensor(bias))
+            inputs, *hidden, count = layers.widths
+            own = Perceptron(hidden, np.zeros(inputs), np.ones(inputs), np.ones(count), 0)
+            own.load_state_dict({
+                f'linears.{k}.{key}': torch.tensor(part)
+                for key, parts in zip(('weight', 'bias'), layers, strict=True)
+                for k, part in enumerate(parts)})
             setattr(network, name, own)
         return network
 

@@ -68,19 +68,15 @@ class JointFriction(torch.nn.Module):
 
     def _make_network(self, features: list[list[float]], hidden: Sequence[int],
                       scales: MotionScales, seed: int) -> None:
-        rows, columns = np.tril_indices(len(scales.v))
         d = len(scales.v)
-        place = np.zeros((len(rows), d * d))
-        place[np.arange(len(rows)), rows * d + columns] = 1.0
-        self.register_buffer('place', torch.tensor(place), persistent=False)
+        rows, columns = np.tril_indices(d)
+        self.register_buffer('place', torch.eye(d * d, dtype=torch.float64)[rows * d + columns],
+                             persistent=False)
         self.features = Features(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
-            hidden if features else [1], *self.features.units(scales), root, seed)
-        with torch.no_grad():
-            # Not zero, where the slope of B B^T would be none.
-            self.network.linears[-1].weight.mul_(0.1)
-            self.network.linears[-1].bias.copy_(torch.tensor(_FIRST_ROOT * (rows == columns)))
+            hidden if features else [1], *self.features.units(scales), root, seed,
+            torch.tensor(_FIRST_ROOT * (rows == columns)))
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
         """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
@@ -110,6 +106,11 @@ class JointFriction(torch.nn.Module):
             B = self.roots(q)
             total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]
         return total
+
+    def values(self) -> torch.Tensor:
+        """Return all b and c, shape (k,), in the order of ``columns``."""
+        b, c, *_ = self.coefficients()
+        return torch.cat([b[:self.structure.viscous * len(b)], c.flatten()])
 
     def columns(self, v: torch.Tensor) -> torch.Tensor:
         """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
@@ -390,22 +391,19 @@ class MechanicalNetwork(torch.nn.Module):
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
-        place = np.zeros((len(rows), d * d))
-        place[np.arange(len(rows)), rows * d + columns] = 1.0
         for name, values in (
-                ('place', place), ('on_diagonal', rows == columns), ('adjugate', _ADJUGATE),
-                ('root_inertia', np.sqrt(scales.inertia)), ('identity', np.eye(d))):
+                ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns),
+                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia)),
+                ('identity', np.eye(d))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
+        # At first M is about S^2: log(1 + exp(0.54)) is 1.
         self.mass = Perceptron(
-            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed)
-        with torch.no_grad():
-            # At first M is about S^2 and changes little: log(1 + exp(0.54)) is 1.
-            self.mass.linears[-1].weight.mul_(0.1)
-            self.mass.linears[-1].bias.copy_(0.54 * self.on_diagonal)
+            mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed,
+            0.54 * self.on_diagonal)
         energy = float(np.mean(scales.inertia * scales.a))
         self.potential = Perceptron(hidden, *self.potential_features.units(scales),
                                     np.array([energy]), seed + 1)
@@ -527,13 +525,13 @@ class MechanicalNetwork(torch.nn.Module):
     def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
         """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
         assert self.prior is not None
-        friction, values = self.friction, self.prior.values()
-        rigid = ((self.prior.mass(q, values) @ a[:, :, None])[:, :, 0]
-                 + self.prior.forces(q, v, values))
-        b, c, *_ = friction.coefficients()
-        rubbing = friction.columns(v) @ torch.cat([
-            b[:self.d * self.structure.viscous], c.flatten()])
-        return self.forces(q, v, a) - rigid - rubbing
+        rubbing = self.friction.columns(v) @ self.friction.values()
+        return self.forces(q, v, a) - self.prior.needed(q, v, a, self.prior.values()) - rubbing
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter of prior and friction if it is one, (N, d, k)."""
+        assert self.prior is not None
+        return torch.cat([self.prior.columns(q, v, a), self.friction.columns(v)], dim=2)
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""

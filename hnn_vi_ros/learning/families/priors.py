@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Priors of a mechanical network in torch: rigid bodies, planar links, and exact systems."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -47,6 +47,16 @@ class Prior(torch.nn.Module):
         """Return (M v)' at held v - (v . M v)_q / 2 + V_q, shape (N, d)."""
         turned, slope = self.slopes(q, v, values)
         return turned - slope
+
+    def needed(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, values: torch.Tensor
+               ) -> torch.Tensor:
+        """Return the forces that give accelerations a, all of shape (N, d)."""
+        return (self.mass(q, values) @ a[:, :, None])[:, :, 0] + self.forces(q, v, values)
+
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+        """Return the forces of each parameter where it alone is one, shape (N, d, k)."""
+        return torch.stack([self.needed(q, v, a, unit) for unit in torch.eye(
+            len(self.names), dtype=torch.float64)], dim=-1)
 
 
 class PlanarChain(Prior):
@@ -319,6 +329,7 @@ class RigidTree(Prior):
                 ('turns', np.array([body.rotation for body in tree.bodies])),
                 ('origins', np.array([body.origin for body in tree.bodies])),
                 ('across', np.stack([_across(axis) for axis in axes[:, :3]])),
+                ('motions', np.stack([_cross_motion(axis) for axis in axes])),
                 ('units', _units())):
             self.register_buffer(name, torch.tensor(array), persistent=False)
         self.raw = torch.nn.Parameter(torch.zeros((d, INERTIAL), dtype=torch.float64))
@@ -365,13 +376,13 @@ class RigidTree(Prior):
         reached: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
         for i, body in enumerate(self.tree.bodies):
             J, J_dot, pull = reached[body.parent - 1] if body.parent else at_base
-            axis, value, speed = self.axes[i], q[:, body.coordinate], v[:, body.coordinate]
+            value, speed = q[:, body.coordinate], v[:, body.coordinate]
             turn, origin = self._joint(i, value)
             own = torch.zeros((6, d), dtype=q.dtype)
-            own[:, body.coordinate] = axis
+            own[:, body.coordinate] = self.axes[i]
             J = _seen_from(turn, origin, J)
             J_dot = _seen_from(turn, origin, J_dot)
-            J_dot = J_dot - speed[:, None, None] * (_cross_motion(axis) @ J)
+            J_dot = J_dot - speed[:, None, None] * (self.motions[i] @ J)
             reached.append((J + own, J_dot, (turn.transpose(1, 2) @ pull[:, :, None])[:, :, 0]))
         jacobians, rates, pulls = zip(*reached, strict=True)
         pull = torch.stack(pulls, dim=1)
@@ -471,18 +482,10 @@ def _seen_from(turn: torch.Tensor, origin: torch.Tensor, motions: torch.Tensor) 
     return torch.cat([back @ angular, back @ moved], dim=1)
 
 
-def _cross_motion(axis: torch.Tensor) -> torch.Tensor:
+def _cross_motion(axis: np.ndarray) -> np.ndarray:
     """Return the matrix of the change of a motion as a part of what moves by an axis."""
-    angular, linear = (torch.stack([*_rows_across(part)]) for part in (axis[:3], axis[3:]))
-    none = torch.zeros_like(angular)
-    return torch.cat([torch.cat([angular, none], dim=1), torch.cat([linear, angular], dim=1)])
-
-
-def _rows_across(a: torch.Tensor) -> Iterator[torch.Tensor]:
-    zero = torch.zeros_like(a[0])
-    yield torch.stack([zero, -a[2], a[1]])
-    yield torch.stack([a[2], zero, -a[0]])
-    yield torch.stack([-a[1], a[0], zero])
+    angular, linear = _across(axis[:3]), _across(axis[3:])
+    return np.block([[angular, np.zeros((3, 3))], [linear, angular]])
 
 
 def _cross_force(motion: torch.Tensor, force: torch.Tensor) -> torch.Tensor:

@@ -22,7 +22,7 @@ from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
 from hnn_vi_ros.learning.fit.rigid_body import (
-    fit_errors, inverse_softplus, LEAST, loss_of, spread, window_fits)
+    fit_errors, LEAST, loss_of, RigidUnknowns, spread, window_fits)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.model_card import ModelCard
@@ -149,7 +149,7 @@ _SMALL = 1e-6
 _MASS_LAST = 1e-3
 
 
-class Unknowns:
+class Unknowns(RigidUnknowns):
     """
     Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb); some of them are fixed.
 
@@ -163,29 +163,24 @@ class Unknowns:
     """
 
     def __init__(self, network: MechanicalNetwork, rotors: bool, offsets: bool):
-        tree, structure, d = network.prior, network.structure, network.d
+        tree, d = network.prior, network.d
         assert isinstance(tree, RigidTree)
-        self.network, self.tree, friction = network, tree, network.friction
-        terms = structure.coulomb + structure.stribeck
-        self.sizes = [INERTIAL * d, d, d, structure.viscous * d, terms * d]
+        self.tree, self._parts = tree, [INERTIAL * d, d, d]
         order = [body.coordinate for body in tree.tree.bodies]
-        force = friction.force_unit.numpy()
-        inertia = network.scales.inertia
-        self.scale = np.concatenate([
-            np.ones(self.sizes[0]), inertia[order], force[order],
-            friction.viscous_unit.numpy()[:self.sizes[3]], np.tile(force, terms)])
-        moves = np.repeat([True, rotors, offsets, True, True], self.sizes)
-        self.free = np.flatnonzero(moves)
-        self.least = np.concatenate([
-            np.full(self.sizes[0], -np.inf), np.zeros(d), np.full(d, -np.inf),
-            np.full(sum(self.sizes[3:]), LEAST)])
-        self.start = np.concatenate([np.zeros(self.sizes[0]), tree.rotor.detach().numpy()
-                                     / self.scale[self.sizes[0]:][:d], np.zeros(d),
-                                     np.full(sum(self.sizes[3:]), 10.0 * LEAST)])
+        inertia = network.scales.inertia[order]
+        super().__init__(
+            network, np.r_[np.ones(INERTIAL * d), inertia, network.friction.force_unit[order]],
+            np.repeat([-np.inf, 0.0, -np.inf], self._parts))
+        rubbing = sum(self.sizes[1:])
+        self.free = np.flatnonzero(np.repeat([True, rotors, offsets, True],
+                                             [*self._parts, rubbing]))
+        self.start = np.r_[np.zeros(INERTIAL * d), tree.rotor.detach().numpy() / inertia,
+                           np.zeros(d), np.full(rubbing, 10.0 * LEAST)]
 
     def linear(self, x: torch.Tensor) -> torch.Tensor:
         """Return all that the forces are linear in, shape (k,), of x in units of ``scale``."""
-        log, rotors, offsets, friction = self._parts(x)
+        prior, friction = (x * torch.tensor(self.scale)).tensor_split(self.sizes[:1])
+        log, rotors, offsets = self.raw_prior(prior).values()
         values = torch.cat([self.tree.inertial(log), rotors[:, None], offsets[:, None]], dim=1)
         return torch.cat([values.flatten(), friction])
 
@@ -194,28 +189,11 @@ class Unknowns:
         found: np.ndarray = torch.func.jacfwd(self.linear)(torch.tensor(x)).numpy()
         return found
 
-    def _parts(self, x: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        log, rotors, offsets, *friction = (x * torch.tensor(self.scale)).split(self.sizes)
-        return log.reshape(-1, INERTIAL), rotors, offsets, torch.cat(friction)
-
-    def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the parameters of the network, of x."""
-        log, rotors, offsets, forces = self._parts(x)
-        friction, d = self.network.friction, self.network.d
-        viscous, coulomb = forces.split(self.sizes[3:])
-        found = {'prior.raw': log, 'prior.rotor': rotors, 'prior.offset': offsets}
-        if len(viscous):
-            found['friction.raw_viscous'] = inverse_softplus(viscous / friction.viscous_unit)
-        if len(coulomb):
-            found['friction.raw_force'] = inverse_softplus(
-                coulomb.reshape(-1, d) / friction.force_unit)
-        return found
-
-    def give(self, x: np.ndarray) -> None:
-        """Give the network these."""
-        with torch.no_grad():
-            for name, parameter in self.raw(torch.tensor(x)).items():
-                self.network.get_parameter(name).copy_(parameter)
+    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return log-Cholesky parameters, rotors and offsets; see RigidUnknowns."""
+        log, rotors, offsets = values.split(self._parts)
+        return {'prior.raw': log.reshape(-1, INERTIAL), 'prior.rotor': rotors,
+                'prior.offset': offsets}
 
 
 class Equations(NamedTuple):
@@ -313,7 +291,7 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     if not isinstance(config.loss, Inverse):
         x, found, covariance = _fit_windows(unknowns, whitened, config.windows, motions, x)
         losses |= found
-    unknowns.give(x)
+    unknowns.give(x * unknowns.scale)
     unknowns.tree.identification = _summary(unknowns, known, weak, covariance, x)
     return losses
 
@@ -321,15 +299,13 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
 def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: float
                  ) -> Equations:
     """Return the equations of motions; what was measured is filtered as the motions are [Hz]."""
-    tree = network.prior
-    assert isinstance(tree, RigidTree)
     every = max(1, sum(len(motion.t) for motion in motions) // _SAMPLES)
     length = sum(len(motion.t) for motion in motions) / (_BLOCKS * network.d)
     found, first = [], 0
     for motion in motions:
         with torch.no_grad():
-            q, v, a = map(torch.tensor, (motion.q_smooth, motion.v_smooth, motion.a_smooth))
-            matrix = torch.cat([tree.columns(q, v, a), network.friction.columns(v)], dim=2).numpy()
+            matrix = network.columns(*map(torch.tensor, (
+                motion.q_smooth, motion.v_smooth, motion.a_smooth))).numpy()
         forces = motion.tau
         if not motion.accelerations:
             # Alike, so that they stay equal.
@@ -398,7 +374,7 @@ def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Inf
     k, rows = equations.matrix.shape[2], equations.matrix.reshape(-1, equations.matrix.shape[2])
     values = EACH * unknowns.network.d
     slopes = unknowns.slopes(x)
-    inertial = unknowns.free[unknowns.free < sum(unknowns.sizes[:3])]
+    inertial = unknowns.free[unknowns.free < unknowns.sizes[0]]
     G = slopes[:values][:, inertial]
     # Behind the columns of friction: what it cannot explain.
     whole = np.asarray(np.linalg.qr(
@@ -439,7 +415,7 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
     samples, losses = samples_of(motions, loss.step_size), {}
     network, covariance = unknowns.network, np.zeros((len(x), len(x)))
     rows = spread(torch.arange(len(samples.q)), _STATES)
-    inertial = sum(unknowns.sizes[:3])
+    inertial = unknowns.sizes[0]
     # From least squares on forces, and from the URDF with the friction that they found.
     tries = [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
              for one in (x, np.r_[unknowns.start[:inertial], x[inertial:]])]
@@ -474,7 +450,8 @@ def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
     least[known.excited.shape[1]:] = unknowns.least[others] - x[others]
     found = fit_errors(
         unknowns.network,
-        lambda z: unknowns.raw(torch.tensor(x) + torch.tensor(directions) @ z),
+        lambda z: unknowns.raw(
+            (torch.tensor(x) + torch.tensor(directions) @ z) * torch.tensor(unknowns.scale)),
         np.zeros(len(least)), least, errors)
     return (x if found is None else x + directions @ found.x), directions, found
 

@@ -8,7 +8,6 @@ from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 import math
-import os
 from pathlib import Path
 import pickle
 import signal
@@ -23,7 +22,7 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.files.limits import check_pickles
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.learning.fit.config import TrainingConfig
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, replacing, save_checkpoint
 import numpy as np
 from pydantic import ValidationError
 import torch
@@ -417,18 +416,15 @@ class Keeper:
         """
         if not self._stopping and time.monotonic() - self._saved < PERIOD:
             return
-        temporary = self.path.with_name(f'.{self.path.name}.{os.getpid()}')
         try:
-            torch.save({'digest': self._digest, 'state': fit.state}, temporary)
-            temporary.replace(self.path)
+            with replacing(self.path) as temporary:
+                torch.save({'digest': self._digest, 'state': fit.state}, temporary)
         except (OSError, RuntimeError) as problem:  # torch has an error of its own for a full disk
             if self._stopping:
                 raise ParameterError(f'stopped at step {fit.step}; its state cannot be written '
                                      f'to {self.path} ({one_line(problem)})') from problem
             print(f'warning: {self.path}: the state of the run cannot be written '
                   f'({one_line(problem)}); training goes on', file=sys.stderr, flush=True)
-        finally:
-            temporary.unlink(missing_ok=True)
         self._saved = time.monotonic()
         if self._stopping:
             raise Interrupted(f'stopped at step {fit.step}, state in {self.path}; go on with the '

@@ -8,6 +8,7 @@ accelerations biases this estimate. Windows that are simulated end the fit, by t
 form of the Levenberg-Marquardt method.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
@@ -106,71 +107,87 @@ def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
     return rows[:: max(1, len(rows) // most)]
 
 
-class _Physical:
+class RigidUnknowns(ABC):
     """
-    Parameters of a rigid body and of its friction in their own units: forces are linear in them.
+    Numbers that give the parameters of a prior, of friction and of an input map, in that order.
 
     Parameters
     ----------
     network : MechanicalNetwork
         A network with a prior.
+    scale, least : np.ndarray, shape (n,)
+        Usual sizes of the numbers of the prior, and their lower bounds in units of these.
+
+    Attributes
+    ----------
+    sizes : list of int
+        How many there are of the prior, of viscous and of other friction, and of the input map.
+    scale, least : np.ndarray, shape (k,)
+        The same of all numbers. Friction has no slope below its least.
 
     """
 
-    def __init__(self, network: MechanicalNetwork):
-        prior, structure = network.prior, network.structure
-        assert prior is not None
-        d, n = network.d, structure.coulomb + structure.stribeck
-        self.network, self.prior = network, prior
+    def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
+        structure, friction = network.structure, network.friction
+        d, terms = network.d, structure.coulomb + structure.stribeck
         motors = network.raw_map.numel() if network.scales.input_map is not None else 0
-        self.sizes = [len(prior.names), structure.viscous * d, n * d, motors]
-        free = [name.startswith(('coupling', 'gravity')) for name in prior.names]
+        self.network = network
+        self.sizes = [len(scale), structure.viscous * d, terms * d, motors]
         self.scale = np.concatenate([
-            prior.scale().numpy(), network.friction.viscous_unit.numpy()[:self.sizes[1]],
-            np.tile(network.friction.force_unit.numpy(), n), np.ones(motors)])
-        # In units of scale. Inertia is positive; friction has no slope below its least.
+            scale, friction.viscous_unit.numpy()[:self.sizes[1]],
+            np.tile(friction.force_unit.numpy(), terms), np.ones(motors)])
         self.least = np.concatenate([
-            np.where(free, -np.inf, 0.0), np.full(sum(self.sizes[1:3]), LEAST),
-            np.full(motors, -np.inf)])
+            least, np.full(sum(self.sizes[1:3]), LEAST), np.full(motors, -np.inf)])
 
-    def raw(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the parameters of the network."""
-        friction = self.network.friction
-        values, viscous, forces, input_map = x.split(self.sizes)
-        forces = forces.reshape(-1, self.network.d)
-        found = {'prior.raw': self.prior.raw_of(values)}
+    @abstractmethod
+    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the prior, by their names in the network."""
+
+    def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the parameters of the network, of all numbers in SI units."""
+        friction, d = self.network.friction, self.network.d
+        prior, viscous, forces, input_map = values.split(self.sizes)
+        found = self.raw_prior(prior)
         if len(viscous):
-            found['friction.raw_viscous'] = inverse_softplus(viscous / friction.viscous_unit)
+            found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
         if len(forces):
-            found['friction.raw_force'] = inverse_softplus(forces / friction.force_unit)
+            found['friction.raw_force'] = _inverse_softplus(
+                forces.reshape(-1, d) / friction.force_unit)
         if len(input_map):
-            found['raw_map'] = input_map.reshape(self.network.d, -1)
+            found['raw_map'] = input_map.reshape(d, -1)
         return found
 
+    def give(self, values: np.ndarray) -> None:
+        """Give the network these numbers, in SI units."""
+        with torch.no_grad():
+            for name, parameter in self.raw(torch.tensor(values)).items():
+                self.network.get_parameter(name).copy_(parameter)
+
+
+class _Physical(RigidUnknowns):
+    """The parameters of a prior themselves."""
+
+    def __init__(self, network: MechanicalNetwork):
+        assert network.prior is not None
+        self.prior = network.prior
+        free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
+        # Inertia is positive.
+        super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
+
+    def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Return the raw parameters; see RigidUnknowns."""
+        return {'prior.raw': self.prior.raw_of(values)}
+
     def now(self) -> np.ndarray:
-        """Return the parameters that the network has."""
+        """Return the numbers that the network has, in SI units."""
         network = self.network
-        b, c, *_ = network.friction.coefficients()
-        parts = [self.prior.values(), b[:self.sizes[1]], c.flatten()]
+        parts = [self.prior.values(), network.friction.values()]
         if self.sizes[3]:
             parts.append(network.raw_map.flatten())
         return torch.cat(parts).detach().numpy()
 
-    def give(self, x: np.ndarray) -> None:
-        """Give the network these parameters."""
-        with torch.no_grad():
-            for name, parameter in self.raw(torch.tensor(x)).items():
-                self.network.get_parameter(name).copy_(parameter)
 
-    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the forces of each parameter if it is one, shape (N, d, k)."""
-        network, prior = self.network, self.prior
-        columns = [(prior.mass(q, unit) @ a[:, :, None])[:, :, 0] + prior.forces(q, v, unit)
-                   for unit in torch.eye(len(prior.names), dtype=torch.float64)]
-        return torch.cat([torch.stack(columns, dim=-1), network.friction.columns(v)], dim=2)
-
-
-def inverse_softplus(x: torch.Tensor) -> torch.Tensor:
+def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
     """Return log(exp(x) - 1), of LEAST at the least."""
     return torch.log(torch.expm1(torch.clamp(x, min=LEAST)))
 
@@ -184,7 +201,7 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     # Each joint in units of its own force.
     scales = physical.network.scales
     unit = torch.tensor(scales.inertia * scales.a)
-    matrix = (physical.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
+    matrix = (physical.network.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
     right = (tau / unit).flatten().numpy()
     least = (physical.least * physical.scale)[:matrix.shape[1]]
     if right.any():

@@ -3,14 +3,20 @@
 """Training tasks: what each group of families supplies to the one trainer."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, widths_of
+from hnn_vi_ros.models.model_card import CoordinateCard, ModelCard
+from hnn_vi_ros.version import __version__
 import numpy as np
+
+# A note on the scale of energy for a model card.
+OPEN_BY_MAP = ('; an input map was learned, which leaves the scale of energy open: the mean '
+               'square of its columns is 1')
 
 
 class Task(ABC):
@@ -48,3 +54,13 @@ class Task(ABC):
     @abstractmethod
     def judged(self, checkpoint: Checkpoint, problem: Any) -> Judged:
         """Return the model, judged by data that it has not seen."""
+
+
+def described(config: Any, networks: Mapping[str, Layers], name: str, command: str,
+              **entries: Any) -> Checkpoint:
+    """Return a trained model with its card; ``entries`` are those that its task alone knows."""
+    coordinates = [CoordinateCard(name=one.name, q_unit=one.q_unit, p_unit=one.p_unit)
+                   for one in config.coordinates]
+    return Checkpoint(ModelCard(
+        name=name, coordinates=coordinates, seed=config.seed, training_command=command,
+        package_version=__version__, **widths_of(networks), **entries), networks)

@@ -18,10 +18,9 @@ from hnn_vi_ros.learning.families.lie_group import BodyScales, HeldBody, LieGrou
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.learning.tasks import Task
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, widths_of
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
-from hnn_vi_ros.version import __version__
+from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.models.model_card import Box, Scheme
 import numpy as np
 import torch
 
@@ -75,14 +74,9 @@ RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Retraction]] = {
     'cayley': _cayley, 'exponential': _exponential}
 
 
-def hat(x: torch.Tensor) -> torch.Tensor:
-    """Return the matrices, shape (N, 3, 3), of x cross."""
-    return (x @ _CROSS).reshape(-1, 3, 3)
-
-
 def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:
     """Return R tau(x), shape (N, 3, 3)."""
-    cross = hat(x)
+    cross = (x @ _CROSS).reshape(-1, 3, 3)
     return R + R @ (tau.turn[:, :, None] * cross + tau.twist[:, :, None] * (cross @ cross))
 
 
@@ -279,9 +273,7 @@ def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMo
     all instants of windows but the first. Of the pendulum, it was the mean over the angular
     velocity and its one input, whose error is zero: three quarters of that of the velocity.
     """
-    with torch.no_grad():
-        errors = {name: float(value)
-                  for name, value in window_errors(network, config, windows).items()}
+    errors = _errors(network, config, windows)
     if 'place' not in errors:
         count = windows.u.shape[2]
         errors['turning'] *= 3.0 / (3.0 + count)
@@ -408,8 +400,19 @@ class BodyTask(Task):
         network = problem.module
         if _opens_scale(config, self._train):
             network.multiply(1.0 / _open_scale(network, self._train))
-        return describe(network, config, self._train, self._description, problem.losses, name,
-                        command)
+        with torch.no_grad():
+            p = torch.cat([
+                network.momenta(*(getattr(motion, part).flatten(0, 1) for part in 'xRv'))
+                for motion in self._train])
+        x = torch.cat([motion.x.flatten(0, 1) for motion in self._train])
+        # Every entry of an attitude can take any value; the last of the momenta stays zero.
+        box = Box(q=[*_bounds(x), *[[-1.01, 1.01]] * 4], p=[*_bounds(p), [-1.0, 1.0]])
+        scheme = Scheme(integrator=config.method,
+                        step_size=self._train[0].interval / config.substeps)
+        return described(
+            config, network.layers(), name, command, family='lie_group', lie_group=network.card,
+            scheme=scheme, box=box, dataset=f'{config.description} {self._description}'.lstrip()
+            + _scale(network, self._train), losses=problem.losses)
 
     def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
         """Refuse: momenta of members have no mean; see Task."""
@@ -444,32 +447,13 @@ def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> flo
         return float(inertia.diagonal(dim1=1, dim2=2).mean())
 
 
-def describe(network: LieGroupNetwork, config: BodyConfig, motions: Sequence[BodyMotions],
-             description: str, losses: dict[str, float], name: str, command: str) -> Checkpoint:
-    """Return a trained network with its card."""
-    layers, (own,) = network.layers(), config.coordinates
-    with torch.no_grad():
-        p = torch.cat([
-            network.momenta(*(getattr(motion, part).flatten(0, 1) for part in 'xRv'))
-            for motion in motions])
-    x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
-    description = f'{config.description} {description}'.lstrip()
+def _scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
+    """Return a note on the scale of energy for the model card, where inputs do not fix it."""
     if 'input_map' in network.features:
-        description += ('; an input map was learned, which leaves the scale of energy open: the '
-                        'mean square of its columns is 1')
-    elif not any(motion.u.any() for motion in motions):
-        description += ('; no inputs, which leaves the scale of energy open: the mean inertia is '
-                        '1')
-    # Every entry of an attitude can take any value; the last of the momenta stays zero.
-    box = Box(q=[*_bounds(x), *[[-1.01, 1.01]] * 4], p=[*_bounds(p), [-1.0, 1.0]])
-    card = ModelCard(
-        name=name, family='lie_group', lie_group=network.card, **widths_of(layers),
-        scheme=Scheme(integrator=config.method,
-                      step_size=motions[0].interval / config.substeps),
-        coordinates=[CoordinateCard(name=own.name, q_unit=own.q_unit, p_unit=own.p_unit)],
-        box=box, dataset=description, seed=config.seed, losses=losses,
-        training_command=command, package_version=__version__)
-    return Checkpoint(card, layers)
+        return OPEN_BY_MAP
+    if any(motion.u.any() for motion in motions):
+        return ''
+    return '; no inputs, which leaves the scale of energy open: the mean inertia is 1'
 
 
 def _bounds(values: torch.Tensor) -> list[list[float]]:

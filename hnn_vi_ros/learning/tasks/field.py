@@ -18,13 +18,12 @@ from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, ensemble_text, field_calibration, held_out, resampled)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
-from hnn_vi_ros.learning.tasks import Task
-from hnn_vi_ros.models.checkpoint import Checkpoint, widths_of
+from hnn_vi_ros.learning.tasks import described, Task
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import energy_error, energy_spread, EnergyError
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.model_card import ModelCard, Units
-from hnn_vi_ros.version import __version__
+from hnn_vi_ros.models.model_card import Units
 import numpy as np
 import torch
 
@@ -346,13 +345,10 @@ def describe(problem: FieldProblem, config: FieldConfig, name: str, command: str
     centre = np.mean([*box.q, *box.p], axis=1)
     z0 = centre if reference is None else np.array([*reference.q, *reference.p])
     networks = family.networks(z0, 0.0 if reference is None else reference.energy)
-    card = ModelCard(
-        name=name, family=config.family.kind, **widths_of(networks), **family.constants(),
-        scheme=config.loss.scheme, coordinates=config.coordinates, box=box,
-        dataset=dataset.description, seed=config.seed, losses=problem.final_losses(),
-        units=problem.units, training_command=command, package_version=__version__,
-        confine=config.confine)
-    return Checkpoint(card, networks)
+    return described(
+        config, networks, name, command, family=config.family.kind, scheme=config.loss.scheme,
+        box=box, dataset=dataset.description, losses=problem.final_losses(), units=problem.units,
+        confine=config.confine, **family.constants())
 
 
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,

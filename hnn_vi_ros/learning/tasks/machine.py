@@ -26,14 +26,13 @@ from hnn_vi_ros.learning.judging.evaluation import (
     balance, judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table,
     verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
-from hnn_vi_ros.learning.tasks import Task
-from hnn_vi_ros.models.checkpoint import Checkpoint, widths_of
+from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, PredictionError
+from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
-from hnn_vi_ros.version import __version__
 import numpy as np
 import torch
 
@@ -192,16 +191,11 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     """Return a trained network with its card."""
     q, v = (np.concatenate([getattr(motion, key) for motion in motions])
             for key in ('q_smooth', 'v_smooth'))
-    networks = network.networks()
     with torch.no_grad():
         p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
-    card = ModelCard(
-        name=name, family='mechanical', mechanical=network.card(config.coordinates[0].p_unit),
-        coordinates=[CoordinateCard(name=c.name, q_unit=c.q_unit, p_unit=c.p_unit)
-                     for c in config.coordinates],
-        box=Box.of(q, p), dataset=description, seed=config.seed, losses=losses,
-        training_command=command, package_version=__version__, **widths_of(networks))
-    return Checkpoint(card, networks)
+    return described(
+        config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
+        mechanical=network.card(config.coordinates[0].p_unit), dataset=description, losses=losses)
 
 
 def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Run]) -> Checkpoint:
@@ -238,8 +232,7 @@ def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
         text = ('; no forces, which leaves the scale of energy open: the mean inertia of '
                 f'{config.coordinates[0].name} is 1')
     if config.family.input_map == 'learned':
-        text += ('; an input map was learned, which leaves the scale of energy open: the mean '
-                 'square of its columns is 1')
+        text += OPEN_BY_MAP
     return text
 
 
