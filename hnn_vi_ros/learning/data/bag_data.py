@@ -277,11 +277,7 @@ def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[Derivat
     method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
     if not isinstance(method, SavitzkyGolay):
         return method, 0
-    window = method.rows(spacing)
-    if not method.degree + 2 <= window <= len(t) - _LEAST:
-        raise DataError(f'{reader.path}: derivatives.window of {method.window:g} s holds {window} '
-                        f'of {len(t)} rows, expected {method.degree + 2} to {len(t) - _LEAST}')
-    return method, window
+    return method, method.rows(spacing, len(t) - _LEAST, str(reader.path), f'{len(t)} rows')
 
 
 def _held(commands: Signal, t: np.ndarray) -> np.ndarray:
