@@ -46,7 +46,7 @@ from hnn_vi_ros.files.regular_file import refuse_pointer
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint, widths_of
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.networks.activations import ACTIVATIONS
@@ -206,12 +206,14 @@ BODIES = ('so3', 'se3')
 # The indices of our outputs, L by rows, among theirs.
 _ORDER = [0, 3, 1, 4, 5, 2]
 _ON_DIAGONAL = [0, 2, 5]
-# For each of our networks, theirs: one for each block of 3 x 3.
+# For each of our networks, the inputs of theirs: of matrices one for each block of 3 x 3.
 _SOURCES = {
-    'so3': {'mass': ['M_net'], 'potential': ['V_net'], 'dissipation': ['Dw_net'],
-            'input_map': ['g_net']},
-    'se3': {'mass': ['M_net1', 'M_net2'], 'potential': ['V_net'],
-            'dissipation': ['Dv_net', 'Dw_net'], 'input_map': ['g_net']}}
+    'so3': {'mass': {'M_net': 9}, 'potential': {'V_net': 9}, 'dissipation': {'Dw_net': 9},
+            'input_map': {'g_net': 9}},
+    'se3': {'mass': {'M_net1': 3, 'M_net2': 9}, 'potential': {'V_net': 12},
+            'dissipation': {'Dv_net': 3, 'Dw_net': 9}, 'input_map': {'g_net': 12}}}
+# Outputs of each of theirs; 0 for a column of B for each input.
+_OUTPUTS = {'mass': 6, 'potential': 1, 'dissipation': 6, 'input_map': 0}
 
 
 def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floor: float
@@ -239,33 +241,27 @@ def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floo
     names = {name.removesuffix('.mlp'): layers for name, layers in found.items()}
     sources = _SOURCES[layout]
     needed = {name for network in ('mass', 'potential', 'input_map') for name in sources[network]}
-    every = needed | set(sources['dissipation'])
-    if not (needed <= names.keys() <= every) or 0 < len(
-            names.keys() & set(sources['dissipation'])) < len(sources['dissipation']):
+    friction = needed < names.keys()
+    if names.keys() != needed | (sources['dissipation'].keys() if friction else set()):
         raise ValueError(f'networks {listed(sorted(names)) or "none"}; the layout {layout} has '
                          f'{", ".join(sorted(needed))}, and for friction '
                          f'{", ".join(sources["dissipation"])}')
     seen: list[Any] = ['attitude'] if layout == 'so3' else ['position', 'attitude']
     size = 3 * len(seen)
-    friction = sources['dissipation'][0] in names
     card = LieGroupCard(
         kind='rotation' if layout == 'so3' else 'pose', mass_scale=[1.0] * size, floor=floor,
         diagonal='any', mass_depends_on=seen, potential_depends_on=seen,
         dissipation_depends_on=seen if friction else None, input_map_depends_on=seen)
-    inputs, networks = size + 6, {}
+    networks = {}
     for network, own in sources.items():
         if network == 'dissipation' and not friction:
             continue
-        matrices = network in ('mass', 'dissipation')
-        for name, block in zip(own, [(9,)] if len(own) == 1 else [(3,), (9,)], strict=True):
-            expected = block[0] if matrices else inputs
-            outputs = {'potential': 1, 'input_map': 0}.get(network, 6)
-            _check(name, names[name], expected, outputs, size)
-        if matrices:
-            networks[network] = _blocks([
-                _root(names[name], epsilon if network == 'mass' else 0.0) for name in own])
-        else:
-            networks[network] = names[own[0]]
+        for name, inputs in own.items():
+            _check(name, names[name], inputs, _OUTPUTS[network], size)
+        layers = [names[name] for name in own]
+        if network in ('mass', 'dissipation'):
+            layers = [_root(one, epsilon if network == 'mass' else 0.0) for one in layers]
+        networks[network] = _blocks(layers)
     return card, networks
 
 
@@ -393,7 +389,7 @@ def main(argv: Sequence[str]) -> None:
             f'{arguments.file} takes {layers.weights[0].shape[1]} inputs: '
             f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
             f'(q, p); {_OTHER_STATE}')
-    card = _card(arguments, names, layers, command)
+    card = _energy_card(arguments, names, layers, command)
     save_checkpoint(out, Checkpoint(card, {'energy': layers}))
     print(f'model: {out}')
     if not ACTIVATIONS[arguments.activation].smooth:
@@ -420,13 +416,8 @@ def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Chec
         raise ParameterError(problem)
     try:
         group, networks = body_networks(read_networks(source), arguments.layout, epsilon, floor)
-        d = group.size + 1
-        card = ModelCard(
-            name=source.stem, family='lie_group', lie_group=group, seed=0, losses={},
-            box=parse_box(arguments.box, d), coordinates=[CoordinateCard(name=names[0])],
-            networks={name: [layers.weights[0].shape[1], *map(len, layers.weights)]
-                      for name, layers in networks.items()},
-            dataset=_origin(source), training_command=command, package_version=__version__)
+        card = _card(arguments, names, networks, command, family='lie_group', lie_group=group,
+                     box=parse_box(arguments.box, group.size + 1))
     except ValidationError as problem:
         raise ModelError(f'{source}: {problem.errors()[0]["msg"]}') from problem
     except ValueError as problem:
@@ -434,16 +425,10 @@ def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Chec
     return Checkpoint(card, networks)
 
 
-def _origin(source: Path) -> str:
-    return (f'unknown; imported from {source.name} '
-            f'(sha256 {sha256(source.read_bytes()).hexdigest()[:16]})')
-
-
-def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str
-          ) -> ModelCard:
-    d, source = len(names), arguments.file
+def _energy_card(arguments: argparse.Namespace, names: list[str], layers: Layers, command: str
+                 ) -> ModelCard:
     if arguments.box is not None:
-        box = parse_box(arguments.box, d)
+        box = parse_box(arguments.box, len(names))
     else:
         config = find_config(arguments.box_of)
         loaded = load_config(config)
@@ -452,15 +437,23 @@ def _card(arguments: argparse.Namespace, names: list[str], layers: Layers, comma
                                  '--box')
         box = make_dataset(loaded.data, loaded.seed, config).box
     try:
-        return ModelCard(
-            name=source.stem, activation=arguments.activation, box=box, seed=0, losses={},
-            widths=[layers.weights[0].shape[1], *map(len, layers.weights)],
-            coordinates=[CoordinateCard(name=name) for name in names],
-            dataset=_origin(source), training_command=command, package_version=__version__)
+        return _card(arguments, names, {'energy': layers}, command,
+                     activation=arguments.activation, box=box)
     except ValidationError as problem:
         first = problem.errors()[0]
         if first['loc'][:1] == ('widths',):
-            raise ModelError(f'{source}: a layer of width {first["input"]}: {first["msg"]}'
+            raise ModelError(f'{arguments.file}: a layer of width {first["input"]}: {first["msg"]}'
                              ) from problem
         raise ParameterError(
             f'--coordinates {",".join(names)}: {first["msg"]}') from problem
+
+
+def _card(arguments: argparse.Namespace, names: list[str], networks: Mapping[str, Layers],
+          command: str, **own: Any) -> ModelCard:
+    source = arguments.file
+    digest = sha256(source.read_bytes()).hexdigest()
+    return ModelCard(
+        name=source.stem, seed=0, losses={}, training_command=command,
+        coordinates=[CoordinateCard(name=name) for name in names],
+        dataset=f'unknown; imported from {source.name} (sha256 {digest[:16]})',
+        package_version=__version__, **widths_of(networks), **own)

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData, TEST_RUNS
 from hnn_vi_ros.models.attitude_features import turn_matrices
 import numpy as np
 from pydantic import Field
@@ -21,8 +21,6 @@ MAX_BYTES = 1 << 30
 # R^T R and the norm of a quaternion may be off by this in data that were written with few digits,
 # and by that in those that were written with all of them.
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
-_TEST_RUNS: list[str] = Field([], description=(
-    'runs to judge the model by; none: the last fifth of each run in time'))
 
 
 class ArraysData(RunData):
@@ -62,7 +60,7 @@ class BodyArrays(StrictModel):
         'key of the velocities in the frame of the body, shape (N, 3); of a pose (N, 6), that of '
         'its place first'))
     tau: str | None = Field('tau', description='key of the inputs, shape (N, m); null: none')
-    test_runs: list[str] = _TEST_RUNS
+    test_runs: list[str] = TEST_RUNS
 
 
 class BodyWindows(StrictModel):

@@ -117,10 +117,10 @@ def read_bags(paths: Sequence[Path], data: BagData) -> Dataset:
             motions, blocks = motions + 1, part['block'].max() + 1
             count += n
             parts.append(part)
-        if reader.damage:
-            _LOGGER.warning('train: warning: %s', reader.damage)
-        rows = f'{count} rows, sha256 {reader.digest[:16]}'
-        described.append(f'{path.name} ({rows}{", damaged" if reader.damage else ""})')
+        if reader.bag.damage:
+            _LOGGER.warning('train: warning: %s', reader.bag.damage)
+        rows = f'{count} rows, sha256 {reader.bag.digest()[:16]}'
+        described.append(f'{path.name} ({rows}{", damaged" if reader.bag.damage else ""})')
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     if len(arrays['t']) > MAX_ROWS:
         raise DataError(f'{len(arrays["t"])} rows are more than {MAX_ROWS}; give a larger '
@@ -277,11 +277,7 @@ def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[Derivat
     method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
     if not isinstance(method, SavitzkyGolay):
         return method, 0
-    window = method.rows(spacing)
-    if not method.degree + 2 <= window <= len(t) - _LEAST:
-        raise DataError(f'{reader.path}: derivatives.window of {method.window:g} s holds {window} '
-                        f'of {len(t)} rows, expected {method.degree + 2} to {len(t) - _LEAST}')
-    return method, window
+    return method, method.rows(spacing, len(t) - _LEAST, str(reader.path), f'{len(t)} rows')
 
 
 def _held(commands: Signal, t: np.ndarray) -> np.ndarray:

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read signals from the topics of a bag, and the runs of a machine that they make up."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, final, Literal, NamedTuple, TYPE_CHECKING, TypeVar
+from typing import Annotated, final, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.bags.cdr import (
     decode_float64_multi_array, decode_joint_state, JointStates, MOMENTUM)
@@ -16,9 +16,6 @@ import numpy as np
 from pydantic import Field
 import safetensors
 import safetensors.numpy
-
-if TYPE_CHECKING:
-    from mcap.records import Channel
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
@@ -61,6 +58,11 @@ class SignalReader:
     stamps : str
         ``'header'`` or ``'log'``: what counts as a message's time.
 
+    Attributes
+    ----------
+    bag : BagReader
+        The bag.
+
     Raises
     ------
     DataError
@@ -70,54 +72,46 @@ class SignalReader:
 
     def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int], stamps: str):
         try:
-            self._reader = BagReader(path)
+            self.bag = BagReader(path)
         except RecordingError as problem:
             raise DataError(str(problem)) from problem
-        self.path = self._reader.path
+        self.path = self.bag.path
         self._joints, self._columns, self._stamps = tuple(joints), list(columns), stamps
         self._origin: int | None = None
-        if not any(self._reader.messages()):
+        self._topics: dict[str, list[int]] = {}
+        for number, channel in self.bag.channels.items():
+            self._topics.setdefault(channel.topic, []).append(number)
+        if not any(self.bag.messages()):
             raise DataError(f'{self.path}: holds no messages; record while something moves')
-
-    @property
-    def damage(self) -> str:
-        """Return a report on parts that could not be read."""
-        return self._reader.damage
-
-    @property
-    def digest(self) -> str:
-        """Return the SHA-256 of the bag's files."""
-        return self._reader.digest()
 
     @property
     def commanded_before(self) -> bool:
         """Return whether a simulator held a command when it began the bag, which lacks that."""
         try:
-            state = safetensors.numpy.load(self._reader.attachment(STATE_FILE))
+            state = safetensors.numpy.load(self.bag.attachment(STATE_FILE))
         except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
             return False
         return 'live.command' in state and bool(state['live.command'].any())
 
     def type_of(self, topic: str) -> str:
         """Return the type of a topic; DataError if the bag does not hold it."""
-        return self._schema(self._channels(topic)[0])
+        return self._found(topic)[1]
 
     def has_topic(self, topic: str) -> bool:
         """Return whether the bag holds exactly this topic."""
-        return any(channel.topic == topic for channel in self._reader.channels.values())
+        return topic in self._topics
 
     def state_topic(self) -> str | None:
         """Return the simulator's ~/state, if the bag holds one with the joints, and no more."""
-        found = [topic for topic in {channel.topic for channel in self._reader.channels.values()
-                                     if channel.topic.endswith('/state')}
-                 if self.is_state(topic)]
+        found = [topic for topic in self._topics
+                 if topic.endswith('/state') and self.is_state(topic)]
         return found[0] if len(found) == 1 else None
 
     def is_state(self, topic: str) -> bool:
         """Return whether a topic is a ~/state of the simulator, with the joints."""
-        channels = self._channels(topic)
-        first = next(self._reader.messages([channel.id for channel in channels]), None)
-        if first is None or self._schema(channels[0]) != JOINT_STATE:
+        _, kind, messages = self._found(topic)
+        first = next(messages, None)
+        if first is None or kind != JOINT_STATE:
             return False
         names = self._joint_state(topic, first).names
         return {MOMENTUM + joint for joint in self._joints} <= set(names)
@@ -128,11 +122,9 @@ class SignalReader:
 
         Between the samples around that there is no motion.
         """
-        scene = f'{self._channels(state)[0].topic.rpartition("/")[0]}/scene'
-        channels = [channel for channel in self._reader.channels.values()
-                    if channel.topic == scene]
+        scene = f'{self._found(state)[0].rpartition("/")[0]}/scene'
         times: dict[bytes, int] = {}
-        for message in self._reader.messages([channel.id for channel in channels]):
+        for message in self.bag.messages(self._topics.get(scene, [])):
             times.setdefault(message.data, message.time)
         if len(times) > 1:
             resets = ', '.join(map(str, list(times.values())[1:4]))
@@ -147,8 +139,8 @@ class SignalReader:
         Then messages of a topic without stamps cannot be assigned to states.
         """
         times = np.array([
-            (message.time, self._joint_state(topic, message).stamp) for message
-            in self._reader.messages([channel.id for channel in self._channels(topic)])])
+            (message.time, self._joint_state(topic, message).stamp)
+            for message in self._found(topic)[2]])
         log, stamps = (times - times[:1]).T * 1e-9
         largest = np.abs(log - stamps).max(initial=0.0)
         if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
@@ -160,8 +152,7 @@ class SignalReader:
 
     def has(self, topic: str, field: str) -> bool:
         """Return whether the first message of a topic of joint states fills a field."""
-        numbers = [channel.id for channel in self._channels(topic)]
-        first = next(self._reader.messages(numbers), None)
+        first = next(self._found(topic)[2], None)
         return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
 
     def read(self, topic: str, field: str, prefix: str = '') -> Signal:
@@ -184,13 +175,14 @@ class SignalReader:
             There is no such topic, it has another type, or a message cannot be used.
 
         """
-        channels = self._channels(topic)
-        kind = self._schema(channels[0])
-        name = channels[0].topic
-        convert = self._converter(name, kind, field, prefix)
+        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}
+        name, kind, messages = self._found(
+            topic, expected.get(field, f'{ARRAY} or {JOINT_STATE}'))
+        names = [prefix + joint for joint in self._joints]
         stamps, rows = [], []
-        for message in self._reader.messages([channel.id for channel in channels]):
-            found = convert(message)
+        for message in messages:
+            found = self._from_array(name, message, field == '*') if kind == ARRAY else \
+                self._from_joint_state(name, message, field, names)
             if found is not None:
                 stamps.append(found[0])
                 rows.append(found[1])
@@ -200,7 +192,7 @@ class SignalReader:
                             'it has in data.joints')
         if len({len(row) for row in rows}) != 1:
             raise DataError(f'{self.path}: {name}: its messages have different lengths')
-        return self._checked(name, np.array(stamps), np.array(rows))
+        return self._checked(name, stamps, np.array(rows))
 
     def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -256,15 +248,12 @@ class SignalReader:
             There is no such topic, it has another type, or a message cannot be read.
 
         """
-        channels = self._channels(topic)
-        if self._schema(channels[0]) == JOINT_STATE:
+        if self.type_of(topic) == JOINT_STATE:
             name, stamps, rows, _ = self._joint_rows(topic)
             efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
             return self._times(name, stamps), efforts
-        name = channels[0].topic
-        self._check_type(name, self._schema(channels[0]), '*')
-        found = [self._from_array(name, message, True)
-                 for message in self._reader.messages([channel.id for channel in channels])]
+        name, _, messages = self._found(topic, ARRAY)
+        found = [self._from_array(name, message, True) for message in messages]
         lengths = [len(values) for _, values in found]
         usual = max(set(lengths), key=lengths.count, default=0)
         values = np.array([values if len(values) == usual else np.full(usual, np.nan)
@@ -278,13 +267,9 @@ class SignalReader:
 
     def _joint_rows(self, topic: str) -> tuple[str, list[int], list[list[list[float]]], set[str]]:
         """Return a topic's name, and of its messages stamps, numbers, and names of joints."""
-        channels = self._channels(topic)
-        name, kind = channels[0].topic, self._schema(channels[0])
-        if kind != JOINT_STATE:
-            raise DataError(f'{self.path}: {name} has the type {kind}, expected {JOINT_STATE}; '
-                            f'the bag holds: {self._contents()}')
+        name, _, messages = self._found(topic, JOINT_STATE)
         stamps, rows, seen = [], [], set[str]()
-        for message in self._reader.messages([channel.id for channel in channels]):
+        for message in messages:
             state = self._joint_state(name, message)
             seen.update(state.names)
             if not set(self._joints) & set(state.names):
@@ -301,9 +286,10 @@ class SignalReader:
                             'data.stamps: log, the times at which its messages were recorded')
         if self._origin is None and stamps:
             self._origin = stamps[0]
-        return (np.array(stamps, dtype=np.int64) - (self._origin or 0)) * 1e-9
+        origin = self._origin or 0
+        return np.array([stamp - origin for stamp in stamps]) * 1e-9
 
-    def _checked(self, name: str, stamps: np.ndarray, values: np.ndarray) -> Signal:
+    def _checked(self, name: str, stamps: list[int], values: np.ndarray) -> Signal:
         backward = np.flatnonzero(np.diff(stamps) <= 0)
         if backward.size:
             at = backward[0] + 1
@@ -315,48 +301,33 @@ class SignalReader:
         if bad.size:
             raise DataError(f'{self.path}: {name}: message {bad[0] + 1} holds a value that is not '
                             f'finite: {values[bad[0]].tolist()}')
-        if self._origin is None:
-            self._origin = stamps[0]
-        return Signal((stamps - self._origin) * 1e-9, values)
+        return Signal(self._times(name, stamps), values)
 
-    def _channels(self, topic: str) -> list['Channel']:
-        """Return the channels of the one topic that has this name or ends with it."""
-        topics = sorted({channel.topic for channel in self._reader.channels.values()})
+    def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
+        """Return name, type and messages of the one topic of this name, or that ends with it."""
         topic = '/' + topic.lstrip('/')
-        if topic not in topics:
-            found = [name for name in topics if name.endswith(topic)]
+        if topic not in self._topics:
+            found = [name for name in self._topics if name.endswith(topic)]
             if len(found) != 1:
                 what = 'no topic' if not found else f'{len(found)} topics'
                 choose = '; name one of them whole' if found else ''
                 raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
                                 f'{self._contents()}{choose}')
             topic = found[0]
-        return [channel for channel in self._reader.channels.values() if channel.topic == topic]
+        numbers = self._topics[topic]
+        kind = self._type(numbers[0])
+        if expected and kind not in expected.split(' or '):
+            raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the '
+                            f'bag holds: {self._contents()}')
+        return topic, kind, self.bag.messages(numbers)
 
     def _contents(self) -> str:
-        return listed(sorted({f'{channel.topic} ({self._schema(channel)})'
-                              for channel in self._reader.channels.values()})) or 'nothing'
+        return listed(sorted({f'{topic} ({self._type(number)})' for topic, numbers
+                              in self._topics.items() for number in numbers})) or 'nothing'
 
-    def _schema(self, channel: 'Channel') -> str:
-        schema = self._reader.schemas.get(channel.schema_id)
+    def _type(self, number: int) -> str:
+        schema = self.bag.schemas.get(number)
         return 'unknown type' if schema is None else schema.name
-
-    def _converter(self, topic: str, kind: str, field: str, prefix: str
-                   ) -> Callable[[Recorded], tuple[int, np.ndarray] | None]:
-        self._check_type(topic, kind, field)
-        if kind == ARRAY:
-            return lambda message: self._from_array(topic, message, field == '*')
-        names = [prefix + joint for joint in self._joints]
-        return lambda message: self._from_joint_state(topic, message, field, names)
-
-    def _check_type(self, topic: str, kind: str, field: str) -> None:
-        """Raise DataError if a topic's type cannot hold a field; see read."""
-        if kind == ARRAY or (kind == JOINT_STATE and field not in ('', '*')):
-            return
-        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}.get(
-            field, f'{ARRAY} or {JOINT_STATE}')
-        raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the bag '
-                        f'holds: {self._contents()}')
 
     def _from_array(self, topic: str, message: Recorded, whole: bool) -> tuple[int, np.ndarray]:
         if self._stamps == 'header':
@@ -462,7 +433,7 @@ def read_bag_motions(paths: Sequence[Path], data: BagMotions, names: Sequence[st
     for path in paths:
         reader, forces = _reader(path, joints, data)
         runs.append(_run(path.name if path.is_dir() else path.stem, reader, forces, data, joints))
-        digests.append(reader.digest[:16])
+        digests.append(reader.bag.digest()[:16])
     return even_runs(runs, data, ', '.join(run.name for run in runs), ' '.join(digests))
 
 
@@ -511,8 +482,8 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints:
         lacking = [name for name, there in zip(of, given, strict=True) if not there]
         notes.append(f'no effort of {", ".join(lacking)}, which counts as no motor')
         tau = np.where(given, tau, 0.0)
-    if reader.damage:
-        notes.append(reader.damage)
+    if reader.bag.damage:
+        notes.append(reader.bag.damage)
     return MeasuredRun(name, f'{reader.path}: {data.topic}', t, q,
                        None if data.estimate_velocity else v,
                        tau if forces and given.any() else None, forces not in ('', EFFORT),

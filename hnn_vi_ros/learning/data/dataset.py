@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data to learn from: states (q, p) with their rates of change, measured, estimated or exact."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Literal
 
@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.learning.data.runs import part_of
 from hnn_vi_ros.models.model_card import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
@@ -107,9 +108,7 @@ class Dataset:
 
     def rows(self, chosen: np.ndarray) -> 'Dataset':
         """Return the rows that a mask of shape (N,) chooses."""
-        parts = {name: part[chosen] for name, part in vars(self).items()
-                 if isinstance(part, np.ndarray)}
-        return replace(self, **parts)
+        return part_of(self, chosen)
 
     def windows(self, step_size: float, count: int) -> np.ndarray:
         """
@@ -192,9 +191,13 @@ class SavitzkyGolay(StrictModel):
     window: float = Field(gt=0.0, description='length of the window [s]')
     degree: int = Field(3, ge=1, le=9, description='of the polynomial')
 
-    def rows(self, spacing: float) -> int:
-        """Return the window in rows of this spacing [s], an odd number."""
-        return 2 * round(0.5 * (min(self.window / spacing, 1e9) - 1.0)) + 1
+    def rows(self, spacing: float, most: int, where: str, of: str) -> int:
+        """Return the window in rows of this spacing [s], an odd number; or raise DataError."""
+        rows = 2 * round(0.5 * (min(self.window / spacing, 1e9) - 1.0)) + 1
+        if not self.degree + 2 <= rows <= most:
+            raise DataError(f'{where}: derivatives.window of {self.window:g} s holds {rows} of '
+                            f'{of}, expected {self.degree + 2} to {most}')
+        return rows
 
 
 class SmoothingSpline(StrictModel):

@@ -9,7 +9,7 @@ They come from arrays, bags or logs. Bad samples are left out, counted and repor
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -42,6 +42,10 @@ _CLOCK = 0.01
 _AROUND = 20
 # Rates are judged by a coordinate only where it moves by this many times its noise.
 _SEEN = 20.0
+TEST_RUNS: list[str] = Field([], description=(
+    'runs to judge the model by; none: the last fifth of each run in time'))
+
+Record = TypeVar('Record', bound=Any)
 
 
 class RunData(StrictModel):
@@ -57,8 +61,7 @@ class RunData(StrictModel):
     inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
         'what forces do between samples: go over into each other, or each is held until the '
         'next; default: held for topics of commands, else interpolated'))
-    test_runs: list[str] = Field([], description=(
-        'runs to judge the model by; none: the last fifth of each run in time'))
+    test_runs: list[str] = TEST_RUNS
 
 
 class MeasuredRun(NamedTuple):
@@ -472,8 +475,8 @@ def train_and_test(runs: Sequence[Run], test_runs: Sequence[str]
             [part_of(run, slice(end, None)) for run, end in zip(runs, ends, strict=True)])
 
 
-def part_of(run: Run, rows: slice) -> Run:
-    """Return some samples of a run."""
-    parts: dict[str, Any] = {name: values[rows] for name, values in vars(run).items()
+def part_of(record: Record, rows: slice | np.ndarray) -> Record:
+    """Return a run, or other dataclass, with some rows of each of its arrays."""
+    parts: dict[str, Any] = {name: values[rows] for name, values in vars(record).items()
                              if isinstance(values, np.ndarray)}
-    return replace(run, **parts)
+    return replace(record, **parts)

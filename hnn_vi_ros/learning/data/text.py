@@ -320,9 +320,5 @@ def _window(path: Path, t: np.ndarray, method: object, lines: np.ndarray) -> int
         raise DataError(f'{path}:{lines[at + 1]}: {t[at + 1] - t[at]:.6g} s after the row before, '
                         f'but {spacing:.6g} s on average; use derivatives: '
                         '{kind: smoothing_spline}, or data.trial to separate recordings')
-    window = method.rows(spacing)
-    if not method.degree + 2 <= window <= len(t) - 1:
-        raise DataError(f'{path}:{lines[0]}: derivatives.window of {method.window:g} s holds '
-                        f'{window} of the {len(t)} rows of this trial, expected '
-                        f'{method.degree + 2} to {len(t) - 1}')
-    return window
+    return method.rows(spacing, len(t) - 1, f'{path}:{lines[0]}',
+                       f'the {len(t)} rows of this trial')

@@ -13,7 +13,7 @@ techniques for O.D.E., 1983, on multiple shooting.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
@@ -368,12 +368,11 @@ def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.nd
         if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
                 robust and abs(np.log(ratio)).max() > _SETTLED):
             break
-    scale = ratio if solution.noise is not noise else np.ones_like(noise)
     problem.noise = noise
-    return Solution(
-        solution.values, solution.starts, solution.residuals / scale,
-        solution.by_starts / scale[:, None], solution.by_numbers / scale[:, None], noise,
-        windows), problem
+    return replace(
+        solution, residuals=solution.residuals / ratio, noise=noise,
+        by_starts=solution.by_starts / ratio[:, None],
+        by_numbers=solution.by_numbers / ratio[:, None]), problem
 
 
 def search(problem: Problem, values: np.ndarray, tolerance: float = _TOLERANCE) -> Solution:

@@ -173,7 +173,7 @@ def _within(free: FreeScene, k: int) -> Number:
     """Return a number with the bounds beyond which the scene does not take it."""
     number = free.numbers[k]
     if number.place == DELAY:
-        return _bounded(number, max(number.low, 0.0))
+        return replace(number, low=max(number.low, 0.0))
     if number.start < 0.0 or number.low >= 0.0:
         return number
     values = [float(other.start) for other in free.numbers]
@@ -181,12 +181,8 @@ def _within(free: FreeScene, k: int) -> Number:
     try:
         free.at(values)[0].parts()
     except HnnViRosError:
-        return _bounded(number, 0.0)
+        return replace(number, low=0.0)
     return number
-
-
-def _bounded(number: Number, low: float) -> Number:
-    return replace(number, low=low)
 
 
 def _known(scene: Scene) -> dict[str, str]:
@@ -338,13 +334,11 @@ def _added(text: str, node: yaml.MappingNode, key: str, value: str) -> tuple[int
 _MOMENTS = 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'
 _AXES = 'xyz'
 # Where a number stands in a link or a joint: tags, an attribute, and which word of it.
-_Place = tuple[tuple[str, ...], str, int | None]
-_LINK: dict[str, _Place] = {
-    'mass': (('inertial', 'mass'), 'value', None),
-    **{f'centre_{axis}': (('inertial', 'origin'), 'xyz', k) for k, axis in enumerate(_AXES)},
-    **{name: (('inertial', 'inertia'), name, None) for name in _MOMENTS}}
-_JOINT: dict[str, _Place] = {
-    'damping': (('dynamics',), 'damping', None), 'friction': (('dynamics',), 'friction', None)}
+_LINK = {
+    'mass': ('inertial/mass', 'value', 0),
+    **{f'centre_{axis}': ('inertial/origin', 'xyz', k) for k, axis in enumerate(_AXES)},
+    **{name: ('inertial/inertia', name, 0) for name in _MOMENTS}}
+_JOINT = {name: ('dynamics', name, 0) for name in ('damping', 'friction')}
 _UNITS = {'mass': 'kg', **{f'centre_{axis}': 'm' for axis in _AXES},
           **dict.fromkeys(_MOMENTS, 'kg m2')}
 
@@ -355,8 +349,9 @@ def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
         return {}
     root = _parsed(robot_file(scene))
     own = {joint.get('name'): Units.of(joint.get('type', '')) for joint in root.findall('joint')}
-    return {f'{owner}.{name}': (_value(element, attribute, word), _UNITS.get(name) or (
-        own[owner].damping if name == 'damping' else own[owner].force))
+    return {f'{owner}.{name}': (
+        float(element.attrib[attribute].split()[word]),
+        _UNITS.get(name) or (own[owner].damping if name == 'damping' else own[owner].force))
             for owner, name, element, attribute, word in _numbers(root)}
 
 
@@ -380,12 +375,9 @@ def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -
         place = f'{owner}.{name}'
         if place not in numbers:
             continue
-        text = repr(float(numbers[place]))
-        if word is not None:
-            words = element.get(attribute, '0 0 0').split()
-            words[word] = text
-            text = ' '.join(words)
-        element.set(attribute, text)
+        words = element.attrib[attribute].split()
+        words[word] = repr(float(numbers[place]))
+        element.set(attribute, ' '.join(words))
     text = ElementTree.tostring(root, encoding='unicode') + '\n'
     file.write_text(text, encoding='utf-8')
     links = parse_urdf(text.encode(), str(file)).links
@@ -410,16 +402,11 @@ def _read(file: Path, changed: int) -> ElementTree.Element:
 
 
 def _numbers(root: ElementTree.Element
-             ) -> Iterator[tuple[str, str, ElementTree.Element, str, int | None]]:
+             ) -> Iterator[tuple[str, str, ElementTree.Element, str, int]]:
     """Yield the owner, the name and the place of each number that the file gives."""
     for tag, places in (('link', _LINK), ('joint', _JOINT)):
         for owner in root.findall(tag):
             for name, (path, attribute, word) in places.items():
-                element = owner.find('/'.join(path))
+                element = owner.find(path)
                 if element is not None and attribute in element.attrib:
                     yield owner.get('name', ''), name, element, attribute, word
-
-
-def _value(element: ElementTree.Element, attribute: str, word: int | None) -> float:
-    text = element.attrib[attribute]
-    return float(text if word is None else text.split()[word])

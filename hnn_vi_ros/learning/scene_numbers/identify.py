@@ -134,7 +134,6 @@ class Identified(NamedTuple):
 
     free: FreeScene
     solution: Solution
-    problem: Problem
     estimates: Estimates
     stages: list[tuple[float, float]]
     hamiltonian: Hamiltonian
@@ -231,7 +230,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
             data[0], data[1].model_copy(update={'inputs': other}), names, options.data)[0])
         inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
             1.0 - (misfit / solution.misfit)**2), misfit)
-    return Identified(free, solution, problem, estimates, stages, hamiltonian, description, inputs)
+    return Identified(free, solution, estimates, stages, hamiltonian, description, inputs)
 
 
 def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:

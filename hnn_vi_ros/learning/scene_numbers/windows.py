@@ -173,11 +173,6 @@ class Windows:
         return self.motions[0].spacing
 
     @property
-    def dimension(self) -> int:
-        """Return d."""
-        return self.start.shape[2]
-
-    @property
     def times(self) -> np.ndarray:
         """Return the time at which each begins [s], shape (W,)."""
         return np.array([self.motions[run].t[first]
@@ -397,18 +392,15 @@ class Prediction:
 
     def by_numbers(self, starts: np.ndarray) -> np.ndarray:
         """Return the derivative of what is predicted by the free numbers, shape (W, T, C, n)."""
-        wanted = range(len(self._values))
-        if not wanted:
-            return np.zeros((*self._windows.measured.shape, 0))
         # How late forces come changes the forces themselves, not how H' depends on states.
-        exact = [k for k in wanted if self._run is not None
-                 and self._free.numbers[k].place != DELAY]
-        slopes = np.empty((*self._windows.measured.shape, len(wanted)))
-        if self._run is not None and exact:
+        exact = [k for k, number in enumerate(self._free.numbers)
+                 if number.place != DELAY and self._run is not None]
+        slopes = np.empty((*self._windows.measured.shape, len(self._values)))
+        if exact and self._run is not None:
             slopes[..., exact] = self._exact(self._run, starts, [
                 Change(np.zeros_like(starts), [(self._on_number(k), np.array(1.0))])
                 for k in exact])[1]
-        for k in wanted:
+        for k in range(len(self._values)):
             if k not in exact:
                 slopes[..., k] = self._difference(starts, k)
         return slopes
@@ -460,7 +452,7 @@ class Prediction:
 
     def _measured_change(self, states: np.ndarray, moved: np.ndarray,
                          number: Dependence | None) -> np.ndarray:
-        d = self._windows.dimension
+        d = self._windows.start.shape[2]
         if self._windows.measured.shape[2] == d:
             return moved[..., :d]
         flat = [np.ascontiguousarray(part.reshape(-1, d)) for part in (
