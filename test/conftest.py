@@ -80,8 +80,6 @@ def _claim_domain() -> int:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Set the environment before any test module imports rclpy; subprocesses inherit it."""
-    # What a shell starts in the background is deaf to Ctrl-C, which tests press.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
@@ -97,6 +95,11 @@ def pytest_configure(config: pytest.Config) -> None:
     logs = tempfile.TemporaryDirectory(prefix='ros-test-log-', ignore_cleanup_errors=True)
     config.add_cleanup(logs.cleanup)
     os.environ['ROS_LOG_DIR'] = logs.name
+
+
+def pytest_runtest_setup() -> None:
+    """Let a test press Ctrl-C: what ran before may have changed who handles it, or ignores it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
