@@ -3,6 +3,7 @@
 """Files that commands write: checked before anything is simulated, so that no time is lost."""
 
 from collections.abc import Callable, Mapping
+import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import ParameterError
@@ -35,7 +36,7 @@ def check_outputs(paths: Mapping[str, Path | None]) -> None:
         if path.suffix not in valid:
             raise ParameterError(f'{option} {path}: no file of this kind can be written; valid: '
                                  f'{", ".join(valid)}')
-        if path.exists():
+        if os.path.lexists(path):
             raise ParameterError(f'{option} {path}: exists already; name another file')
         if not path.parent.is_dir():
             raise ParameterError(f'{option} {path}: no folder {str(path.parent)!r}; make it first')

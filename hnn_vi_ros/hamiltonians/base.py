@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
@@ -120,7 +120,7 @@ class Hamiltonian(ABC):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
 
-    def copy(self) -> 'Hamiltonian':
+    def copy(self) -> Self:
         """Return the same function with working memory of its own, for use in another thread."""
         other = copy(self)
         for name in ('kernel', '_called'):

@@ -4,7 +4,7 @@
 
 from functools import cache, cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -111,9 +111,11 @@ class ConfinedHamiltonian(Hamiltonian):
         """Return the method and step size [s] of the base."""
         return self.base.scheme
 
-    def copy(self) -> 'ConfinedHamiltonian':
+    def copy(self) -> Self:
         """Return the same function with working memory of its own."""
-        return ConfinedHamiltonian(self.base.copy())
+        other = super().copy()
+        other.base = self.base.copy()
+        return other
 
     @cached_property
     def kernel(self) -> Kernel:

@@ -3,9 +3,8 @@
 """The mean of several learned Hamiltonians, and its members."""
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address, Target
 from hnn_vi_ros.kernels.compilation import composed, functions_of
 from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Kernel
@@ -65,9 +64,11 @@ class MeanHamiltonian(LearnedHamiltonian):
         self.members: tuple[Any, ...] = tuple(family(member) for member in checkpoint.members)
         self.separable = all(member.separable for member in self.members)
 
-    def copy(self) -> Hamiltonian:
+    def copy(self) -> Self:
         """Return the same function with working memory of its own."""
-        return type(self)(self.checkpoint)
+        other = super().copy()
+        other.members = tuple(member.copy() for member in self.members)
+        return other
 
 
 class EnsembleHamiltonian(MeanHamiltonian):

@@ -93,6 +93,10 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
         run.main(['exact_harmonic_oscillator', *options])
     with pytest.raises(ParameterError, match="no folder .*nowhere'; make it first"):
         run.main(['exact_harmonic_oscillator', '--csv', str(tmp_path / 'nowhere' / 'a.csv')])
+    link = tmp_path / 'link.csv'
+    link.symlink_to(tmp_path / 'elsewhere' / 'a.csv')
+    with pytest.raises(ParameterError, match='link.csv: exists already'):
+        run.main(['exact_harmonic_oscillator', '--csv', str(link)])
 
 
 def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):

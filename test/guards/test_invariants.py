@@ -4,11 +4,15 @@
 
 from pathlib import Path
 
+from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import AlarmWarning, SceneError
+from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.guards.bands import InvariantGuard
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.models.confined import load_learned
+from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
 import numpy as np
 from pydantic import ValidationError
@@ -128,6 +132,16 @@ def test_invariant_that_is_none_raises_an_alarm_and_the_true_one_does_not(tmp_pa
     assert (alarm.kind, alarm.unit) == ('r not conserved', '1')
     # 5 % of abs(dr/dq) times abs(q), which is r or twice r off the axes.
     assert 0.04 < alarm.limit < 0.12
+
+
+@pytest.mark.parametrize('make', [
+    lambda: EnsembleHamiltonian(ensemble(2)), lambda: load_learned(
+        shipped_file('model', 'pendulum'), confine=True), HAMILTONIANS['kepler']],
+    ids=['mean', 'confined', 'exact'])
+def test_copy_knows_the_invariants_of_its_original(make):
+    original = make()
+    original.invariants = {'A': lambda q, p: 1.0}
+    assert original.copy().invariants == original.invariants
 
 
 @pytest.mark.parametrize('constant', [0.0, 1e3])

@@ -277,7 +277,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
                     for key, part in initial_state.items()}
     if free.robot & {number.place for number in free.numbers}:
         robot = path.with_suffix('.urdf')
-        if robot.exists():
+        if os.path.lexists(robot):
             raise SceneError(f'{robot}: exists already; name another scene file')
         changes['hamiltonian', 'file'] = robot.name
     for name, file in free.scene.model_files().items():
