@@ -49,7 +49,8 @@ def compact_index(writer: Writer) -> None:
     It has two chunks a second of wall time, and keeps an object with a dictionary of each until
     the file is closed: 6 MB an hour.
     """
-    vars(writer)['_Writer__chunk_indices'] = _Records()
+    parts: Any = writer
+    parts._Writer__chunk_indices = _Records()
 
 
 CHUNK_SIZE = 256 * 1024
