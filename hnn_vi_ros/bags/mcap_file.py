@@ -5,6 +5,7 @@
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from enum import IntEnum
+import os
 from pathlib import Path
 import struct
 from typing import BinaryIO, final
@@ -12,7 +13,7 @@ from typing import BinaryIO, final
 from hnn_vi_ros.bags.bag_metadata import DEFINITIONS, described_channels
 from hnn_vi_ros.bags.bag_source import Piece, Source
 from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, ChunkHead, decode, Frame, PREFIX, read_content, records_in, unpack)
+    chunk_head, ChunkHead, decode, files_in, Frame, PREFIX, read_content, records_in, unpack)
 from hnn_vi_ros.bags.mcap_survey import Definitions, loose_definitions, Survey, survey
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
@@ -68,7 +69,8 @@ class McapFile(Source):
         super().__init__(path, name)
         with open_file(path, name) as stream:
             end = self._begin(stream, None, thorough)
-            # Where a chunk defines a channel otherwise than one before it, another file begins.
+            # Another file begins where a chunk defines a channel otherwise than one before it, and
+            # where a file begins in what cannot be read: a record that broke off hides it.
             while end is not None:
                 end = self._begin(stream, end, thorough)
         self.pieces = sorted(self.pieces + self.survey.runs, key=lambda piece: piece.start)
@@ -97,7 +99,10 @@ class McapFile(Source):
         self._defined, self._loose = Definitions(), loose_definitions(self.survey)
         self._entries: dict[int, int] = {}
         self._read_indexes(stream, self.survey.stray)
-        return self._note_chunks(stream, thorough)
+        begin = self._note_chunks(stream, thorough)
+        if begin is None and (self.unread or self.incomplete):
+            begin = self._hidden_file(stream, end)
+        return begin
 
     def _note_chunks(self, stream: BinaryIO, thorough: bool) -> int | None:
         """Note the chunks up to one that contradicts those before it; return its place."""
@@ -116,6 +121,15 @@ class McapFile(Source):
             if self._defined.contradicted:
                 return chunk.start - PREFIX.size
         return None
+
+    def _hidden_file(self, stream: BinaryIO, end: int | None) -> int | None:
+        """Return where another file begins before a place, other than in what is sound."""
+        size = stream.seek(0, os.SEEK_END) if end is None else end
+        sound = [chunk for chunk, _ in self.survey.chunks
+                 if chunk.whole and chunk.start not in self.unread]
+        return next((place for place in files_in(stream, size)
+                     if not any(frame.start <= place < frame.end
+                                for frame in [*sound, *self.survey.attachments])), None)
 
     def _define(self) -> None:
         """Define the channels; what has no checksum comes last."""

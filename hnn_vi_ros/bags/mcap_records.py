@@ -298,6 +298,15 @@ class Gap(NamedTuple):
     incomplete: bool
 
 
+def files_in(stream: BinaryIO, size: int) -> Iterator[int]:
+    """Yield where MCAP files seem to begin in the first bytes of a stream, other than at 0."""
+    begin = MAGIC + bytes([Opcode.HEADER])
+    for start in range(1, size, _WINDOW):
+        stream.seek(start)
+        window = stream.read(min(_WINDOW + len(begin) - 1, size - start))
+        yield from (start + found.start() for found in re.finditer(re.escape(begin), window))
+
+
 def walk(stream: BinaryIO, size: int) -> Iterator[Frame | Gap]:
     """
     Yield the records of a stream, and the bytes between them that are none.

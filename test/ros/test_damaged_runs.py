@@ -13,7 +13,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC
 from hnn_vi_ros.bags.mcap_recovery import recover
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
 from hnn_vi_ros.learning.data.bag_signals import BagMotions, read_bag_motions
 from hnn_vi_ros.ros.replay.recorded_run import resume
@@ -107,6 +107,23 @@ def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
                 cut_off = True
     # For a long run: pytest -s shows it.
     print(end, sum(outcomes.values()), dict(outcomes))
+
+
+def test_second_file_is_found_behind_a_record_that_breaks_off(bag, other, tmp_path):
+    """The record's length covers the beginning of the other file, whose channels are alike."""
+    whole, path = content_of(bag), tmp_path / 'bag' / 'bag_0.mcap'
+    first = without_end((bag / 'bag_0.mcap').read_bytes())
+    for end in range(len(first) // 4, len(first), 499):
+        shutil.rmtree(path.parent, ignore_errors=True)
+        path.parent.mkdir()
+        path.write_bytes(first[:end] + without_end(other)[:len(other) // 2])
+        try:
+            assert recover(path.parent).another == end
+        except RecordingError as problem:
+            # Of the first file there is too little.
+            assert f'tail -c +{end + 1}' in str(problem)
+        else:
+            assert content_of(path.parent) <= whole
 
 
 def recovered(path: Path, whole: Counter, cut_off: bool) -> bool:
