@@ -191,7 +191,7 @@ class Stepping(ABC):
             'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
 
     def _kept(self) -> tuple[int, int, list[np.ndarray]]:
-        """Return what a stretch begins with: a snapshot without names, which takes microseconds."""
+        """Return what a stretch begins with: a snapshot without names, in microseconds."""
         return self.steps, self._active, [array.copy() for array in self._own]
 
     def _go_back(self, kept: tuple[int, int, list[np.ndarray]], costs: dict[str, Any], done: int
