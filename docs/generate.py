@@ -16,13 +16,13 @@ from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
 from hnn_vi_ros.guards.bands import BandGuard
 from hnn_vi_ros.guards.base import Guard
-from hnn_vi_ros.ros.parameters import settings as parameters
-from hnn_vi_ros.run.pacing import OverrunGuard
+from hnn_vi_ros.ros import settings as parameters
+from hnn_vi_ros.run.timing import OverrunGuard
 
 # Beside this file, and in no commit.
 FOLDER = 'generated'
 # Where errors of a user stand that hnn_vi_ros.errors does not hold.
-_OTHER_ERRORS = ('hnn_vi_ros.run.worlds',)
+_OTHER_ERRORS = ('hnn_vi_ros.ros.services',)
 _SCENE_PARTS = {'hamiltonian': 'Hamiltonians', 'integrator': 'Integrators', 'effects': 'Effects'}
 
 

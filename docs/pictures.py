@@ -50,9 +50,9 @@ def write_moving(path: Path) -> None:
 def write_hover(path: Path) -> None:
     """Draw the quadrotor on its way to where the example controller holds it."""
     # Imported here: the other pictures need no ROS.
-    from hnn_vi_ros.ros.examples.hover_node import commands_of
-    from hnn_vi_ros.ros.parameters.settings import HoverSettings
-    from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
+    from hnn_vi_ros.ros.hover_node import commands_of
+    from hnn_vi_ros.ros.settings import HoverSettings
+    from hnn_vi_ros.ros.topics.poses import OdometryEncoder
     from matplotlib.figure import Figure
     from nav_msgs.msg import Odometry
     from rclpy.serialization import deserialize_message

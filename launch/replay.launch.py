@@ -3,7 +3,7 @@
 """Play a bag: ``ros2 launch hnn_vi_ros replay.launch.py bag:=FOLDER``."""
 
 from hnn_vi_ros.ros.launching import describe_node
-from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS
+from hnn_vi_ros.ros.settings import REPLAY_PARAMETERS
 from launch import LaunchDescription
 
 

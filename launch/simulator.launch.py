@@ -3,7 +3,7 @@
 """Launch the simulator node: ``ros2 launch hnn_vi_ros simulator.launch.py scene:=NAME``."""
 
 from hnn_vi_ros.ros.launching import describe_node
-from hnn_vi_ros.ros.parameters.settings import PARAMETERS
+from hnn_vi_ros.ros.settings import PARAMETERS
 from launch import LaunchDescription
 
 

@@ -14,7 +14,7 @@ from hnn_vi_ros import cli
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.networks.activations import ACTIVATIONS
-from hnn_vi_ros.ros.parameters import settings as parameters
+from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.version import __version__
 import pytest
 from urdf_robots import chain

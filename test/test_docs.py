@@ -13,7 +13,7 @@ import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros.parameters import settings as parameters
+from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.run.health import STEP_FAILED
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.outputs import OUTPUTS

@@ -50,7 +50,7 @@ for name in {shipped_names('model')!r}:
 
 
 @pytest.mark.parametrize('module', [
-    'bags.recover_bag', 'ros.examples.listener_node', 'ros.replay.replay_node', 'ros.rerun_bridge',
+    'bags.recover_bag', 'ros.listener_node', 'ros.replay.replay_node', 'ros.rerun_bridge',
     'ros.simulator_node', 'commands.scene_tool', 'viewer.rerun_sink'])
 def test_what_runs_is_imported_without_the_extra_of_training(module):
     assert status_of(f'import hnn_vi_ros.{module}') == 0
@@ -95,7 +95,7 @@ else:
 @pytest.mark.parametrize('module', [
     'bags.recover_bag', 'commands.cost', 'commands.scene_tool', 'envs',
     'learning.scene_numbers.identify', 'learning.import_checkpoint',
-    'ros.examples.hover_node', 'ros.examples.listener_node', 'ros.replay.replay_node',
+    'ros.hover_node', 'ros.listener_node', 'ros.replay.replay_node',
     'ros.simulator_node', 'companions.members', 'torch'])
 def test_what_works_without_rerun_and_pyarrow_does_not_import_them(module):
     assert status_of(f'import hnn_vi_ros.{module}', {'rerun', 'pyarrow'}) == 0

@@ -64,7 +64,7 @@ FAULTS = [
     Fault('composition with its factors swapped', 'integrators/composition.py',
           (('fractions = (_w, 1.0 - 2.0 * _w, _w)', 'fractions = (1.0 - 2.0 * _w, _w, _w)'),),
           'verification/test_order.py', 'local_error and yoshida4'),
-    Fault('k4 of RK4 taken at h / 2', 'integrators/rk4.py',
+    Fault('k4 of RK4 taken at h / 2', 'integrators/runge_kutta.py',
           (('length = h if stage == 2 else 0.5 * h', 'length = 0.5 * h'),),
           'verification/test_order.py', 'local_error and rk4'),
     Fault("q' = p assumed by the paper's scheme", 'integrators/variational_euler.py',
@@ -73,7 +73,7 @@ FAULTS = [
     Fault("q' = p assumed by the leapfrog", 'integrators/stormer_verlet.py',
           (('z.q_carry[i], h * z1.dH_dp[i])', 'z.q_carry[i], h * z1.p[i])'),),
           'verification/test_structure.py', 'is_stormer_verlet'),
-    Fault('sign flipped in the adjoint', 'integrators/symplectic_euler_adjoint.py',
+    Fault('sign flipped in the adjoint', 'integrators/symplectic_euler.py',
           (('-h * z1.dH_dq[i]', 'h * z1.dH_dq[i]'),),
           'verification/test_order.py', 'local_error and symplectic_euler_adjoint'),
 ]

@@ -8,7 +8,7 @@ import shlex
 
 from hnn_vi_ros.commands.table import COMMANDS as KNOWN, parser_of
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.ros.parameters import settings as parameters
+from hnn_vi_ros.ros import settings as parameters
 import pytest
 
 ROOT = Path(__file__).parents[1]

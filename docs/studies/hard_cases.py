@@ -10,8 +10,7 @@ import time
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
+from hnn_vi_ros.processors import ignore_sigint_in_children, usable_processors, worker_processes
 from hnn_vi_ros.version import __version__
 from studies.hard_cases_checks import run_job
 from studies.hard_cases_plan import Job, load_plan, make_jobs
@@ -89,8 +88,8 @@ def _rows(jobs: Sequence[Job], processes: int) -> Iterator[CaseRow]:
     for _, group in groupby(jobs, key=lambda job: job.kernel):
         same = list(group)
         parts += [same[i:i + _TOGETHER] for i in range(0, len(same), _TOGETHER)]
-    with deaf_workers(processes) as pool:
-        with deaf_children():
+    with worker_processes(processes) as pool:
+        with ignore_sigint_in_children():
             futures = [pool.submit(_run_some, part) for part in parts]
         for future in as_completed(futures):
             yield from future.result()

@@ -10,7 +10,7 @@ from hnn_vi_ros.accuracy.diagnostics import (
     stationary_energy, symplectic_defect)
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
-from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import RescueGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch

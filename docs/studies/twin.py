@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.companions.base import Accompanied
+from hnn_vi_ros.companions.members import Accompanied
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.learning.data.runs import Run, train_and_test

@@ -16,7 +16,7 @@ from hnn_vi_ros.bags.bag_metadata import (
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.kernels.sources import identity
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer

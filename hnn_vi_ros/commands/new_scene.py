@@ -1,14 +1,263 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a scene file to begin from: a copy of a shipped one, which editors check."""
+"""Write a scene file to begin from: a copy of a shipped one, or a scene of a robot."""
 
+from collections.abc import Iterable
+import json
+import math
+import os
+from pathlib import Path
 import re
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.files.regular_file import write_new_scene
-from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.resources import package_file, SCHEME, share_folder
+from hnn_vi_ros.files.yaml_text import dump_yaml, one_line
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
+from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
+from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.scene import load_scene
+import numpy as np
+from scipy.optimize import minimize
+
+# Steps in the shortest period of small motions about the state of rest; and what friction may
+# take of a velocity in a step.
+_STEPS, _SHARE = 100, 0.5
+_LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
+# Speed of dry friction, unless the step needs a larger one: the default of the effect.
+_SPEED = 0.01
+_TEXT = """\
+# A first scene of {robot}, written by `scene --new`; change what you like.
+#   ros2 run hnn_vi_ros scene --explain {scene}    # all keys with their units
+#   ros2 run hnn_vi_ros simulator --ros-args -p scene:={scene}
+description: {description}
+hamiltonian:
+  kind: urdf
+  file: {file}
+  # The joints that move, in the order of q and p below; take one out and hold it by locked.
+  joints:
+{joints}
+{locked}  gravity: [0.0, 0.0, -9.81]   # [m/s2], in the frame of the base
+  # A URDF does not tell the motors: their inertia as the joints feel it, that is times the gear
+  # ratio squared {rotor_units}.
+  # rotor_inertia: {{{first}: 0.1}}
+effects:{effects}
+  # What a controller sends to ~/commands, one number for each of these joints {force_units}:
+  # - {{kind: external_force, coordinates: [{names}]}}
+integrator: {{kind: generalized_leapfrog}}
+step_size: {step_size}   # [s]
+initial_state:
+  # At rest: gravity moves no joint from here. Begin elsewhere, and it falls.
+  q: {q}   # {units}
+  p: {p}   # {p_units}
+"""
+
+
+def write_scene(file: str, out: Path | None) -> Path:
+    """
+    Write a scene for a robot, and return its path.
+
+    Parameters
+    ----------
+    file : str
+        A URDF: its path, or package://PACKAGE/PATH.
+    out : Path or None
+        The scene; by default that of the URDF's name in the working directory.
+
+    Raises
+    ------
+    ModelError
+        The URDF cannot be read or simulated.
+    SceneError
+        The file exists already, or cannot be written.
+
+    """
+    urdf = _find(file)
+    out = Path(f'{urdf.stem}.yaml') if out is None else out
+    if out.suffix not in ('.yaml', '.yml'):
+        raise SceneError(f'{out}: the file of a scene ends in .yaml; give such a name by --out')
+    robot = read_urdf(urdf)
+    locked = held(robot)
+    try:
+        tree = RigidBodyTree(str(urdf), locked=locked)
+    except ValueError as problem:
+        raise ModelError(f'{urdf}: {problem}') from problem
+    name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
+    text = scene_text(name, out, tree, locked)
+    write_new_scene(out, text)
+    return out
+
+
+def _find(file: str) -> Path:
+    if not file.startswith(SCHEME):
+        return Path(file)
+    try:
+        return package_file(file)
+    except ValueError as problem:
+        raise ModelError(str(problem)) from problem
+
+
+def held(robot: Robot) -> dict[str, float]:
+    """
+    Return the joints that are to be held, and where.
+
+    Those that follow others, those whose limits leave no room, and of many the last ones.
+    """
+    moving, locked = 0, {}
+    waiting = list(reversed(robot.links[robot.root].joints))
+    while waiting:
+        joint = waiting.pop()
+        waiting += reversed(robot.links[joint.child].joints)
+        low, high = joint.bounds
+        if joint.moves:
+            if joint.mimics is not None or moving == MOST_JOINTS or (
+                    low is not None and low == high):
+                locked[joint.name] = float(np.clip(0.0, low, high)) if low is not None else 0.0
+            else:
+                moving += 1
+    return locked
+
+
+def resting_state(tree: RigidBodyTree) -> np.ndarray:
+    """
+    Return where a robot rests within its limits, shape (d,): a least V(q), p = 0.
+
+    What gravity does not move is at zero, or at the limit next to it. A slide without limits on
+    which gravity acts would fall for ever: it is at zero as well.
+    """
+    low, high = _range(tree)
+    start = np.clip(np.zeros(tree.dimension), low, high)
+    zero, scale = np.zeros(tree.dimension), tree.kernel.energy_scale or 1.0
+
+    def potential(q: np.ndarray) -> float:
+        return float(tree.energy(q, zero)) / scale
+
+    best = start
+    # A second start next to it: at zero the robot may stand upright, in balance as well.
+    for kick in (0.0, 0.1):
+        found = minimize(
+            potential, np.clip(start + kick, low, high), method='L-BFGS-B',
+            jac=lambda q: tree.gradient(q, zero)[0] / scale,
+            bounds=list(zip(low, high, strict=True)), options={'ftol': 1e-15, 'gtol': 1e-9}).x
+        if potential(found) < potential(best) - 1e-9:
+            best = found
+    for i in range(len(best)):
+        other = best.copy()
+        other[i] = start[i]
+        if potential(other) <= potential(best) + 1e-12:
+            best = other
+    turns = [joint.kind == 'continuous' for joint in tree.joints]
+    best = np.where(turns, np.remainder(best + np.pi, 2.0 * np.pi) - np.pi, best)
+    return np.clip(np.round(best, 6) + 0.0, low, high)
+
+
+def _range(tree: RigidBodyTree) -> tuple[np.ndarray, np.ndarray]:
+    """Return bounds of q, each of shape (d,)."""
+    ends = []
+    for joint in tree.joints:
+        low, high = joint.bounds
+        if low is None or high is None:
+            low, high = (0.0, 0.0) if joint.kind == SLIDING else (-math.inf, math.inf)
+        ends.append((low, high))
+    low, high = np.array(ends).T
+    return low, high
+
+
+def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the largest angular frequency of small motions [rad/s], and 1 / (M^-1)_jj."""
+    zero = np.zeros(q.size)
+    curvature = np.column_stack([tree.hessian_vector(q, zero, unit, zero)[0]
+                                 for unit in np.eye(q.size)])
+    mass = tree.masses(q[None])[0]
+    # In units of each joint's own inertia: an arm and its gripper differ by orders of magnitude.
+    size = np.sqrt(np.diag(mass))
+    try:
+        with np.errstate(all='ignore'):
+            inverse = np.linalg.inv(mass / size / size[:, None])
+            squares = np.linalg.eigvals(inverse @ (curvature / size / size[:, None])).real
+    except np.linalg.LinAlgError as problem:
+        raise ModelError(f'{tree.robot.where}: where it rests, masses and lengths are of sizes '
+                         f'whose quotients are lost ({problem}); see their units') from problem
+    return math.sqrt(max(0.0, squares.max())), size**2 / np.diag(inverse)
+
+
+def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float]) -> str:
+    """Return the YAML of the scene of a robot."""
+    joints, q = tree.joints, resting_state(tree)
+    frequency, inertia = rates(tree, q)
+    damping, friction = (np.array([getattr(joint, name) for joint in joints])
+                         for name in ('damping', 'friction'))
+    periods = 2.0 * np.pi / frequency / _STEPS if frequency > 0.0 else math.inf
+    with np.errstate(divide='ignore', over='ignore'):
+        step_size = _round(max(_SHORTEST_STEP, min(
+            _LONGEST_STEP, periods, (_SHARE * inertia / damping).min())), up=False)
+    speed = max(_SPEED, (friction * step_size / (_SHARE * inertia)).max())
+    effects = []
+    if damping.any() or friction.any():
+        effects.append('# f = -b v - F tanh(v / speed), with damping b and friction F of the URDF')
+        effects.append(f'- {{kind: joint_friction, from: urdf, speed: {_round(speed, up=True):g}}}'
+                       f'   # {_units(f"{joint.units.q}/s" for joint in joints)}')
+    if any(joint.bounds[0] is not None for joint in joints):
+        effects.append('# Rigid stops; restitution: 0.5 lets joints bounce off them.')
+        effects.append('- {kind: joint_limits, from: urdf}')
+    names = [_quoted(joint.name) for joint in joints]
+    wide = max(map(len, names))
+    return _TEXT.format(
+        robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
+        description=_quoted(f'{Path(file).stem} at rest, from its URDF'), first=names[0],
+        names=', '.join(names), locked=_locked(tree.robot, locked),
+        rotor_units=_units(joint.units.rotor for joint in joints),
+        force_units=', '.join(f'[{joint.units.force}]' for joint in joints),
+        joints='\n'.join(f'    - {name:{wide}}   # {_told(joint)}'
+                         for name, joint in zip(names, joints, strict=True)),
+        effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
+        q=q.tolist(), p=[0.0] * q.size,
+        units=', '.join(f'[{coordinate.q_unit}]' for coordinate in tree.coordinates),
+        p_units=', '.join(f'[{coordinate.p_unit}]' for coordinate in tree.coordinates))
+
+
+def _locked(robot: Robot, locked: dict[str, float]) -> str:
+    if not locked:
+        return ''
+    units = {joint.name: joint.units.q for link in robot.links.values() for joint in link.joints}
+    lines = ''.join(f'    {_quoted(name)}: {value}   # [{units[name]}]\n'
+                    for name, value in locked.items())
+    return ('  # Held there: they follow others, have no room, or are too many.\n'
+            f'  locked:\n{lines}')
+
+
+def _units(units: Iterable[str]) -> str:
+    """Return units in brackets, each once."""
+    return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
+
+
+def _told(joint: Joint) -> str:
+    """Return what a comment says of a joint."""
+    low, high = joint.bounds
+    parts = [joint.kind if low is None else f'{joint.kind}, {low:g} to {high:g} {joint.units.q}']
+    if joint.damping or joint.friction:
+        parts.append(f'damping {joint.damping:g} {joint.units.damping}, '
+                     f'friction {joint.friction:g} {joint.units.force}')
+    return ', '.join(parts)
+
+
+def _round(value: float, up: bool) -> float:
+    """Return the next of 1, 2 and 5 times a power of ten."""
+    power = math.floor(math.log10(value))
+    steps = [float(f'{digit}e{power + more}') for more in (-1, 0, 1) for digit in (1, 2, 5)]
+    near = 1e-9 * value
+    return min(step for step in steps if step >= value - near) if up else max(
+        step for step in steps if step <= value + near)
+
+
+def _quoted(text: str) -> str:
+    """Return a text quoted for YAML, inside of brackets too."""
+    plain = dump_yaml([text]).removeprefix('- ').strip()
+    return plain if plain == text and not set(text) & set(',:#[]{}') else json.dumps(text)
+
 
 # The line by which editors find the schema; shipped scenes name it by a relative path.
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')

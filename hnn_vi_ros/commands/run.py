@@ -3,16 +3,81 @@
 """Simulate a scene without ROS, and draw, show or keep its trajectory."""
 
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+import os
 from pathlib import Path
 
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.commands.outputs import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
+
+# Suffixes by option; options that are not listed take any.
+_PICTURES = ('.png', '.svg', '.pdf')
+SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
+            '--rerun': ('.rrd',)}
+
+
+def check_outputs(paths: Mapping[str, Path | None]) -> None:
+    """
+    Check that files can be written.
+
+    Parameters
+    ----------
+    paths : mapping
+        By option; None where one is not asked for.
+
+    Raises
+    ------
+    ParameterError
+        A file has another suffix, exists already, or its folder does not exist.
+
+    """
+    for option, path in paths.items():
+        if path is None:
+            continue
+        valid = SUFFIXES.get(option, (path.suffix,))
+        if path.suffix not in valid:
+            raise ParameterError(f'{option} {path}: no file of this kind can be written; valid: '
+                                 f'{", ".join(valid)}')
+        if os.path.lexists(path):
+            raise ParameterError(f'{option} {path}: exists already; name another file')
+        if not path.parent.is_dir():
+            raise ParameterError(f'{option} {path}: no folder {str(path.parent)!r}; make it first')
+
+
+def write_outputs(paths: Mapping[str, Path | None],
+                  writers: Mapping[str, Callable[[Path], object]]) -> None:
+    """
+    Write the files that are asked for, and print the path of each.
+
+    Parameters
+    ----------
+    paths : mapping
+        See ``check_outputs``.
+    writers : mapping
+        By option, what writes to a path.
+
+    Raises
+    ------
+    ParameterError
+        A file cannot be written, or would be empty.
+
+    """
+    for option, write in writers.items():
+        path = paths[option]
+        if path is None:
+            continue
+        try:
+            write(path)
+        except OSError as problem:
+            raise ParameterError(f'{option} {path}: cannot be written '
+                                 f'({problem.strerror or problem})') from problem
+        except ValueError as problem:
+            raise ParameterError(f'{option} {path}: {problem}') from problem
+        print(path)
 
 
 def main(argv: list[str]) -> int:

@@ -33,7 +33,7 @@ def main(argv: list[str]) -> int:
     if options.out is not None and options.new is None:
         parser.error('--out goes with --new')
     if options.new is not None:
-        from hnn_vi_ros.commands.robot_scene import write_scene
+        from hnn_vi_ros.commands.new_scene import write_scene
         path = write_scene(options.new, options.out)
         print(f'{path}: written')
         return check([str(path)])

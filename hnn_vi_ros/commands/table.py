@@ -12,10 +12,10 @@ from hnn_vi_ros.errors import did_you_mean
 # Each executable, and the module whose ``main(argv)`` it calls.
 EXECUTABLES = {
     'evaluate': 'hnn_vi_ros.learning.evaluate',
-    'hover': 'hnn_vi_ros.ros.examples.hover_node',
+    'hover': 'hnn_vi_ros.ros.hover_node',
     'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
     'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
-    'listener': 'hnn_vi_ros.ros.examples.listener_node',
+    'listener': 'hnn_vi_ros.ros.listener_node',
     'recover_bag': 'hnn_vi_ros.bags.recover_bag',
     'replay': 'hnn_vi_ros.ros.replay.replay_node',
     'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',

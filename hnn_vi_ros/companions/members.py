@@ -5,8 +5,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, Protocol
 import warnings
 
 from hnn_vi_ros.effects.commands import Command
@@ -23,6 +24,72 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import changed_parts, simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
+
+
+class Companion(Protocol):
+    """Companion of a simulation, which never disturbs it: it raises nothing."""
+
+    def advance(self, n: int) -> None:
+        """Take as many steps as the simulation did."""
+
+    def set_command(self, command: Command) -> None:
+        """Take a command that the simulation has taken."""
+
+    def begin(self, simulation: Simulation) -> None:
+        """Restart from the state of the simulation, at its step."""
+
+
+def accompany(simulation: Simulation, companions: Sequence[Companion]) -> Simulation:
+    """Return a simulation with its companions, in its place; itself if there are none."""
+    return cast(Simulation, Accompanied(simulation, companions)) if companions else simulation
+
+
+class Accompanied:
+    """
+    A simulation with companions, which step with it and meet the same commands.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        All that is not listed below is its own.
+    companions : sequence of Companion
+        What goes along.
+
+    """
+
+    def __init__(self, simulation: Simulation, companions: Sequence[Companion]):
+        self._simulation, self._companions = simulation, companions
+        self._begin()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._simulation, name)
+
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """Take n steps, or fewer, and return how many, or raise; see Simulation."""
+        taken = self._simulation.advance(n, until)
+        for companion in self._companions:
+            companion.advance(taken)
+        return taken
+
+    def set_command(self, command: Command) -> None:
+        """Set a command, or raise ValueError and change nothing; see Simulation."""
+        self._simulation.set_command(command)
+        for companion in self._companions:
+            companion.set_command(command)
+
+    def restart(self, *arguments: Any, **more: Any) -> None:
+        """Restart; see Simulation."""
+        self._simulation.restart(*arguments, **more)
+        self._begin()
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
+        """Go back to a snapshot; companions go on from its state."""
+        self._simulation.restore(snapshot)
+        self._begin()
+
+    def _begin(self) -> None:
+        for companion in self._companions:
+            companion.begin(self._simulation)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.integrators.workspaces import SolverWork
-from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.blocks import bare
 from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from hnn_vi_ros.guards.bands import BarrierGuard, InvariantGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Guard, Observed
-from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.simulation import Simulation

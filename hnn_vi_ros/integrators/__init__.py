@@ -10,21 +10,17 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.composition import Composition, KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.discrete_euler_lagrange import DiscreteEulerLagrange
 from hnn_vi_ros.integrators.discrete_gradient import DiscreteGradient
-from hnn_vi_ros.integrators.dop853 import DOP853
-from hnn_vi_ros.integrators.explicit_euler import ExplicitEuler
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
-from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
+from hnn_vi_ros.integrators.lie.lie_leapfrog import (
+    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint)
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
-from hnn_vi_ros.integrators.rk4 import RK4
+from hnn_vi_ros.integrators.runge_kutta import DOP853, ExplicitEuler, RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
-from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
-from hnn_vi_ros.integrators.symplectic_euler_adjoint import SymplecticEulerAdjoint
+from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint

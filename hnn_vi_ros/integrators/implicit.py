@@ -3,9 +3,7 @@
 """Common part of the methods that solve an equation in each step."""
 
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.continuation import continuation
-from hnn_vi_ros.integrators.krylov import krylov
-from hnn_vi_ros.integrators.newton import newton
+from hnn_vi_ros.integrators.newton import continuation, krylov, newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 from hnn_vi_ros.integrators.workspaces import FAST_MATRIX, LARGEST_MATRIX
 

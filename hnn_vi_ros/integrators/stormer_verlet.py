@@ -3,8 +3,7 @@
 """The Störmer-Verlet method, explicit, for separable Hamiltonians."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point
-from hnn_vi_ros.integrators.modified import leapfrog_energy
+from hnn_vi_ros.integrators.base import Integrator, leapfrog_energy, OK, Point
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel

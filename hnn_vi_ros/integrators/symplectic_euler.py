@@ -1,11 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The symplectic Euler method: the paper's scheme in the staggered state."""
+"""The symplectic Euler method, the paper's scheme in the staggered state, and its adjoint."""
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Point
-from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
+from hnn_vi_ros.integrators.equations import (
+    EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
 from hnn_vi_ros.integrators.requirements import Requirements
@@ -63,3 +64,52 @@ class SymplecticEuler(ImplicitIntegrator):
                         ) -> np.ndarray:
         """Return H - (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
         return energy - 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)
+
+
+class SymplecticEulerAdjoint(ImplicitIntegrator):
+    """
+    Symplectic Euler, implicit in the coordinate: the adjoint of SymplecticEuler.
+
+        q_(n+1) = q_n + h H_p(q_(n+1), p_n)
+        p_(n+1) = p_n - h H_q(q_(n+1), p_n)
+
+    Symplectic, order 1, not symmetric; it nearly conserves H + (h / 2) H_q . H_p.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.3.
+
+    """
+
+    order, scalar = 1, True
+    requirements = Requirements(symmetric=False, symplectic=True)
+    no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
+                   'the way det(I - h H_qp) changes sign')
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (EquationWork.empty(n, dtype),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage (q_(n+1), p_n); see Integrator."""
+        return tableau([[1]], [[0]], [1], [1])
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
+             memory: tuple[EquationWork | HalfwayWork, ...]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        outcome, residual, gradients = solve_coordinates(
+            kernel, h, Known(z.p, z.q, z.q_carry, z.dH_dp),
+            Sought(z1.q, z1.q_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
+        for i in range(z.q.size):
+            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
+        return outcome, residual, gradients
+
+    @staticmethod
+    def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
+                        energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
+                        ) -> np.ndarray:
+        """Return H + (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
+        return energy + 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)

@@ -5,11 +5,36 @@
 from collections.abc import Iterator
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
+import platform
 import re
+import sys
 from types import CodeType, FunctionType, ModuleType
 
 from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.version import __version__
+from llvmlite import binding
+
+# torch counts only where it computes.
+_LIBRARIES = ('numpy', 'scipy', 'numba', 'llvmlite')
+
+
+def identity() -> dict[str, str]:
+    """Return what two runs must have in common to agree bit by bit, by name."""
+    torch = {'torch': version('torch')} if 'torch' in sys.modules else {}
+    return _fixed() | torch
+
+
+@cache
+def _fixed() -> dict[str, str]:
+    features = sha256(binding.get_host_cpu_features().flatten().encode()).hexdigest()
+    return {
+        'hnn_vi_ros': __version__, 'sources': sources(), 'python': platform.python_version(),
+        **{name: version(name) for name in _LIBRARIES},
+        'machine': platform.machine(), 'processor': binding.get_host_cpu_name(),
+        'processor_features': features[:16]}
+
 
 _PACKAGE = __name__.partition('.')[0]
 _ROOT = Path(__file__).parents[1]

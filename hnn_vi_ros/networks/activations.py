@@ -12,12 +12,151 @@ its own: its slope is 1 - a^2. The others keep their slope in a fifth group of r
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
 from hnn_vi_ros.networks.perceptron_memory import (
     PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
-from hnn_vi_ros.networks.vector_functions import sine_and_cosine, softplus_and_slope, tanh
 from numba.extending import overload
 import numpy as np
+
+# tanh is 1 to double precision beyond 2 |x| = 40, and exp stays far from overflow.
+_LARGEST = 40.0
+_LOG2_E = 1.4426950408889634
+# ln 2 in two parts: k * _LN2_HIGH is exact for abs(k) < 2^11.
+_LN2_HIGH = 6.93147180369123816490e-01
+_LN2_LOW = 1.90821492927058770002e-10
+# Adding this rounds a small double to an integer and leaves the integer in its low bits.
+_ROUNDING = 6755399441055744.0
+# (exp(r) - 1) / r as a polynomial, lowest power first: interpolation in the 11 Chebyshev nodes
+# of abs(r) <= 1.0001 ln(2) / 2, which test_vector_tanh.py repeats; relative error 2.4e-17.
+_EXP = (
+    1.0, 0.5000000000000006, 0.1666666666666667, 0.041666666666573066, 0.008333333333326136,
+    0.001388888893251478, 0.00019841269874820627, 2.480150431378554e-05, 2.7557255400206422e-06,
+    2.7626371065696354e-07, 2.5105217004720745e-08)
+
+
+# Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
+def tanh(x: float) -> float:
+    """
+    Return the tanh of x, to about two units in the last place; NaN stays NaN.
+
+    With m = exp(2 x) - 1, tanh x = m / (m + 2). Write 2 x = k ln 2 + r, abs(r) <= ln(2) / 2;
+    then m = 2^k (exp(r) - 1) + (2^k - 1), where exp(r) - 1 is r times a polynomial of degree 10,
+    summed by Estrin's scheme, whose chain of dependent operations is shorter than Horner's.
+    It is free of branches and calls, and inlined: a loop over it becomes vector instructions.
+
+    """
+    doubled = 2.0 * x
+    doubled = _LARGEST if doubled > _LARGEST else doubled
+    doubled = -_LARGEST if doubled < -_LARGEST else doubled
+    rounded = np.float64(doubled * _LOG2_E + _ROUNDING)
+    k = rounded - _ROUNDING
+    r = (doubled - k * _LN2_HIGH) - k * _LN2_LOW
+    power_of_two = np.int64((rounded.view(np.int64) + 1023) << 52).view(np.float64)
+    r2 = r * r
+    r4 = r2 * r2
+    low = (_EXP[0] + _EXP[1] * r) + (_EXP[2] + _EXP[3] * r) * r2
+    middle = (_EXP[4] + _EXP[5] * r) + (_EXP[6] + _EXP[7] * r) * r2
+    high = (_EXP[8] + _EXP[9] * r) + _EXP[10] * r2
+    series = low + (middle + high * r4) * r4
+    m = power_of_two * (series * r) + (power_of_two - 1.0)
+    return m / (m + 2.0)
+
+
+_TWO_OVER_PI = 0.6366197723675814
+# pi / 2 in three parts: k times each of the first two is exact for abs(k) < 2^20.
+_HALF_PI_HIGH = 1.5707963267341256
+_HALF_PI_MIDDLE = 6.077100506303966e-11
+_HALF_PI_LOW = 2.0222662487959506e-21
+# What no remainder reaches; of numbers too large to be reduced, something small is left.
+_LARGEST_REST = 0.8
+# (sin(r) / r - 1) / r^2 and (cos(r) - 1 + r^2 / 2) / r^4 as polynomials of r^2, lowest power
+# first: interpolation in six Chebyshev nodes of 0 <= r^2 <= (1.0001 pi / 4)^2, which
+# test_vector_functions.py repeats; error 2.0e-17, of the sine relative.
+_SIN = (
+    -0.16666666666666666, 0.008333333333330946, -0.0001984126983675497, 2.755731610068303e-06,
+    -2.5051131455427946e-08, 1.591810123027412e-10)
+_COS = (
+    0.041666666666666664, -0.0013888888888887395, 2.4801587298763433e-05,
+    -2.7557317270560326e-07, 2.0876146024689747e-09, -1.1382614868556325e-11)
+
+
+# Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
+def sine_and_cosine(x: float) -> tuple[float, float]:
+    """
+    Return the sine and the cosine of x; NaN stays NaN, and infinity becomes NaN.
+
+    Write x = k pi / 2 + r, abs(r) <= pi / 4: the polynomials give sin r and cos r, and k mod 4
+    decides which of them is which and its sign. The error is 1.5 units of round-off for
+    abs(x) < 1e6; beyond, x's own last digit. There is no branch and no call, as in vector_tanh.
+
+    """
+    rounded: Any = np.float64(x * _TWO_OVER_PI + _ROUNDING)
+    k = rounded - _ROUNDING
+    r = ((x - k * _HALF_PI_HIGH) - k * _HALF_PI_MIDDLE) - k * _HALF_PI_LOW
+    r = _LARGEST_REST if r > _LARGEST_REST else r
+    r = -_LARGEST_REST if r < -_LARGEST_REST else r
+    r2 = r * r
+    r4 = r2 * r2
+    s = (_SIN[0] + _SIN[1] * r2) + ((_SIN[2] + _SIN[3] * r2) + (_SIN[4] + _SIN[5] * r2) * r4) * r4
+    c = (_COS[0] + _COS[1] * r2) + ((_COS[2] + _COS[3] * r2) + (_COS[4] + _COS[5] * r2) * r4) * r4
+    sine, cosine = r + r * r2 * s, (1.0 - 0.5 * r2) + r4 * c
+    quadrant = rounded.view(np.int64)
+    swapped = (quadrant & 1) != 0
+    first, second = cosine if swapped else sine, sine if swapped else cosine
+    # The second bit is the sign of the sine; that of the cosine is one quadrant ahead.
+    sign, ahead = (quadrant & 2) << 62, ((quadrant + 1) & 2) << 62
+    return (np.int64(np.float64(first).view(np.int64) ^ sign).view(np.float64),
+            np.int64(np.float64(second).view(np.int64) ^ ahead).view(np.float64))
+
+
+# Where exp is still far from the smallest numbers, and softplus from what can be told from 0.
+_LOWEST = -700.0
+# (artanh(t) / t - 1) / t^2 as a polynomial of t^2, lowest power first: interpolation in the ten
+# Chebyshev nodes of 0 <= t^2 <= 1.0001 / 9, which test_vector_functions.py repeats; relative
+# error 7e-18.
+_LOG = (
+    0.3333333333333333, 0.20000000000007298, 0.1428571428355253, 0.11111111358900891,
+    0.09090894708663223, 0.07692785296456121, 0.06657067775440581, 0.06000577591428889,
+    0.04400158825434387, 0.08082469084735669)
+
+
+# Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
+@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
+def softplus_and_slope(x: float) -> tuple[float, float]:
+    """
+    Return log(1 + exp(x)) and its derivative, 1 / (1 + exp(-x)); NaN stays NaN.
+
+    With u = exp(-abs(x)) and t = u / (2 + u), log(1 + u) = 2 artanh(t), which is added to x
+    where x is positive. The relative error of both is about four units of round-off for
+    x > -700; below, both are what they are at -700, 1e-304.
+
+    """
+    low = x if x < 0.0 else -x
+    low = _LOWEST if low < _LOWEST else low
+    rounded = np.float64(low * _LOG2_E + _ROUNDING)
+    k = rounded - _ROUNDING
+    r = (low - k * _LN2_HIGH) - k * _LN2_LOW
+    power_of_two = np.int64((rounded.view(np.int64) + 1023) << 52).view(np.float64)
+    r2 = r * r
+    r4 = r2 * r2
+    series = ((_EXP[0] + _EXP[1] * r) + (_EXP[2] + _EXP[3] * r) * r2) + (
+        ((_EXP[4] + _EXP[5] * r) + (_EXP[6] + _EXP[7] * r) * r2)
+        + ((_EXP[8] + _EXP[9] * r) + _EXP[10] * r2) * r4) * r4
+    u = power_of_two * (1.0 + series * r)
+    t = u / (2.0 + u)
+    t2 = t * t
+    t4 = t2 * t2
+    t8 = t4 * t4
+    tail = ((_LOG[0] + _LOG[1] * t2) + (_LOG[2] + _LOG[3] * t2) * t4) + (
+        ((_LOG[4] + _LOG[5] * t2) + (_LOG[6] + _LOG[7] * t2) * t4)
+        + (_LOG[8] + _LOG[9] * t2) * t8) * t8
+    positive = 0.0 if x < 0.0 else x
+    ratio = 1.0 / (1.0 + u)
+    return positive + 2.0 * (t + t * t2 * tail), (u if x < 0.0 else 1.0) * ratio
+
 
 # Sums may be reordered to vectorise; NaN and infinity keep their meaning, or the checks for
 # non-finite states would be optimised away.

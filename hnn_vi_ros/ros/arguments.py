@@ -7,7 +7,7 @@ from pathlib import Path
 from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.ros.parameters.settings import (
+from hnn_vi_ros.ros.settings import (
     BRIDGE_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
 from hnn_vi_ros.sweeps import arguments as sweeps
 

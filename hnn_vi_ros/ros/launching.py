@@ -13,7 +13,7 @@ from typing import Any
 
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
 from hnn_vi_ros.errors import did_you_mean
-from hnn_vi_ros.ros.parameters.settings import Specification
+from hnn_vi_ros.ros.settings import Specification
 import yaml
 
 # Arguments besides the parameters: name, default and description.

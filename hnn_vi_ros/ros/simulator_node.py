@@ -12,10 +12,10 @@ import time
 
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
-from hnn_vi_ros.kernels.announcing import announced
+from hnn_vi_ros.kernels.compilation import announced
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.parameters.node_parameters import Parameters, refuse_unknown
-from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings
+from hnn_vi_ros.ros.initial_state import StateTopic
+from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
@@ -23,8 +23,8 @@ from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.run.control import Answer, Control
 from hnn_vi_ros.ros.run.preparation import compile_rest, OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run.run import Run
-from hnn_vi_ros.ros.services.services import offer_services
-from hnn_vi_ros.ros.services.state_topic import StateTopic
+from hnn_vi_ros.ros.services import offer_services
+from hnn_vi_ros.ros.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS, Topics
 from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State, Transition

@@ -12,8 +12,8 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
+from hnn_vi_ros.processors import (
+    ignore_sigint_in_children, usable_processors, worker_processes)
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import simulate
@@ -58,8 +58,8 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
         As they are done.
 
     """
-    with deaf_workers(min(usable_processors(), _MOST, len(names))) as pool:
-        with deaf_children():
+    with worker_processes(min(usable_processors(), _MOST, len(names))) as pool:
+        with ignore_sigint_in_children():
             futures = [pool.submit(_compile, name) for name in names]
         for future in as_completed(futures):
             yield future.result()

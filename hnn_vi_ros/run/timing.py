@@ -1,14 +1,125 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time of steps and samples during a run, and the pace this machine could hold."""
+"""A run against the wall clock: its pace, the time of its steps, and a line that shows both."""
 
 from collections import deque
 from collections.abc import Callable
 import math
+import sys
 import time
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
+from hnn_vi_ros.files.standard_streams import rewrite_line
+from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
+
+# More debt than this is given up: the run is then slower than asked, but loses no step.
+LARGEST_DEBT = 1.0
+# One timer call works at most this long: a request may wait for two of them [s].
+LONGEST_CALL = 0.01
+
+
+class Pacer:
+    """
+    Count the ticks that are due, so that a timer call that came late or never costs none.
+
+    Parameters
+    ----------
+    tick : float
+        Simulated time of one tick [s].
+    real_time_factor : float
+        Simulated seconds per wall second; 0 for as fast as possible.
+    now : callable
+        A steady clock [s].
+
+    Attributes
+    ----------
+    overruns : int
+        Times that the debt grew beyond one second of wall time and was given up.
+
+    """
+
+    def __init__(self, tick: float, real_time_factor: float,
+                 now: Callable[[], float] = time.monotonic):
+        self._tick, self._now = tick, now
+        self.overruns = 0
+        self.set_pace(real_time_factor)
+
+    def set_pace(self, real_time_factor: float) -> None:
+        """Go on from now at another pace; see ``restart``."""
+        self._wall_per_tick = self._tick / real_time_factor if real_time_factor > 0.0 else 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
+        self._origin, self._done = self._now(), 0
+
+    @property
+    def timer_period(self) -> float:
+        """
+        Wall time from one timer call to the next [s].
+
+        Shorter ticks are waited for within the calls, which then follow each other at once.
+        """
+        return self._wall_per_tick if self._wall_per_tick >= LONGEST_CALL else 1e-4
+
+    @property
+    def paced(self) -> bool:
+        """Return whether the wall clock sets the pace."""
+        return self._wall_per_tick > 0.0
+
+    @property
+    def wait(self) -> float:
+        """Return the wall time until the next tick is due [s]."""
+        return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
+
+    def due(self) -> bool:
+        """Return whether one more tick is due; if so, it counts as taken."""
+        if self._wall_per_tick:
+            owed = (self._now() - self._origin) / self._wall_per_tick - self._done
+            if owed < 1.0:
+                return False
+            if owed * self._wall_per_tick > LARGEST_DEBT + self._wall_per_tick:
+                self._origin += (owed - 1.0) * self._wall_per_tick
+                self.overruns += 1
+        self._done += 1
+        return True
+
+
+class OverrunGuard(Guard):
+    """
+    The run keeps up with the clock.
+
+    Parameters
+    ----------
+    pacer : Pacer
+        Which counts the overruns.
+
+    """
+
+    kind = 'real-time overrun'
+    remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
+              'cheaper integrator; results are not affected')
+
+    def __init__(self, pacer: Pacer):
+        self._pacer, self._seen = pacer, pacer.overruns
+
+    def update(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        overruns = self._pacer.overruns
+        if overruns == self._seen:
+            return None
+        self._seen = overruns
+        return Alarm(self.kind, sample.step, float(overruns), 0.0,
+                     f'{overruns} overruns: more than {LARGEST_DEBT:g} s behind the clock, which '
+                     'is given up; use a lower real_time_factor or publish_rate, a larger '
+                     'step_size or a cheaper integrator', '1')
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return None
+
 
 # Batches of steps, and samples, that the figures are taken over.
 WINDOW = 512
@@ -122,3 +233,60 @@ def quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]
     # A share of a sum is rounded: less than a whole step is no reason to take the next value.
     places = np.searchsorted(below, np.array(shares) * below[-1] - 1e-6)
     return values[order[np.minimum(places, values.size - 1)]].tolist()
+
+
+class Logger(Protocol):
+    """The methods needed of a logger: ROS loggers have them."""
+
+    def info(self, message: str) -> None:
+        """Log a line."""
+
+
+class StatusLine:
+    """
+    Show time, energy and pace: rewritten in place on a terminal, else logged now and then.
+
+    Parameters
+    ----------
+    logger : Logger
+        Takes the lines when standard output is no terminal.
+    now : callable
+        A steady clock [s].
+
+    """
+
+    def __init__(self, logger: Logger, now: Callable[[], float] = time.monotonic):
+        self._logger, self._now = logger, now
+        self._terminal = sys.stdout.isatty()
+        self._interval = 0.2 if self._terminal else 5.0
+        self._shown = False
+        self.restart(0)
+
+    def restart(self, stamp: int) -> None:
+        """Measure the pace from now and this stamp on [ns]: a pause or a reset has no pace."""
+        now = self._now()
+        self._last, self._next = (now, stamp), now + self._interval
+
+    def show(self, sample: Sample, overruns: int) -> None:
+        """Show a sample, if it is time to."""
+        now = self._now()
+        if now < self._next:
+            return
+        wall, stamp = self._last
+        pace = (sample.stamp - stamp) * 1e-9 / (now - wall)
+        self._last, self._next = (now, sample.stamp), now + self._interval
+        text = (f't = {sample.stamp * 1e-9:.2f} s   H = {sample.energy:.6g} J   '
+                f'energy error {sample.energy_error:+.2e}   {pace:.2f} x real time'
+                + (f'   {overruns} overruns' if overruns else ''))
+        if self._terminal:
+            rewrite_line(sys.stdout, text)
+            self._shown = True
+        else:
+            self._logger.info(text)
+
+    def close(self) -> None:
+        """Leave the line on the terminal: what is printed next begins a line of its own."""
+        if self._shown:
+            self._shown = False
+            sys.stdout.write('\n')
+            sys.stdout.flush()

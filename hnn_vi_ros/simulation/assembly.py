@@ -21,14 +21,51 @@ from typing import Any
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.integrators.compiled_workspaces import compile_forget  # noqa: F401  registers
 from hnn_vi_ros.integrators.step_addresses import CALLERS, memory_by_address, steps_by_address
+from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
 from hnn_vi_ros.kernels.addresses import provide_for, Target
-from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.blocks import bare, clear
 from hnn_vi_ros.kernels.compilation import (
     compiled, compiled_loop, compiled_options, entry_point, is_compiled)
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.kernels.linking import LINK_ONLY
+from numba.core import types
+from numba.extending import overload
 import numpy as np
+
+
+def compile_forget(memory: Any) -> Callable[[Any], None]:
+    """Return forget for one type of memory, whose workspaces are each of a type of its own."""
+    def forget_first(memory: Any) -> None:
+        memory[0].kept.count[0] = 0
+        forget(memory[1:])
+
+    def forget_by_address(memory: Any) -> None:
+        counts = memory[0].counts
+        for k in range(counts.size):
+            clear(counts[k])
+        forget(memory[1:])
+
+    def forget_rest(memory: Any) -> None:
+        forget(memory[1:])
+
+    def forget_none(memory: Any) -> None:
+        pass
+
+    if not len(memory):
+        return forget_none
+    if getattr(memory[0], 'instance_class', None) is MemoryByAddress:
+        return forget_by_address
+    return forget_first if _counts(memory[0]) else forget_rest
+
+
+def _counts(workspace: types.Type) -> bool:
+    fields = getattr(workspace, 'fields', ())
+    return 'kept' in fields and 'count' in getattr(
+        workspace[fields.index('kept')], 'fields', ())
+
+
+overload(forget, jit_options={'forceinline': True, **LINK_ONLY})(compile_forget)
 
 
 def advance(step: Callable, kernel: Kernel, h: float, options: tuple, first: int, every: int,

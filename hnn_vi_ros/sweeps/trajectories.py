@@ -22,8 +22,7 @@ from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
-from hnn_vi_ros.trajectory.recorders import recorders
-from hnn_vi_ros.trajectory.simulate import record_one
+from hnn_vi_ros.trajectory.simulate import record_one, recorders
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.run.deaf_children import deaf_children, deaf_workers
+from hnn_vi_ros.processors import ignore_sigint_in_children, worker_processes
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
@@ -84,13 +84,13 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
     """
     pending, losses = deque(shards), 0
     while pending:
-        with deaf_workers(min(processes, len(pending))) as pool:
+        with worker_processes(min(processes, len(pending))) as pool:
             running: dict[Future[None], int] = {}
             try:
                 while pending or running:
                     # No more than keeps them busy: a shard that waits is not lost with them.
                     while pending and len(running) < 2 * processes:
-                        with deaf_children():
+                        with ignore_sigint_in_children():
                             future = pool.submit(_make, job, folder.path, pending[0])
                         running[future] = pending[0]
                         pending.popleft()

@@ -17,7 +17,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.kernels.sources import identity
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import McapRecord, Message
@@ -432,7 +432,7 @@ FULL = """
 import os, resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from test_mcap_sink import TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})

@@ -10,8 +10,8 @@ import time
 from benchmarks.measurement import compare, interleave, Row, Settings
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.watch import SampledScale
-from hnn_vi_ros.ros.parameters import settings as parameters
-from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros import settings as parameters
+from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead

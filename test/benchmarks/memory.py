@@ -15,8 +15,8 @@ from unittest.mock import patch
 from benchmarks.cold_start import simulator
 from benchmarks.measurement import Row, Settings
 from hnn_vi_ros.bags import mcap_sink
-from hnn_vi_ros.ros.parameters import settings as parameters
-from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros import settings as parameters
+from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead

@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 import shutil
 
-from hnn_vi_ros.commands.robot_scene import held, write_scene
+from hnn_vi_ros.commands.new_scene import held, write_scene
 from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf

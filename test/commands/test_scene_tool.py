@@ -211,7 +211,7 @@ def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
         return run(
             'from numba.core.event import RecordingListener, install_listener\n'
             'from hnn_vi_ros import simulate\n'
-            'from hnn_vi_ros.kernels.announcing import announced\n'
+            'from hnn_vi_ros.kernels.compilation import announced\n'
             "with announced(print), install_listener('numba:compile', RecordingListener()) as "
             f'heard:\n    simulate({str(scene)!r}, 1.0)\n'
             "print(*(event.data['dispatcher'] for _, event in heard.buffer))")

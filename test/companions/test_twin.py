@@ -7,7 +7,7 @@ from pathlib import Path
 import re
 
 from hnn_vi_ros import load_scene, Scene
-from hnn_vi_ros.companions.base import Accompanied
+from hnn_vi_ros.companions.members import Accompanied
 from hnn_vi_ros.companions.twin import Twin, VALID
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.errors import SceneError

@@ -10,7 +10,7 @@ from helpers import (
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
 from hnn_vi_ros.effects.commands import NUMBERS
-from hnn_vi_ros.effects.noise import fill_normals
+from hnn_vi_ros.effects.thermostat import fill_normals
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS

@@ -20,9 +20,8 @@ from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
-from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
+from hnn_vi_ros.integrators.lie.lie_leapfrog import (
+    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint)
 from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
 from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel

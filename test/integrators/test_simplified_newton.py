@@ -6,8 +6,7 @@ from helpers import EPS
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.gauss import gauss_tableau
-from hnn_vi_ros.integrators.simplified_newton import modes_of, simplified_newton
+from hnn_vi_ros.integrators.gauss import gauss_tableau, modes_of, simplified_newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point
 from hnn_vi_ros.kernels.linear_algebra import invert
 from hnn_vi_ros.simulation import Simulation

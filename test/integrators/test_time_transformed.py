@@ -6,7 +6,7 @@ from hnn_vi_ros.accuracy.diagnostics import block_maxima, energy_band, secular_c
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS, step_size_control, time_transformed
+from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
@@ -153,7 +153,7 @@ def test_integrating_controller_resumed_is_bit_identical():
 def test_integrating_controller_turns_round_where_the_motion_does():
     """Steps of its own, taken back with the momenta turned, end where they began: symmetric."""
     kernel, base = HAMILTONIANS['kepler']().kernel, INTEGRATORS['stormer_verlet']()
-    work, h, n = step_size_control.ControlledWork.empty(2), 0.2, 40
+    work, h, n = time_transformed.ControlledWork.empty(2), 0.2, 40
     z, z1 = Point.empty(2), Point.empty(2)
     z.q[:], z.p[:] = Q0, P0
     density = 2.0
@@ -161,7 +161,7 @@ def test_integrating_controller_turns_round_where_the_motion_does():
     for _ in range(2):
         for k in range(n + 1):
             kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-            rate, _ = step_size_control._rate(kernel, z, 0.1, 0.75, work)
+            rate, _ = time_transformed._rate(kernel, z, 0.1, 0.75, work)
             # Whole steps of the density between states, half ones at both ends.
             density += (0.5 if k in (0, n) else 1.0) * h * rate
             if k < n:

@@ -10,11 +10,11 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Point, PointWork
-from hnn_vi_ros.integrators.compiled_workspaces import compile_forget
 from hnn_vi_ros.integrators.step_addresses import memory_by_address
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.run.held_state import restore_state, state_file
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.assembly import compile_forget
 import numba
 import numpy as np
 import pytest

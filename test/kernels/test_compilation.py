@@ -197,7 +197,7 @@ def test_function_is_compiled_anew_when_one_that_it_calls_changes(package):
 def test_key_of_a_function_changes_with_what_it_comes_from_and_nothing_else(package):
     code = ('from hnn_vi_ros.kernels.sources import digest_of; '
             'print(*(digest_of(frozenset([f"hnn_vi_ros.{name}"])) for name in ('
-            '"models.lagrangian", "hamiltonians.tao", "integrators.rk4")))')
+            '"models.lagrangian", "hamiltonians.tao", "integrators.runge_kutta")))')
     before = answer(package, code).split()
     for changed, file in (((True, False, False), 'networks/perceptron_memory.py'),
                           ((False, False, False), 'effects/gravity.py'),

@@ -8,7 +8,7 @@ from types import FunctionType
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.bare_arrays import bare
+from hnn_vi_ros.kernels.blocks import bare
 from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, kept
 from hnn_vi_ros.kernels.linking import LinkOnly, Part, part
 from hnn_vi_ros.simulation import Simulation

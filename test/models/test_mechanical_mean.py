@@ -7,8 +7,7 @@ from pathlib import Path
 
 from ensembles import mechanisms, scaled, together
 from hnn_vi_ros import load_scene, simulate_spread
-from hnn_vi_ros.companions.base import Accompanied
-from hnn_vi_ros.companions.members import Members
+from hnn_vi_ros.companions.members import Accompanied, Members
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.errors import ModelError

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS
-from hnn_vi_ros.networks import vector_functions
+from hnn_vi_ros.networks import activations
 from mpmath import mp, mpf
 import numba
 import numpy as np
@@ -21,7 +21,7 @@ def both(function: Callable) -> Callable:
     return loop
 
 
-SINE, SOFTPLUS = both(vector_functions.sine_and_cosine), both(vector_functions.softplus_and_slope)
+SINE, SOFTPLUS = both(activations.sine_and_cosine), both(activations.softplus_and_slope)
 
 
 def evaluate(loop: Callable, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,11 +76,11 @@ def test_softplus_keeps_not_a_number_and_its_limits():
 
 
 @pytest.mark.parametrize('coefficients, function, end', [
-    (vector_functions._SIN, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+    (activations._SIN, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
      lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_functions._COS, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
+    (activations._COS, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
      lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
-    (vector_functions._LOG, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
+    (activations._LOG, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
      lambda: mpf('1.0001') / 9),
 ], ids=['sine', 'cosine', 'artanh'])
 def test_polynomials_interpolate_in_chebyshev_nodes_to_an_eighth_of_eps(
@@ -97,7 +97,7 @@ def test_polynomials_interpolate_in_chebyshev_nodes_to_an_eighth_of_eps(
 
 
 @pytest.mark.parametrize('loop', [SINE, SOFTPLUS], ids=['sine', 'softplus'])
-def test_vector_functions_become_vector_instructions(loop):
+def test_activations_become_vector_instructions(loop):
     evaluate(loop, np.zeros(1))
     (assembly,) = loop.inspect_asm().values()
     # Two or more products at once, under the names that x86 or ARM gives them.

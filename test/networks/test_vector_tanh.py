@@ -3,7 +3,7 @@
 """The vectorised hyperbolic tangent against mpmath."""
 
 from helpers import EPS
-from hnn_vi_ros.networks import vector_functions
+from hnn_vi_ros.networks import activations
 from mpmath import mp, mpf
 import numba
 import numpy as np
@@ -14,7 +14,7 @@ def tanh(x: np.ndarray) -> np.ndarray:
     """Return the tanh of every element."""
     result = np.empty_like(x)
     for i in range(x.size):
-        result[i] = vector_functions.tanh(x[i])
+        result[i] = activations.tanh(x[i])
     return result
 
 
@@ -40,14 +40,14 @@ def test_tanh_is_odd():
 
 def test_tanh_polynomial_interpolates_in_chebyshev_nodes_to_an_eighth_of_eps():
     mp.dps = 40
-    bound, n = mp.log(2) / 2 * mpf('1.0001'), len(vector_functions._EXP)
+    bound, n = mp.log(2) / 2 * mpf('1.0001'), len(activations._EXP)
     nodes = [bound * mp.cos(mp.pi * (2 * k + 1) / (2 * n)) for k in range(n)]
     powers = mp.matrix([[node ** j for j in range(n)] for node in nodes])
     solution = mp.lu_solve(powers, mp.matrix([mp.expm1(node) / node for node in nodes]))
-    assert [float(value) for value in solution] == list(vector_functions._EXP)
+    assert [float(value) for value in solution] == list(activations._EXP)
     for r in np.linspace(-float(bound), float(bound), 1000):
         exact = mp.expm1(mpf(r)) / mpf(r)
-        series = mp.polyval(list(map(mpf, vector_functions._EXP[::-1])), mpf(r))
+        series = mp.polyval(list(map(mpf, activations._EXP[::-1])), mpf(r))
         assert abs(series / exact - 1) < EPS / 8
 
 

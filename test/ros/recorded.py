@@ -6,17 +6,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.ros.parameters.settings import Settings
-from hnn_vi_ros.ros.sinks.bag_output import BagOutput
+from hnn_vi_ros.ros.recording import BagOutput, Beginning
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
 from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
-from hnn_vi_ros.run.serialization import serialize
-from hnn_vi_ros.run.sinks import Beginning
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample

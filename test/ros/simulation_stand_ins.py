@@ -10,9 +10,9 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.run.control import Answer
-from hnn_vi_ros.ros.services.services import offer_services
+from hnn_vi_ros.ros.services import offer_services
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.scene import load_scene
 from lifecycle_msgs.msg import State, Transition
 import pytest
@@ -146,7 +146,7 @@ class Simulator:
             monkeypatch.setitem(sys.modules, name, module)
         # An action server of rclpy needs the type support of real messages.
         monkeypatch.setattr(
-            'hnn_vi_ros.ros.services.simulation_interfaces.ActionServer', self._serve)
+            'hnn_vi_ros.ros.services.ActionServer', self._serve)
 
     def create_service(self, kind: type, name: str, handler: Callable, callback_group) -> None:
         self.offered[name] = kind, handler

@@ -8,10 +8,10 @@ import math
 from types import SimpleNamespace
 from unittest.mock import Mock
 
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery
 from hnn_vi_ros.ros.run.control import Answer, Control
 from hnn_vi_ros.ros.run.run import Run
+from hnn_vi_ros.ros.settings import Settings
 import numpy as np
 import pytest
 from rclpy.task import Future

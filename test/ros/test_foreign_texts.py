@@ -8,9 +8,9 @@ import subprocess
 import sys
 
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import printable, RecordingError
-from hnn_vi_ros.run.serialization import serialize
 from mcap.writer import Writer
 from processes import finish, start_executable
 import pytest

@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
-from hnn_vi_ros.ros.parameters.settings import PARAMETERS, Settings
+from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.plumbing.starting import own_arguments
+from hnn_vi_ros.ros.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene
 from peer import Peer, peer

@@ -14,18 +14,18 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.run.health import Health
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.pacing import OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.sample import Sample

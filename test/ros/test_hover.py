@@ -6,10 +6,10 @@ import signal
 
 from geometry_msgs.msg import Quaternion
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.examples.hover_node import commands_of, matrix
+from hnn_vi_ros.ros.hover_node import commands_of, matrix
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
-from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
+from hnn_vi_ros.ros.topics.poses import OdometryEncoder
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
 from nav_msgs.msg import Odometry

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 
-from hnn_vi_ros.ros.parameters.settings import PARAMETERS, REPLAY_PARAMETERS
+from hnn_vi_ros.ros.settings import PARAMETERS, REPLAY_PARAMETERS
 from processes import read_bag
 import pytest
 import yaml

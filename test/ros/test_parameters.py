@@ -6,9 +6,9 @@ from pathlib import Path
 import signal
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
-from hnn_vi_ros.ros.parameters.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
+from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
+from hnn_vi_ros.ros.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 from hypothesis import given, HealthCheck, settings, strategies
 from peer import ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, peer, stamp

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.scene import Scene
 import pytest

@@ -12,9 +12,9 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
-from hnn_vi_ros.ros.parameters.settings import BridgeSettings
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge, target_of
+from hnn_vi_ros.ros.settings import BridgeSettings
 from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build

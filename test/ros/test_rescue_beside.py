@@ -27,7 +27,7 @@ from contextlib import contextmanager
 from pathlib import Path
 import time
 from hnn_vi_ros.hamiltonians.tao import Tao
-from hnn_vi_ros.kernels.announcing import NotKept
+from hnn_vi_ros.kernels.compilation import NotKept
 from hnn_vi_ros.ros.run import preparation
 from hnn_vi_ros.simulation.stepping import Stepping
 

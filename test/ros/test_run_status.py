@@ -12,9 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.errors import RecordingError, StepFailure
-from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
-from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from ensembles import ensemble
 from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.ros.services.simulation_interfaces import ACTION, INTERFACES, service_name
+from hnn_vi_ros.ros.services import ACTION, INTERFACES, service_name
 from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest

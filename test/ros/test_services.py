@@ -12,7 +12,7 @@ import time
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.services.state_topic import initial_state
+from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.topics import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader

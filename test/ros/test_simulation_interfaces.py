@@ -5,7 +5,7 @@
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.ros.services.simulation_interfaces import INTERFACES, service_name
+from hnn_vi_ros.ros.services import INTERFACES, service_name
 from peer import Peer, peer, SIMULATOR, stamp
 from processes import finish, start
 import pytest

@@ -4,9 +4,8 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.ros.parameters.settings import Settings
-from hnn_vi_ros.ros.services.services import offer_services
-from hnn_vi_ros.ros.services.simulation_interfaces import INTERFACES, service_name
+from hnn_vi_ros.ros.services import INTERFACES, offer_services, service_name
+from hnn_vi_ros.ros.settings import Settings
 from lifecycle_msgs.msg import State
 import pytest
 from simulation_stand_ins import (
@@ -52,7 +51,7 @@ def test_package_that_lacks_something_else_is_an_error_not_an_absent_package(mon
 
     def fail(name: str):
         raise ModuleNotFoundError("No module named 'numpy'", name='numpy')
-    monkeypatch.setattr('hnn_vi_ros.ros.services.simulation_interfaces.import_module', fail)
+    monkeypatch.setattr('hnn_vi_ros.ros.services.import_module', fail)
     with pytest.raises(ModuleNotFoundError, match='numpy'):
         active_simulator(monkeypatch, modules)
 

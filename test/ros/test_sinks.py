@@ -7,10 +7,9 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.ros.parameters.settings import Settings
-from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.recording import Recording, Sink
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run.run_folder import RunFiles
-from hnn_vi_ros.run.sinks import Sink
 import pytest
 
 ALL = [('write', (None, ())), ('write_other', (None, 0, b'')), ('event', ('text', 'INFO')),

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.topics.messages import CLOCK_QOS, ClockEncoder
-from hnn_vi_ros.run.pacing import Pacer
+from hnn_vi_ros.run.timing import Pacer
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 from peer import Peer, peer, SIMULATOR, stamp

@@ -10,11 +10,11 @@ from hnn_vi_ros.bags.cdr import decode_state
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
+from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.replay.replay_check import check_replay
-from hnn_vi_ros.ros.services.state_topic import initial_state
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
 from hnn_vi_ros.ros.topics.messages import encode_tick, TICK_TOPICS
-from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
+from hnn_vi_ros.ros.topics.poses import OdometryEncoder
 from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from nav_msgs.msg import Odometry

@@ -5,10 +5,9 @@
 from itertools import zip_longest
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from hnn_vi_ros.bags.cdr import decode_state
+from hnn_vi_ros.bags.cdr import decode_state, serialize, Template
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.ros.topics.messages import array_message, encode_tick, TICK_TOPICS
-from hnn_vi_ros.run.serialization import serialize, Template
 from hnn_vi_ros.simulation.sample import Sample
 from hypothesis import given, strategies as st
 from nav_msgs.msg import Odometry

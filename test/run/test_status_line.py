@@ -8,7 +8,7 @@ import sys
 from types import SimpleNamespace
 
 from hnn_vi_ros.ros.run.control import Control
-from hnn_vi_ros.run.status_line import StatusLine
+from hnn_vi_ros.run.timing import StatusLine
 from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 import pytest

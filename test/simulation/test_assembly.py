@@ -16,7 +16,7 @@ from effect_table import create_effect
 from hnn_vi_ros.effects.base import StepEffect
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
-from hnn_vi_ros.kernels.announcing import NotKept
+from hnn_vi_ros.kernels.compilation import NotKept
 from hnn_vi_ros.simulation import assembly, Simulation
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ import sys
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
-from hnn_vi_ros.kernels.announcing import NotKept
+from hnn_vi_ros.kernels.compilation import NotKept
 from hnn_vi_ros.simulation import Simulation
 from numba.core.event import install_recorder
 

@@ -8,7 +8,7 @@ from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS, step_size_control
+from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import assembly, Simulation
 from hnn_vi_ros.simulation.build import build
@@ -389,7 +389,7 @@ def plumb_line(h: float) -> Simulation:
 def test_failure_gives_a_residual_only_of_an_equation_that_was_not_solved(
         make, reason, advice, monkeypatch):
     """And advice that can help: of what no shorter step cures it speaks of none."""
-    monkeypatch.setattr(step_size_control, '_MOST_STEPS', 100)
+    monkeypatch.setattr(time_transformed, '_MOST_STEPS', 100)
     with pytest.raises(StepFailure, match=f'{reason}.*; {advice}') as failed:
         make().advance(20)
     message, residual = str(failed.value), failed.value.relative_residual

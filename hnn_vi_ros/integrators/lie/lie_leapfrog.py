@@ -1,16 +1,69 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The leapfrog on a group: the symmetric method of order 2 for rotations."""
+"""Symplectic Euler on a group, its adjoint, and the leapfrog that both make."""
 
 from hnn_vi_ros.integrators.base import OK, Point, PointWork
-from hnn_vi_ros.integrators.lie.base import LieIntegrator
-from hnn_vi_ros.integrators.lie.equations import GroupWork, LieOptions
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler import LieSymplecticEuler
-from hnn_vi_ros.integrators.lie.lie_symplectic_euler_adjoint import LieSymplecticEulerAdjoint
+from hnn_vi_ros.integrators.lie.equations import (
+    check_turns, clear, GroupWork, LieIntegrator, LieOptions, move, solve_momenta_inside,
+    solve_turns, transport)
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
+
+
+class LieSymplecticEuler(LieIntegrator):
+    """
+    Symplectic Euler for rotations, implicit in the momentum; from the action of LieIntegrator.
+
+        (dtau^-1_(h xi))^* mu = pi_k - h g_k^* H_g(g_k, mu),  xi = H_mu(g_k, mu)
+        g_(k+1) = g_k tau(h xi),  pi_(k+1) = (dtau^-1_(-h xi))^* mu
+
+    Its momentum pi_k is that of LieVariationalEuler carried over one step. It keeps the canonical
+    2-form of (g, pi): symplectic, order 1, not symmetric. Its adjoint is
+    LieSymplecticEulerAdjoint. Where H does not depend on g it keeps the spatial momentum.
+    """
+
+    order = 1
+    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+             memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        work = memory[0]
+        clear(work.change)
+        outcome, residual, gradients = solve_momenta_inside(
+            kernel, h, options, z.q, z, z1, work)
+        move(kernel, options.retraction, z, work.x, z1)
+        transport(kernel, h, z, work, z1)
+        outcome = check_turns(kernel, options.retraction, work.x, outcome)
+        return outcome, residual, gradients
+
+
+class LieSymplecticEulerAdjoint(LieIntegrator):
+    """
+    Symplectic Euler for rotations, implicit in the attitude: the adjoint of LieSymplecticEuler.
+
+        g_(k+1) = g_k tau(h xi),  xi = H_mu(g_(k+1), mu),  (dtau^-1_(h xi))^* mu = pi_k
+        pi_(k+1) = (dtau^-1_(-h xi))^* mu - h g_(k+1)^* H_g(g_(k+1), mu)
+
+    Symplectic, order 1, not symmetric. Where H does not depend on g it keeps the spatial momentum.
+    """
+
+    order = 1
+    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
+             memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        outcome, residual, gradients = solve_turns(kernel, h, options, z, z1, memory[0])
+        transport(kernel, h, z, memory[0], z1)
+        return outcome, residual, gradients
+
 
 # Compiled code knows functions, not the classes that hold them.
 _first_step, _second_step = LieSymplecticEuler.step, LieSymplecticEulerAdjoint.step

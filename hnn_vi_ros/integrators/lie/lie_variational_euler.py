@@ -4,9 +4,8 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Point, TURNED
-from hnn_vi_ros.integrators.lie.base import LieIntegrator
 from hnn_vi_ros.integrators.lie.equations import (
-    add_bend, clear, GroupWork, is_too_far, LieOptions, move, solve_momenta_inside)
+    add_bend, clear, GroupWork, is_too_far, LieIntegrator, LieOptions, move, solve_momenta_inside)
 from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined

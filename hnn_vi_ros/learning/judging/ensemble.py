@@ -10,8 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.companions.base import Accompanied
-from hnn_vi_ros.companions.members import deviation, member_scenes, Members
+from hnn_vi_ros.companions.members import Accompanied, deviation, member_scenes, Members
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum

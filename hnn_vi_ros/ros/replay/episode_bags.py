@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnn_vi_ros.bags.bag_metadata import Topic
+from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
 from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.scene_report import scene_report
-from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.sweeps import sweep
 from hnn_vi_ros.sweeps.episodes import Episode
 from hnn_vi_ros.sweeps.plan import SweepPlan

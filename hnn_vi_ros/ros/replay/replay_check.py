@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hnn_vi_ros.bags.even_grid import missing_stamps
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import RecordingError, StepFailure
-from hnn_vi_ros.kernels.identity import identity
+from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.run.held_state import restore_state

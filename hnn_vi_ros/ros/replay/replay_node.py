@@ -14,14 +14,14 @@ from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
-from hnn_vi_ros.ros.parameters.settings import REPLAY_PARAMETERS, ReplaySettings, Value
+from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
     Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.replay.player import Player, read_ahead
+from hnn_vi_ros.ros.settings import REPLAY_PARAMETERS, ReplaySettings, Value
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import clock_message, CLOCK_QOS, type_hash
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics

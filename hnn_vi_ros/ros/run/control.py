@@ -9,11 +9,11 @@ import time
 from typing import Any, NamedTuple, Protocol
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer
 from hnn_vi_ros.ros.run.run import Run
-from hnn_vi_ros.run.pacing import LONGEST_CALL
+from hnn_vi_ros.ros.settings import Settings
+from hnn_vi_ros.run.timing import LONGEST_CALL
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.task import Future

@@ -9,26 +9,25 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.companions.base import accompany
+from hnn_vi_ros.companions.members import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
-from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.watch import SampledScale
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EventTopic
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.pacing import LONGEST_CALL, OverrunGuard, Pacer
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.status_line import StatusLine
+from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.sample import Sample

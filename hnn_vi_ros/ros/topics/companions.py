@@ -9,7 +9,7 @@ from hnn_vi_ros.bags.cdr import MOMENTUM
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Report, Twin
 from hnn_vi_ros.effects.commands import Command, Observation
-from hnn_vi_ros.guards.spread import SpreadGuard
+from hnn_vi_ros.guards.bounds import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
-from hnn_vi_ros.ros.sinks.recording import Recording
+from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import WatchedSimulation
 import numpy as np

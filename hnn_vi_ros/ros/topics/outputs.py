@@ -7,14 +7,13 @@ from typing import Literal, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.ros.parameters.settings import Settings
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic
 from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
-from hnn_vi_ros.ros.topics.markers import MarkerEncoder
 from hnn_vi_ros.ros.topics.messages import (
     AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, TICK_TOPICS, TrajectoryFeedback)
-from hnn_vi_ros.ros.topics.odometry import OdometryEncoder
+from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of

@@ -9,16 +9,15 @@ from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.ros.parameters.settings import Settings
+from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.ros.plumbing.graph import UNDELIVERED, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, create_subscription, Endpoint
+from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
-from hnn_vi_ros.ros.topics.outputs import (
-    DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE)
+from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.serialization import serialize
 from hnn_vi_ros.simulation.sample import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher

@@ -4,10 +4,10 @@
 
 from geometry_msgs.msg import Quaternion, Vector3
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.parameters.node_parameters import declare_parameters, refuse_unknown
-from hnn_vi_ros.ros.parameters.settings import HOVER_PARAMETERS, HoverSettings
+from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
+from hnn_vi_ros.ros.settings import HOVER_PARAMETERS, HoverSettings
 from nav_msgs.msg import Odometry
 import numpy as np
 import rclpy

@@ -9,9 +9,9 @@ from typing import Any, Protocol, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
-from hnn_vi_ros.ros.parameters.settings import (
-    PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
 from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected, parameter_names, PREFIX
+from hnn_vi_ros.ros.settings import (
+    PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from threading import Thread
 
-from hnn_vi_ros.run.deaf_children import deaf_children
+from hnn_vi_ros.processors import ignore_sigint_in_children
 
 ASK = [sys.executable, '-c', 'import signal; print(signal.getsignal(signal.SIGINT).__class__)']
 
@@ -18,7 +18,7 @@ def handler_of_a_child() -> str:
 
 def test_children_are_deaf_from_their_start_and_the_caller_hears_again():
     before = signal.getsignal(signal.SIGINT)
-    with deaf_children():
+    with ignore_sigint_in_children():
         assert 'Handlers' in handler_of_a_child()
     assert signal.getsignal(signal.SIGINT) is before
     # Python has its own function there, of a child that hears.
@@ -29,7 +29,7 @@ def test_other_threads_leave_signals_alone():
     found = []
 
     def work() -> None:
-        with deaf_children():
+        with ignore_sigint_in_children():
             found.append(signal.getsignal(signal.SIGINT))
     thread = Thread(target=work)
     thread.start()

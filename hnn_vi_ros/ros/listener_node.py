@@ -3,7 +3,7 @@
 """The example subscriber: prints the energy of a running simulator once a second."""
 
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.parameters.node_parameters import refuse_unknown
+from hnn_vi_ros.ros.node_parameters import refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 import rclpy

@@ -1,0 +1,190 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Explicit Runge-Kutta methods, to compare with: Euler's, the classical one and DOP853."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.integrators.arithmetic import plus
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point
+from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
+from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.marks import inlined
+import numpy as np
+
+
+class ExplicitEuler(Integrator):
+    """
+    Explicit Euler: q_(n+1) = q_n + h H_p(q_n, p_n), p_(n+1) = p_n - h H_q(q_n, p_n).
+
+    It is of order 1 and not symplectic: each step multiplies the energy of the harmonic
+    oscillator by 1 + (h omega)^2. It is here to be compared with.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section I.1.
+
+    """
+
+    order, explicit = 1, True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
+    keeps_gradient = True
+
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
+        """Return no options: nothing is solved."""
+        return ()
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its stage, the state before; see Integrator."""
+        return tableau([[0]], [[0]], [1], [1])
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+             memory: tuple) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        for i in range(z.q.size):
+            z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z.dH_dp[i])
+            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z.dH_dq[i])
+        kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
+        return OK, 0.0, 1
+
+
+class StageWork(NamedTuple):
+    """
+    The workspace of a step; arrays of shape (n,).
+
+    Parameters
+    ----------
+    q, p : np.ndarray
+        A stage.
+    sum_q, sum_p : np.ndarray
+        The weighted sums of the slopes of the stages so far.
+
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    sum_q: np.ndarray
+    sum_p: np.ndarray
+
+
+class RK4(Integrator):
+    """
+    The classical Runge-Kutta method of four stages and order 4.
+
+    Neither symplectic nor symmetric: its energy drifts, which is what it is here to show.
+
+    References
+    ----------
+    E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.1.
+
+    """
+
+    order, explicit = 4, True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
+    keeps_gradient = True
+
+    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
+        """Return no options: nothing is solved."""
+        return ()
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
+        """Return space for a stage and the sum over stages; see Integrator."""
+        return (StageWork(*np.zeros((4, n), dtype)),)
+
+    @property
+    def partitioned(self) -> PartitionedTableau:
+        """Return its four stages; see Integrator."""
+        matrix = np.diag([0.5, 0.5, 1.0], -1)
+        weights = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+        return PartitionedTableau(matrix, matrix, weights, weights)
+
+    @staticmethod
+    @inlined
+    def step(kernel: Kernel, h: float, options: tuple, z: Point, z1: Point,
+             memory: tuple[StageWork, ...]) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        n = z.q.size
+        q, p, sum_q, sum_p = memory[0]
+        for i in range(n):
+            sum_q[i], sum_p[i] = z.dH_dp[i], -z.dH_dq[i]
+            q[i], p[i] = z.q[i] + 0.5 * h * z.dH_dp[i], z.p[i] - 0.5 * h * z.dH_dq[i]
+        for stage in range(1, 4):
+            kernel.gradient(kernel.parameters, q, p, z1.dH_dq, z1.dH_dp)
+            weight = 1.0 if stage == 3 else 2.0
+            length = h if stage == 2 else 0.5 * h
+            for i in range(n):
+                sum_q[i] += weight * z1.dH_dp[i]
+                sum_p[i] -= weight * z1.dH_dq[i]
+                q[i], p[i] = z.q[i] + length * z1.dH_dp[i], z.p[i] - length * z1.dH_dq[i]
+        for i in range(n):
+            z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h / 6.0 * sum_q[i])
+            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h / 6.0 * sum_p[i])
+        kernel.gradient(kernel.parameters, z1.q, z1.p, z1.dH_dq, z1.dH_dp)
+        return OK, 0.0, 4
+
+
+class Tolerances(NamedTuple):
+    """Relative and absolute error that an adaptive step may make."""
+
+    relative: float
+    absolute: float
+
+
+class DOP853(Integrator):
+    """
+    scipy's DOP853: over each step h it takes as many steps of its own as its tolerances ask for.
+
+    Neither symplectic nor symmetric; of order 8 in its own steps.
+
+    Parameters
+    ----------
+    relative_tolerance, absolute_tolerance : float
+        As scipy's rtol [1] and atol [units of q and p].
+
+    Raises
+    ------
+    ValueError
+        A tolerance that is not positive.
+
+    References
+    ----------
+    E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.5.
+
+    """
+
+    order, explicit = 8, True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
+    compiled = False
+
+    def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):
+        for name, value in (('relative', relative_tolerance), ('absolute', absolute_tolerance)):
+            if not value > 0.0:
+                raise ValueError(f'{name}_tolerance = {value} must be positive')
+        self._tolerances = Tolerances(relative_tolerance, absolute_tolerance)
+
+    def options(self, attempt: int = 0, dimension: int = 1) -> Tolerances:
+        """Return the tolerances."""
+        return self._tolerances
+
+    @staticmethod
+    def step(kernel: Kernel, h: float, options: Tolerances, z: Point, z1: Point,
+             memory: tuple) -> tuple[int, float, int]:
+        """Take one step; see Integrator."""
+        # Imported here: no other method needs scipy to start.
+        from scipy.integrate import solve_ivp
+        n = z.q.size
+        dH_dq, dH_dp = np.empty(n), np.empty(n)
+
+        def field(t: float, y: np.ndarray) -> np.ndarray:
+            kernel.gradient(kernel.parameters, y[:n], y[n:], dH_dq, dH_dp)
+            return np.concatenate([dH_dp, -dH_dq])
+
+        solution = solve_ivp(field, (0.0, h), np.concatenate([z.q, z.p]), method='DOP853',
+                             rtol=max(options.relative, 3e-14), atol=options.absolute)
+        if not solution.success:
+            return ENDLESS, np.inf, solution.nfev
+        z1.q[:], z1.p[:] = solution.y[:n, -1], solution.y[n:, -1]
+        return OK, 0.0, solution.nfev

@@ -1,3 +1,0 @@
-# Copyright 2026 The hnn_vi_ros Authors
-# SPDX-License-Identifier: Apache-2.0
-"""Nodes to learn from."""

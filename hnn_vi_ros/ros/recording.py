@@ -1,0 +1,459 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The sinks of a run: opened, written to, and given up together."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, final, NamedTuple
+
+from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.bags.cdr import serialize
+from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
+from hnn_vi_ros.ros.settings import Settings
+from hnn_vi_ros.run.held_state import STATE_FILE, state_file
+from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, RunFiles
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.timing import Figures
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.sample import Sample
+import numpy as np
+from std_msgs.msg import String
+
+
+class Beginning(NamedTuple):
+    """
+    Beginning of a sink's recording.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the initial state from which the simulation continues.
+    simulation : Simulation
+        In its state of now.
+    report : dict
+        What ``~/scene`` tells.
+    sampler : Sampler
+        Whose stamps count.
+
+    """
+
+    scene: Scene
+    simulation: Simulation
+    report: dict[str, Any]
+    sampler: Sampler
+
+
+class Sink(ABC):
+    """
+    Something that a run is written to or shown by.
+
+    Any method may raise RecordingError, which names the loss: the sink then gets no calls until
+    it is opened again. Between ``open`` and ``close`` come samples and whatever
+    else a sink cares for.
+
+    Attributes
+    ----------
+    name : str
+        By which /diagnostics tells where it goes.
+
+    """
+
+    name: str
+
+    @property
+    @abstractmethod
+    def target(self) -> str:
+        """Return where an open sink goes: a path, a URL or a port."""
+
+    @property
+    def greeting(self) -> str:
+        """Return what is logged once all sinks are open; empty for nothing."""
+        return ''
+
+    @abstractmethod
+    def open(self, begin: Beginning) -> bool:  # noqa: A003
+        """Begin, again after ``close`` as well; return whether the sink wants anything."""
+
+    @abstractmethod
+    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+        """Take a sample, and the messages that were published of it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Complete what was begun; makes no ROS call."""
+
+    def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        """Take a message that does not come with each sample."""
+        return
+
+    def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
+        """Take a line at a stamp [ns] and a step; level is INFO, WARN or ERROR."""
+        return
+
+    def timing(self, figures: Figures) -> None:
+        """Take what steps cost lately, and the pace, at the newest sample."""
+        return
+
+    def flush(self) -> None:
+        """Pass on samples that are held back, when no sample follows for a while."""
+        return
+
+    def files(self) -> list[str]:
+        """Return lines that name the files made since ``open``, and how to open them."""
+        return []
+
+
+@final
+class BagOutput(Sink):
+    """
+    MCAP bags: one from the beginning on, if it is asked for, and others when they are.
+
+    Parameters
+    ----------
+    settings : Settings
+        The node's parameters.
+    topics : BagTopics
+        Topics in the bag.
+    files : RunFiles
+        Which gives them names.
+
+    """
+
+    name = 'bag'
+
+    def __init__(self, settings: Settings, topics: BagTopics, files: RunFiles):
+        self._settings, self._topics, self._files = settings, topics, files
+        # From the next beginning on.
+        self.wanted = settings.record
+        self._bags: list[Path] = []
+        self._begin: Beginning
+        self._begun_at: bytes
+        self._sink: McapSink
+
+    @property
+    def target(self) -> str:
+        """See Sink."""
+        return str(self._bags[-1])
+
+    @property
+    def greeting(self) -> str:
+        """See Sink."""
+        return f'recording to {self.target}'
+
+    def open(self, begin: Beginning) -> bool:  # noqa: A003
+        """See Sink."""
+        self._begin, self._bags = begin, []
+        self._begun_at = state_file(begin.simulation)
+        if self.wanted:
+            self._bags.append(self._free())
+            self._open_bag()
+        return self.wanted
+
+    def start(self) -> None:
+        """Begin one more bag, in the state of now."""
+        self._bags.append(self._free())
+        try:
+            self._open_bag()
+        except RecordingError:
+            self._bags.pop()
+            raise
+        self.wanted = True
+
+    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+        """See Sink."""
+        self._sink.write(sample.stamp, payloads)
+
+    def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        """See Sink."""
+        self._sink.write_other(topic, stamp, payload)
+
+    def flush(self) -> None:
+        """See Sink."""
+        self._sink.flush()
+
+    def close(self) -> None:
+        """See Sink."""
+        self._sink.close()
+
+    def files(self) -> list[str]:
+        """See Sink."""
+        return [line for bag in self._bags for line in bag_lines(bag)]
+
+    def _free(self) -> Path:
+        return self._files.free(self._settings.record_path, 'bag', self._begin.scene.name)
+
+    def _open_bag(self) -> None:
+        _, simulation, report, sampler = self._begin
+        scene = dump_yaml(report)
+        attachments = {
+            'scene.yaml': scene.encode(),
+            'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
+        # Steps that were taken, a command that is held already: what the scene does not tell.
+        if (state := state_file(simulation)) != self._begun_at:
+            attachments[STATE_FILE] = state
+        sink = McapSink(self._bags[-1], self._topics.tick, attachments)
+        # Stamped with the state that the bag begins at, from which on it acts.
+        sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=scene)))
+        sink.flush()
+        self._sink = sink
+
+
+VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
+SERVER_PORT = 9876
+# Samples that the picture shows, per second of wall time.
+_FRAME_RATE = 30.0
+
+
+@final
+class PictureOutput(Sink):
+    """
+    A rerun recording: to a file, to a viewer, or to those that connect.
+
+    Parameters
+    ----------
+    settings : Settings
+        The node's parameters.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that the picture leaves room for.
+    files : RunFiles
+        Which gives it a name.
+
+    """
+
+    name = 'rerun'
+
+    def __init__(self, settings: Settings, box: tuple[np.ndarray, np.ndarray], files: RunFiles):
+        self._settings, self._box, self._files = settings, box, files
+        self._path: Path | None = None
+        self._target: Path | str | int
+        if settings.rerun_sink != 'none':
+            # Imported here: a run without a picture starts without the viewer's libraries. One
+            # that lacks them ends before anything is recorded.
+            with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
+                from hnn_vi_ros.viewer.rerun_sink import RerunSink
+            self._make = RerunSink
+
+    @property
+    def target(self) -> str:
+        """See Sink."""
+        return str(self._target)
+
+    @property
+    def greeting(self) -> str:
+        """See Sink."""
+        serves = self._settings.rerun_sink == 'serve'
+        return f'rerun viewers can connect to {VIEWER_URL}' if serves else ''
+
+    def open(self, begin: Beginning) -> bool:  # noqa: A003
+        """See Sink."""
+        settings, (scene, simulation, _, sampler) = self._settings, begin
+        if settings.rerun_sink == 'none':
+            return False
+        if settings.rerun_sink == 'file':
+            self._path = self._files.free(settings.rerun_path, 'recording.rrd', scene.name)
+            self._target = self._path
+        else:
+            self._target = SERVER_PORT if settings.rerun_sink == 'serve' else (
+                settings.rerun_path or VIEWER_URL)
+        pace = settings.real_time_factor
+        self._sink = self._make(
+            scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
+            simulation.p.copy(), box=self._box,
+            mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
+            effects=simulation.effects, step_size=simulation.step_size,
+            conservative=simulation.conservative,
+            modified=simulation.modified_energy is not None, pace=pace or None,
+            band=scene.uncertainty is not None,
+            begin=(sampler.stamp, simulation.steps),
+            interval=round((pace or 1.0) / _FRAME_RATE * 1e9))
+        return True
+
+    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+        """See Sink."""
+        self._sink.write(sample)
+
+    def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
+        """See Sink."""
+        self._sink.event(text, level, at)
+
+    def timing(self, figures: Figures) -> None:
+        """See Sink."""
+        self._sink.timing((figures.microseconds_per_step_median,
+                           figures.microseconds_per_step_p99), figures.real_time_factor)
+
+    def close(self) -> None:
+        """See Sink."""
+        self._sink.close()
+
+    def files(self) -> list[str]:
+        """See Sink."""
+        return picture_lines(self._path) if self._path is not None else []
+
+
+class Recording:
+    """
+    Sinks of the samples of a run besides ROS, such as a bag and a picture.
+
+    A sink that fails is given up with an error in the log; the simulation continues, and
+    ``close`` says that something is missing.
+
+    Parameters
+    ----------
+    logger : Logger
+        The node's.
+    scene : Scene
+        The simulated scene.
+    simulation : Simulation
+        In its initial state.
+    settings : Settings
+        The node's parameters.
+    topics : BagTopics
+        Topics in the bag.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p that the picture leaves room for.
+    report : dict
+        What ~/scene tells, and the bag.
+    sampler : Sampler
+        Whose stamps count.
+
+    Attributes
+    ----------
+    samples : int
+        Samples that were handed in since the files were opened.
+    problem : str
+        Why something is missing; empty as long as nothing is.
+
+    Raises
+    ------
+    RecordingError
+        A file exists or cannot be created.
+
+    """
+
+    def __init__(self, logger: Logger, scene: Scene, simulation: Simulation,
+                 settings: Settings, topics: BagTopics, box: tuple[np.ndarray, np.ndarray],
+                 report: dict[str, Any], sampler: Sampler):
+        self._logger, self._simulation = logger, simulation
+        self.problem = ''
+        files = RunFiles()
+        self._bag = BagOutput(settings, topics, files)
+        # A new sink is one more here.
+        self._sinks: tuple[Sink, ...] = (self._bag, PictureOutput(settings, box, files))
+        self._open: list[Sink] = []
+        try:
+            self._begin(Beginning(scene, simulation, report, sampler))
+        except BaseException:
+            self.close()
+            raise
+
+    def renew(self, scene: Scene, report: dict[str, Any], sampler: Sampler) -> None:
+        """
+        Close the files and continue in new ones next to them; nothing is ever overwritten.
+
+        Parameters
+        ----------
+        scene : Scene
+            With the initial state from which the simulation continues.
+        report : dict
+            What ~/scene tells from now on.
+        sampler : Sampler
+            Whose stamps count from now on.
+
+        """
+        self.close(ended=False)
+        self.report()
+        self._begin(Beginning(scene, self._simulation, report, sampler), self._give_up)
+
+    def start_bag(self) -> str:
+        """Begin a new bag and return its absolute path, or raise RecordingError."""
+        if self._bag in self._open:
+            raise RecordingError(f'{self._bag.target}: is being recorded already')
+        self._bag.start()
+        self._open.insert(0, self._bag)
+        return self._bag.target
+
+    def stop_bag(self) -> str:
+        """Complete the bag and return its absolute path, or raise RecordingError."""
+        if self._bag not in self._open:
+            raise RecordingError('no bag is being recorded')
+        self._open.remove(self._bag)
+        self._bag.wanted = False
+        try:
+            self._bag.close()
+        except RecordingError as problem:
+            self._give_up(problem)
+            raise
+        return self._bag.target
+
+    def flush(self) -> None:
+        """Hand the files to the operating system, where no sample follows for a while."""
+        self._each(lambda sink: sink.flush())
+
+    def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
+        """Record and show one sample."""
+        self.samples += 1
+        self._each(lambda sink: sink.write(sample, payloads))
+
+    def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        """Record a message that does not come with each sample."""
+        self._each(lambda sink: sink.write_other(topic, stamp, payload))
+
+    def event(self, text: str, level: str, at: tuple[int, int] | None = None) -> None:
+        """Show a line with the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
+        self._each(lambda sink: sink.event(text, level, at))
+
+    def timing(self, figures: Figures) -> None:
+        """Show what steps cost lately, and the pace, at the newest sample."""
+        self._each(lambda sink: sink.timing(figures))
+
+    @property
+    def targets(self) -> dict[str, str]:
+        """Return where each open sink goes."""
+        return {sink.name: sink.target for sink in self._open}
+
+    def close(self, ended: bool = True) -> bool:
+        """Close what is open, at the end or to continue; return whether all was recorded."""
+        self._each(lambda sink: sink.close(), ended)
+        self._open.clear()
+        return not self.problem
+
+    def report(self) -> None:
+        """Print where the files are, and the command that opens each."""
+        report_files([line for sink in self._sinks for line in sink.files()])
+
+    def _begin(self, begin: Beginning,
+               give_up: Callable[[RecordingError], None] | None = None) -> None:
+        """Open what is wanted; without someone who takes them, errors are raised."""
+        self.samples = 0
+        for sink in self._sinks:
+            try:
+                if sink.open(begin):
+                    self._open.append(sink)
+            except RecordingError as problem:
+                if give_up is None:
+                    raise
+                give_up(problem)
+        for sink in self._open:
+            if sink.greeting:
+                self._logger.info(sink.greeting)
+
+    def _each(self, act: Callable[[Sink], None], ended: bool = False) -> None:
+        """Do something with each open sink; one that fails is given up."""
+        for sink in tuple(self._open):
+            try:
+                act(sink)
+            except RecordingError as problem:
+                self._open.remove(sink)
+                self._give_up(problem, ended)
+
+    def _give_up(self, problem: RecordingError, ended: bool = False) -> None:
+        self.problem = str(problem)
+        self._logger.error(self.problem if ended else f'{problem}; the simulation goes on')
