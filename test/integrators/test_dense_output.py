@@ -107,7 +107,7 @@ def orbit_errors(method: Integrator, e: float, h: float, start: float, times: np
                       np.abs(p - exact_p).max(axis=1) * np.sqrt(1.0 - e))
 
 
-@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('e', [0.6, 0.99])
 @pytest.mark.parametrize('method', METHODS, ids=lambda method: method.name)
 def test_states_between_steps_of_an_encounter_are_as_accurate_as_those_at_their_ends(
         method: Method, e: float):
@@ -127,7 +127,7 @@ def test_states_between_steps_of_an_encounter_are_as_accurate_as_those_at_their_
     assert errors[~on].max() < 2.0 * errors[on].max() + 16.0 * EPS / (1.0 - e)
 
 
-@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('e', [0.6, 0.99])
 @pytest.mark.parametrize('control, base', [
     (control, base) for control, bases in CONTROLS.items() for base in bases])
 def test_states_within_steps_of_the_clock_converge_with_the_order_of_the_base(control, base, e):
