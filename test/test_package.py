@@ -228,6 +228,14 @@ def test_docstrings_begin_with_a_verb_or_the_thing(path):
     assert not wrong, f'{relative(path)}: name the thing, or begin with a verb: {wrong}'
 
 
+@pytest.mark.parametrize('path', MODULES, ids=relative)
+def test_no_constant_of_a_module_is_assigned_twice(path):
+    names = [name.id for node in ast.parse(path.read_text()).body if isinstance(node, ast.Assign)
+             for target in node.targets for name in ast.walk(target)
+             if isinstance(name, ast.Name)]
+    assert len(names) == len(set(names))
+
+
 @pytest.mark.parametrize('path', TEST_FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_test_file_asserts_something(path):
     tree = ast.parse(path.read_text())
