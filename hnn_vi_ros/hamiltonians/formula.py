@@ -295,7 +295,8 @@ def _largest_term(graph: Graph, roots: Sequence[int], parameters: Mapping[str, f
             bounds[a] = math.prod(parts) if kind == 'product' else sum(parts)
         else:
             bounds[a] = 1.0 if kind in ('cos', 'sin', 'tanh') else math.inf
-    terms, rest = [0.0], list(roots)
+    # A term alone is as exact as its size says.
+    terms, rest = [0.0], [a for a in roots if graph.nodes[a][0] == 'sum']
     while rest:
         a = rest.pop()
         if graph.nodes[a][0] == 'sum':
