@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A potential energy that is written as a formula."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
+from typing import Any
 
 from hnn_vi_ros.effects.base import EffectState, Joined, Potential
 from hnn_vi_ros.hamiltonians.expressions import Graph
@@ -44,11 +45,11 @@ class FormulaPotential(Potential):
         own = {name: value for name, value in self.parameters.items() if name not in columns}
         if len(own) < len(self.parameters):
             shared = sorted(self.parameters.keys() & columns)[0]
-            raise ValueError(f'parameters: {shared} is a coordinate; call it otherwise')
+            raise ValueError(f'parameters {shared} is a coordinate; call it otherwise')
         root = read_formula('formula', graph, self.formula, [*columns], own).root
         moving = [name for name in columns if graph.depending([root], [name])]
         if not moving:
-            raise ValueError('formula: depends on no coordinate, so nothing acts')
+            raise ValueError('formula depends on no coordinate, so nothing acts')
         slopes = graph.gradient(root, moving)
         changes = {name: f'change of {name}' for name in moving}
         products = graph.tangents(slopes, changes)
@@ -72,7 +73,7 @@ class FormulaPotential(Potential):
 
 
 @cache
-def _bound(*functions: object) -> type[Joined]:
+def _bound(*functions: Callable[..., Any]) -> type[Joined]:
     """Return a class of three functions, by a name that holds what they are made of."""
     names = ('energy', 'add_gradient', 'add_hessian_vector')
     digests = '_'.join(function.__qualname__.rpartition('_')[2] for function in functions)

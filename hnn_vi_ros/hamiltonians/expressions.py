@@ -26,7 +26,7 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'abs': lambda g, x, z: g.apply('sign', x),
     'acos': lambda g, x, z: g.scaled(-1.0, _root_of_rest(g, x)),
     'asin': lambda g, x, z: _root_of_rest(g, x),
-    'atan': lambda g, x, z: g.over(g.number(1.0), g.sum(g.number(1.0), g.power(x, 2))),
+    'atan': lambda g, x, z: g.over(g.number(1.0), g.plus(g.number(1.0), g.power(x, 2))),
     'cos': lambda g, x, z: g.scaled(-1.0, g.apply('sin', x)),
     'cosh': lambda g, x, z: g.apply('sinh', x),
     'exp': lambda g, x, z: z,
@@ -35,8 +35,8 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'sin': lambda g, x, z: g.apply('cos', x),
     'sinh': lambda g, x, z: g.apply('cosh', x),
     'sqrt': lambda g, x, z: g.over(g.number(0.5), z),
-    'tan': lambda g, x, z: g.sum(g.number(1.0), g.power(z, 2)),
-    'tanh': lambda g, x, z: g.sum(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
+    'tan': lambda g, x, z: g.plus(g.number(1.0), g.power(z, 2)),
+    'tanh': lambda g, x, z: g.plus(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
 }
 FUNCTIONS = tuple(name for name in _SLOPES if name != 'sign')
 _NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan}
@@ -98,7 +98,7 @@ class Graph:
             return self.number(c)
         return rest if c == 1.0 else self._node('scaled', c, rest)
 
-    def sum(self, a: int, b: int) -> int:
+    def plus(self, a: int, b: int) -> int:
         """Return a + b."""
         x, y = self._value(a), self._value(b)
         if x is not None and y is not None:
@@ -209,7 +209,7 @@ class Graph:
             return [(base, self.scaled(float(n), self.power(base, n - 1)))]
         if kind == 'raised':
             base, exponent = rest
-            less = self.sum(exponent, self.number(-1.0))
+            less = self.plus(exponent, self.number(-1.0))
             return [(base, self.product(exponent, self.raised(base, less))),
                     (exponent, self.product(a, self.apply('log', base)))]
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
@@ -225,7 +225,8 @@ class Graph:
 
     def depending(self, roots: Iterable[int], names: Iterable[str]) -> set[int]:
         """Return which of the nodes that some are made of depend on names."""
-        names, found = frozenset(names), set()
+        names = frozenset(names)
+        found: set[int] = set()
         for a in self.needed(roots):
             kind, *rest = self.nodes[a]
             if (kind == 'name' and rest[0] in names) or found.intersection(self.arguments(a)):
@@ -241,7 +242,7 @@ class Graph:
                 for part, slope in self._slopes(a):
                     if part in own:
                         more = self.product(adjoints[a], slope)
-                        adjoints[part] = self.sum(adjoints[part], more) \
+                        adjoints[part] = self.plus(adjoints[part], more) \
                             if part in adjoints else more
         return [adjoints.get(self.name(name), self.number(0.0)) for name in names]
 
@@ -253,7 +254,7 @@ class Graph:
                 total = self.number(0.0)
                 for part, slope in self._slopes(a):
                     if part in parts:
-                        total = self.sum(total, self.product(slope, found[part]))
+                        total = self.plus(total, self.product(slope, found[part]))
                 found[a] = total
         return [found.get(root, self.number(0.0)) for root in roots]
 
@@ -274,7 +275,7 @@ class Graph:
                 elif kind == 'power':
                     found[a] = parts[0] ** rest[1]
                 else:
-                    found[a] = _OPERATIONS.get(kind, _CALLS.get(kind))(*parts)
+                    found[a] = {**_CALLS, **_OPERATIONS}[kind](*parts)
         return found
 
     def code(self, roots: Sequence[int], texts: Mapping[int, str]) -> tuple[list[str], list[str]]:
@@ -343,7 +344,7 @@ class Graph:
 
 def _root_of_rest(graph: Graph, x: int) -> int:
     """Return 1 / sqrt(1 - x^2)."""
-    rest = graph.sum(graph.number(1.0), graph.scaled(-1.0, graph.power(x, 2)))
+    rest = graph.plus(graph.number(1.0), graph.scaled(-1.0, graph.power(x, 2)))
     return graph.over(graph.number(1.0), graph.apply('sqrt', rest))
 
 
@@ -445,7 +446,7 @@ class Reader:
         self._depth += 1
         if self._depth > DEEPEST:
             raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, signs '
-                             'or powers inside each other')
+                             'or powers inside each other; a formula has at most these')
         node = read()
         self._depth -= 1
         return node
@@ -455,7 +456,7 @@ class Reader:
         node = self._product()
         while sign := self._takes('+', '-'):
             other = self._product()
-            node = self._made(begin, graph.sum, node,
+            node = self._made(begin, graph.plus, node,
                               other if sign == '+' else graph.scaled(-1.0, other))
         return node
 

@@ -69,8 +69,8 @@ class Formula(Hamiltonian):
         self.parameters, self._text = dict(parameters or {}), H
         names = [coordinate.name for coordinate in self.coordinates]
         if not names:
-            raise ValueError('coordinates: name at least one')
-        check_names('coordinates', names, most=_MOST_COORDINATES)
+            raise ValueError('coordinates must name at least one')
+        check_names('coordinates', names, {f'p_{name}' for name in names}, _MOST_COORDINATES)
         momenta = {f'p_{name}': name for name in names}
         momenta |= {own: name for name in names
                     if (own := momentum_name(name)) not in {*momenta, *names, *self.parameters}}
@@ -130,7 +130,7 @@ class Formula(Hamiltonian):
                 begin, end = self._read.parts.get(node, (0, len(self._text)))
                 own = node in self._read.parts
                 raise ValueError(
-                    f'H: column {begin + 1}: {self._text[begin:end]!r:.80} '
+                    f'H column {begin + 1}: {self._text[begin:end]!r:.80} '
                     f'{f"is {values[node]:g}" if own else "has no finite derivative"} at the '
                     'initial state; begin elsewhere')
 
@@ -241,20 +241,20 @@ def read_formula(key: str, graph: Graph, text: str, names: Sequence[str],
         It cannot be read, or a name is not known or not used.
 
     """
-    check_finite(**{f'parameters: {name}': value for name, value in parameters.items()})
+    check_finite(**{f'parameters {name}': value for name, value in parameters.items()})
     try:
         read = Reader(graph, text, called=called)
     except ValueError as problem:
-        raise ValueError(f'{key}: {problem}') from problem
+        raise ValueError(f'{key} {problem}') from problem
     valid = [*names, *parameters]
     for name, column in read.names.items():
         if name not in valid:
             hint = did_you_mean(name, valid)
-            raise ValueError(f'{key}: column {column}: no name {name!r}{hint}; there are: '
+            raise ValueError(f'{key} column {column}: no name {name!r}{hint}; there are: '
                              f'{listed(valid)}; give others a value in parameters')
     for name in parameters:
         if name not in read.names:
-            raise ValueError(f'parameters: {name} is not in {key}; leave it out')
+            raise ValueError(f'parameters {name}: not in {key}; leave it out')
     return read
 
 
@@ -266,10 +266,10 @@ def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
         raise ValueError(f'{key}: {len(names)} of them; give at most {most}')
     for i, name in enumerate(names):
         if not re.match(_NAME, name):
-            raise ValueError(f'{key}: {name!r:.60} must be a letter or underscore, then letters, '
+            raise ValueError(f'{key} {name!r:.60} must be a letter or underscore, then letters, '
                              'digits, underscores')
         if name in taken or name in names[:i]:
-            raise ValueError(f'{key}: {name} has another meaning already; call it otherwise')
+            raise ValueError(f'{key} {name} has another meaning already; call it otherwise')
 
 
 def _coordinate(choice: Any) -> Coordinate:

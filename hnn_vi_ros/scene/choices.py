@@ -149,7 +149,7 @@ class Condition:
         if not self._names:
             raise ValueError(f'{self.text!r} depends on nothing of the system: expected '
                              f'{_EXPECTED}')
-        self._difference = self._graph.sum(left.root, self._graph.scaled(-1.0, right.root))
+        self._difference = self._graph.plus(left.root, self._graph.scaled(-1.0, right.root))
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """Raise ValueError, with the valid names, if it names a quantity the system lacks."""

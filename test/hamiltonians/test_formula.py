@@ -115,16 +115,16 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
 
 
 @pytest.mark.parametrize('text, said', [
-    (KINETIC + ' + k*x*y', r"H: column 28: no name 'k'; there are: "),
-    (KINETIC + ' + X*y', r"H: column 28: no name 'X'; did you mean x\?"),
+    (KINETIC + ' + k*x*y', r"H column 27: no name 'k'; there are: "),
+    (KINETIC + ' + p_xx*y', r"H column 27: no name 'p_xx'; did you mean p_x\?"),
     ('p_x^2 + p_x*m', 'H does not depend on p_y, the momentum of y, which would never move'),
-    (KINETIC + ' + 2x', r"H: column 29: found 'x', expected an operator"),
-    (KINETIC + ' + sen(x)', r"H: column 28: no function 'sen'"),
-    (KINETIC + ' + (x', 'H: column 30: the formula ends, expected an operator, or a bracket that '
-                        'closes that in column 28'),
-    (KINETIC + ' + log(1 - 2)', r"H: column 28: 'log\(1 - 2\)': this is nan, no finite number"),
-    (KINETIC + ' + x/(m - m)', r"H: column 28: 'x/\(m - m\)': a division by zero"),
-    (KINETIC.replace('m', '1'), 'parameters: m is not in H; leave it out'),
+    (KINETIC + ' + 2x', r"H column 28: found 'x', expected an operator"),
+    (KINETIC + ' + sen(x)', r"H column 27: no function 'sen'"),
+    (KINETIC + ' + (x', 'H column 29: the formula ends, expected an operator, or a bracket that '
+                        'closes that in column 27'),
+    (KINETIC + ' + log(1 - 2)', r"H column 27: 'log\(1 - 2\)': this is nan, no finite number"),
+    (KINETIC + ' + x/(m - m)', r"H column 27: 'x/\(m - m\)': a division by zero"),
+    (KINETIC.replace('m', '1'), 'parameters m: not in H; leave it out'),
     ('(' * (DEEPEST + 1) + 'x', f'more than {DEEPEST} brackets'),
     ('x +' * LONGEST, f'{3 * LONGEST} characters, of which at most {LONGEST} are read')])
 def test_error_names_the_column_and_what_is_expected(text, said):
@@ -133,27 +133,22 @@ def test_error_names_the_column_and_what_is_expected(text, said):
 
 
 @pytest.mark.parametrize('names, parameters, said', [
-    (['x', 'x'], {}, 'coordinates: x has another meaning'),
-    (['x', 'p_x'], {}, 'coordinates|has another meaning'),
-    (['sin'], {}, 'coordinates: sin has another meaning'), ([], {}, 'coordinates: name at least'),
-    (['x y'], {}, "coordinates: 'x y' must be a letter"),
-    (['x'], {'p_x': 1.0}, 'parameters: p_x has another meaning'),
-    (['x'], {'m': math.inf}, 'parameters: m = inf must be a finite number')])
+    (['x', 'x'], {}, 'coordinates x has another meaning'),
+    (['x', 'p_x'], {}, 'coordinates p_x has another meaning'),
+    (['sin'], {}, 'coordinates sin has another meaning'),
+    ([], {}, 'coordinates must name at least'),
+    (['x y'], {}, "coordinates 'x y' must be a letter"),
+    (['x'], {'p_x': 1.0}, 'parameters p_x has another meaning'),
+    (['x'], {'m': math.inf}, 'parameters m = inf must be a finite number')])
 def test_names_that_cannot_be_used_are_refused(names, parameters, said):
     with pytest.raises(ValueError, match=said):
         Formula(names, 'p_x^2', parameters)
 
 
 def test_derivatives_that_outgrow_memory_are_refused():
-    deep = 'x'
-    for _ in range(40):
-        deep = f'sin({deep} + x*{"y" * 1})'
-    wide = '*'.join(f'(x + {i}*y)^{i % 5 + 2}' for i in range(1, 230))
-    Formula(['x', 'y'], f'p_x^2 + p_y^2 + {deep}')
+    wide = '*'.join(f'atan(x^{i}+y)' for i in range(2, 280))
     with pytest.raises(ValueError, match='more than 20000 parts'):
-        for _ in range(3):
-            wide = f'{wide} * exp(x*y)'
-            Formula(['x', 'y'], f'p_x^2 + p_y^2 + {wide}').kernel
+        Formula(['x', 'y'], f'p_x^2 + p_y^2 + {wide}').kernel  # noqa: B018
 
 
 def test_scene_of_a_formula_runs_and_its_numbers_have_names(tmp_path):
@@ -170,8 +165,9 @@ def test_scene_of_a_formula_runs_and_its_numbers_have_names(tmp_path):
 def test_scene_says_where_its_formula_has_no_value(tmp_path):
     file = tmp_path / 'mine.yaml'
     file.write_text(TREE.replace('- y^3/3', '- 1/(x - 0.1)'))
-    with pytest.raises(SceneError, match=r"mine.yaml:\d+: hamiltonian.H: formula: H: column 60: "
-                                         r"'1/\(x - 0.1\)' is .*inf at the initial state"):
+    with pytest.raises(SceneError, match=(
+            r'mine.yaml:\d+: hamiltonian.H: formula: H column 47: '
+            r'.1/\(x - 0.1\). is .*inf at the initial state')):
         load_scene(file).create_hamiltonian()
 
 
@@ -198,7 +194,7 @@ def test_potential_of_a_formula_is_the_part_of_h_that_it_says(integrator):
 
 @pytest.mark.parametrize('formula, parameters, said', [
     ('k*z', {'k': 1.0}, 'no name .z.; there are: x, k'), ('k', {'k': 1.0}, 'depends on no coord'),
-    ('x', {'x': 1.0}, 'parameters: x is a coordinate'), ('p_x*x', {}, 'no name .p_x.')])
+    ('x', {'x': 1.0}, 'parameters x is a coordinate'), ('p_x*x', {}, 'no name .p_x.')])
 def test_potential_that_fits_no_system_is_refused(formula, parameters, said):
     with pytest.raises(ValueError, match=said):
         Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['gauss8'](), 0.1, [1.0], [0.0],
