@@ -66,7 +66,7 @@ def main(argv: Sequence[str]) -> None:
         if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
             # Fitted by the default windows of training.
             rigid = best_rigid_body(Trajectory(), known)
-            others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
         scores |= {name: score(other, *asked) for name, other in others.items()}
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '

@@ -33,7 +33,7 @@ CONFIG = {
     'description': 'A simulated pendulum (Apache-2.0).',
     'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
     'data': {'kind': 'arrays', 'test_runs': ['c']},
-    'family': {'kind': 'mechanical', 'mass': 'constant'},
+    'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant'},
     'loss': {'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 0,
              'windows': [{'duration': 0.1, 'steps': 5}]}}
 
