@@ -255,7 +255,7 @@ def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
     for name in _SHARED:
         if getattr(one, name) != getattr(other, name):
             raise ValueError(f'ensemble: {name} of a member are not those of the others')
-    kinds = [(None if card.prior is None else card.prior.kind,
+    kinds = [(None if card.prior is None else (card.prior.kind, card.prior.angles),
               None if card.input_map is None else len(card.input_map[0]))
              for card in (one, other)]
     if kinds[0] != kinds[1]:

@@ -3,7 +3,7 @@
 """What a model of a machine has seen, and how it was chosen: entries of its card."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 from hnn_vi_ros.files.yaml_file import StrictModel
 import numpy as np
@@ -27,59 +27,77 @@ class DomainCard(StrictModel):
         return cls(**{name: np.stack([part.min(axis=0), part.max(axis=0)], axis=-1).tolist()
                       for name, part in parts.items()})
 
-    def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, kinds: Sequence[str]
-               ) -> np.ndarray:
+
+class Domain:
+    """
+    The domain of a machine's model, for whoever looks at its motions.
+
+    Parameters
+    ----------
+    card : DomainCard
+        Its ranges.
+    kinds : sequence of str
+        Of the coordinates; the range of a continuous one is on its circle.
+    names : sequence of (str, str, str)
+        Of each coordinate its name, its unit and that of its momentum.
+
+    """
+
+    def __init__(self, card: DomainCard, kinds: Sequence[str],
+                 names: Sequence[tuple[str, str, str]]):
+        self._names = names
+        self._motors = len(card.forces)
+        self._low, self._high = np.array([*card.q, *card.v, *card.forces]).T
+        self._turns = np.flatnonzero([kind == 'continuous' for kind in kinds])
+        # Round-off of a coordinate that hardly moves is nothing to be outside by.
+        self._half = np.maximum(0.5 * (self._high - self._low), 1e-9)
+
+    def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
         """
-        Return how far samples are outside.
+        Return how far samples are outside, in half-widths, shape (N, k); 0 inside.
 
         Parameters
         ----------
         q, v : np.ndarray, shape (N, d)
             Coordinates and velocities.
-        tau : np.ndarray, shape (N, m)
+        tau : np.ndarray, shape (N, m), optional
             Forces; they count if there were as many in the data.
-        kinds : sequence of str
-            Of the coordinates; the range of a continuous one is on its circle.
-
-        Returns
-        -------
-        np.ndarray, shape (N, k)
-            Of each coordinate, velocity and force, in half-widths of its range; 0 inside.
 
         """
-        ranges = np.array([*self.q, *self.v, *self.forces])
-        forces = tau[:, :len(self.forces)] if tau.shape[1] == len(self.forces) else \
-            np.tile(ranges[2 * len(self.q):].mean(axis=1), (len(q), 1))
-        x, (low, high) = np.hstack([q, v, forces]), ranges.T
-        for i, kind in enumerate(kinds):
-            if kind == 'continuous':
-                # The turn of it that is least beyond.
-                middle = 0.5 * (low[i] + high[i])
-                x[:, i] = middle + np.remainder(x[:, i] - middle + np.pi, 2.0 * np.pi) - np.pi
-        half = np.maximum(0.5 * (high - low), np.finfo(float).tiny)
+        x = np.hstack([q, v] if tau is None or tau.shape[1] != self._motors else [q, v, tau])
+        low, high, half = (part[:x.shape[1]] for part in (self._low, self._high, self._half))
+        # The turn of an angle that is least beyond.
+        turns = self._turns
+        middle = 0.5 * (low + high)[turns]
+        x[:, turns] = middle + np.remainder(x[:, turns] - middle + np.pi, 2.0 * np.pi) - np.pi
         return np.maximum(np.maximum(low - x, x - high), 0.0) / half
 
-    def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray, kinds: Sequence[str],
-               names: Sequence[tuple[str, str, str]]) -> list[str]:
-        """
-        Say what goes beyond, the furthest first, as "elbow to 30 rad/s, seen 15".
-
-        ``names`` has the name of each coordinate, its unit and that of its momentum.
-        """
-        excess = self.excess(q, v, tau, kinds)
-        d, found = len(names), []
-        values = np.hstack([q, v, tau])
-        for i in np.argsort(-excess.max(axis=0, initial=0.0)):
+    def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:
+        """Say what goes beyond, the furthest first, as "elbow to 30 rad/s, seen 15"."""
+        excess, d = self.excess(q, v, tau), len(self._names)
+        values = np.hstack([q, v] if tau is None else [q, v, tau])
+        found = []
+        for i in np.argsort(-excess.max(axis=0)):
             if not excess[:, i].any():
                 break
-            name, unit, p_unit = names[i % d] if i < 2 * d else (
-                (f'force of {names[i - 2 * d][0]}', '', names[i - 2 * d][2]))
-            unit = unit if i < d else f'{unit}/s' if i < 2 * d else p_unit.removesuffix(' s')
+            name, unit, p_unit = self._names[i % d]
+            if i >= 2 * d:
+                name, unit = f'force {i - 2 * d + 1}', p_unit.removesuffix(' s')
+            elif i >= d:
+                unit += '/s'
             at = values[excess[:, i].argmax(), i]
-            low, high = [*self.q, *self.v, *self.forces][i]
-            seen = high if at > high else low
+            seen = self._high[i] if at > self._high[i] else self._low[i]
             found.append(f'{name} to {at:.3g} {unit}, seen {seen:.3g}')
         return found
+
+
+def domain_of(model: Any) -> Domain | None:
+    """Return the domain of a Hamiltonian, None unless it is of a machine whose card has one."""
+    card = getattr(getattr(getattr(model, 'base', model), 'checkpoint', None), 'card', None)
+    if card is None or card.domain is None or card.mechanical is None:
+        return None
+    return Domain(card.domain, card.mechanical.kinds,
+                  [(one.name, one.q_unit, one.p_unit) for one in card.coordinates])
 
 
 class CandidateCard(StrictModel):

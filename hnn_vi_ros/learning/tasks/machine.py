@@ -24,8 +24,8 @@ from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
 from hnn_vi_ros.learning.judging.evaluation import (
-    balance, judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table,
-    verdict)
+    balance, judge, linear_model, numbers, outside, own_effects, predicted_by, score,
+    simulation_of, table, verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
 from hnn_vi_ros.learning.tasks.selection import selected
@@ -35,7 +35,7 @@ from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
-from hnn_vi_ros.models.seen import DomainCard, SelectionCard
+from hnn_vi_ros.models.seen import domain_of, DomainCard, SelectionCard
 import numpy as np
 import torch
 
@@ -118,6 +118,7 @@ class MachineTask(Task):
         asked = test, horizons, _EVERY, _LONGEST
         scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
                              effects, *asked)
+        domain = domain_of(hamiltonian)
         prediction = PredictionError.model_validate(numbers(scores['model']))
         card = checkpoint.card.model_copy(update={'prediction_error': prediction})
         print('for comparison, a plain network of (q, v, tau):', flush=True)
@@ -131,7 +132,8 @@ class MachineTask(Task):
         scores |= {name: score(other, *asked) for name, other in others.items()}
         text = '\n\n'.join(filter(None, (
             table(scores, [coordinate.name for coordinate in config.coordinates]),
-            verdict(scores), ensemble_text(card))))
+            verdict(scores), '' if domain is None else outside(domain, fans, horizons).text,
+            '' if card.selection is None else card.selection.text, ensemble_text(card))))
         return Judged(
             replace(checkpoint, card=card), text,
             f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),

@@ -25,7 +25,7 @@ _FURTHEST, _ORDINARY = 0.1, 5
 # so often [s].
 _SHARE, _HORIZONS, _EVERY = 0.25, (0.1, 0.5), 0.05
 # On what goes furthest no error may be larger than that of the rigid body, but for this share.
-_WORSE = 0.02
+_WORSE = 0.05
 RIGID, ALONE = 'rigid body', 'networks alone'
 _CANDIDATES: dict[str, dict[str, object]] = {
     RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
@@ -93,7 +93,14 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
             'those that go furthest, in speed, range or force, and ordinary ones; trained for a '
             'quarter of the steps')
-    return _named(config, best.name), SelectionCard(
+    chosen = _named(config, best.name)
+    if rigid is not None and best.name != ALONE:
+        # All that follow, such as the members of an ensemble, have links of the same angles.
+        names = [coordinate.name for coordinate in config.coordinates]
+        chosen = chosen.model_copy(update={'family': chosen.family.model_copy(update={'angles': [
+            ' + '.join(f'{x:g} * {name}' for x, name in zip(row, names, strict=True) if x)
+            for row in rigid.module.structure.angles if any(row)]})})
+    return chosen, SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best))
 
 
