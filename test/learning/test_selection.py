@@ -71,14 +71,15 @@ def test_what_goes_furthest_is_held_out():
 
 def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
     config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'x', 'kind': 'prismatic'}, {'name': 'angle', 'kind': 'continuous'}],
+        'coordinates': [{'name': 'x', 'kind': 'prismatic'},
+                        {'name': 'angle', 'kind': 'continuous'}],
         'data': {'kind': 'arrays'}, 'hidden': [8], 'loss': {
             'kind': 'trajectory', 'forward_steps': 40, 'forward_lbfgs_steps': 0, 'batch': 64,
             'windows': [{'duration': 0.1, 'steps': 40}]},
         'family': {'kind': 'mechanical', 'friction': {'coulomb': 0}}})
     chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2, 3)], problem_of)
-    assert [one.name for one in card.candidates][0] == RIGID and chosen.family.prior is not None
     first, *_, alone = card.candidates
+    assert first.name == RIGID and chosen.family.prior is not None
     assert all(own < other for horizon, errors in first.furthest.items()
                for own, other in zip(errors, alone.furthest[horizon], strict=True))
     assert f'**{card.chosen}**' in card.text and 'Trust it for motions like' in card.text

@@ -18,8 +18,6 @@ import torch
 
 # Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
-_LEAST = -5.0
 # The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
 _FIRST_ROOT = 0.2
 
@@ -123,12 +121,6 @@ class JointFriction(torch.nn.Module):
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
-
-    def raise_to_least(self) -> None:
-        """Clamp coefficients away from zero, where the gradient vanishes."""
-        with torch.no_grad():
-            for raw in (self.raw_viscous, self.raw_force):
-                raw.clamp_(min=_LEAST)
 
     def scale(self, factor: float) -> None:
         """Multiply all of it by a factor."""
@@ -421,14 +413,14 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of a network without residual; begin with small networks."""
+        """Take prior and friction of a network without residual, which stay; add small networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
                 if name.startswith(('prior.', 'friction.raw_', 'raw_map')):
-                    parameter.copy_(known[name])
-            self.friction.raise_to_least()
+                    # What is left where networks fade is what least squares have found.
+                    parameter.copy_(known[name]).requires_grad_(False)
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
@@ -436,8 +428,6 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
         if isinstance(self.prior, RigidTree):
-            # The identified parameters stay fixed, with their errors.
-            self.prior.requires_grad_(False)
             self.prior.identification = rigid.prior.identification
 
     def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0

@@ -77,9 +77,8 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
             problem = make(own, kept, rigid)
             problem.fit()
             rigid = problem if name == RIGID else rigid
-            card = CandidateCard(name=name, **{
-                part: errors_of(problem.module, pieces)
-                for part, pieces in (('furthest', furthest), ('ordinary', ordinary))})
+            card = CandidateCard(name=name, furthest=errors_of(problem.module, furthest),
+                                 ordinary=errors_of(problem.module, ordinary))
         except DataError as problem:
             card = CandidateCard(name=name, failed=str(problem)[:1000])
         found.append(card)
@@ -108,22 +107,22 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
     """
     Return motions to learn from, and pieces to judge by: the furthest, and ordinary ones.
 
-    Pieces go far by the largest speed, distance from the middle and force in them, each in units
-    of the largest of all; those of a coordinate that turns over are no distances.
+    Pieces go far by the largest speed, distance from the middle or force in them, each in units
+    of the largest of all.
     """
     total = sum(len(run.t) for run in motions)
     longest = max(MIN_SAMPLES, min(round(_LONGEST / motions[0].spacing), total // _PIECES))
     pieces = [(run, rows) for run in motions
               for rows in np.array_split(np.arange(len(run.t)), max(1, len(run.t) // longest))]
     far: set[int] = set()
-    for values in (lambda run: run.v_smooth, lambda run: run.q_smooth, lambda run: run.tau):
-        everything = np.concatenate([values(run) for run in motions])
+    for key in ('v_smooth', 'q_smooth', 'tau'):
+        everything = np.concatenate([getattr(run, key) for run in motions])
         middle = np.median(everything, axis=0)
         size = np.abs(everything - middle).max(axis=0)
         if not size.any():
             continue
         moves = size > 0.0
-        reach = [float((np.abs(values(run)[rows] - middle)[:, moves] / size[moves]).max())
+        reach = [float((np.abs(getattr(run, key)[rows] - middle)[:, moves] / size[moves]).max())
                  for run, rows in pieces]
         taken = 0
         for k in np.argsort(-np.array(reach), kind='stable'):
@@ -145,7 +144,8 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
         kept += [part_of(run, rows) for rows in blocks if len(rows) >= MIN_SAMPLES]
     if not kept:
         return [*motions], [], []
-    return kept, *([part_of(*pieces[k]) for k in sorted(chosen)] for chosen in (far, usual))
+    furthest, ordinary = ([part_of(*pieces[k]) for k in sorted(chosen)] for chosen in (far, usual))
+    return kept, furthest, ordinary
 
 
 def errors_of(network: Network, pieces: Sequence[Run]) -> Errors:
