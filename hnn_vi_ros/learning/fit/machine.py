@@ -294,8 +294,9 @@ def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
 # Networks fade beyond about this distance from all that was seen: of coordinates that turn over
 # [rad], and of others as a share of half their range.
 _NEAR_ANGLE, _NEAR_SHARE = 0.3, 0.2
-# So many samples stand for what was seen; and networks fade at this multiple of its speeds.
-_SEEN, _FASTER = 2000, 2.0
+# So many samples stand for what was seen; networks fade at this multiple of its speeds, and at so
+# many random states in each step.
+_SEEN, _FASTER, _STATES = 500, 2.0, 64
 
 
 class Fading:
@@ -312,16 +313,14 @@ class Fading:
         With a prior.
     motions : sequence of Run
         What was seen.
-    count : int
-        Random states.
     seen_weight, fade_weight : float
         The two weights.
 
     """
 
-    def __init__(self, network: MechanicalNetwork, motions: Sequence[Run], count: int,
-                 seen_weight: float, fade_weight: float):
-        self._network, self._count = network, count
+    def __init__(self, network: MechanicalNetwork, motions: Sequence[Run], seen_weight: float,
+                 fade_weight: float):
+        self._network = network
         self._weights = seen_weight, fade_weight
         q, v = (np.concatenate([getattr(motion, name) for motion in motions])
                 for name in ('q_smooth', 'v_smooth'))
@@ -334,14 +333,14 @@ class Fading:
     def __call__(self, generator: torch.Generator) -> torch.Tensor:
         """Return it, at states drawn anew."""
         network, (usual, large) = self._network, self._weights
-        q = network.random_states(self._count, generator, reach=2.0)
+        q = network.random_states(_STATES, generator, reach=2.0)
         away = q[:, None] - self._seen
         away = torch.where(self._turns, torch.remainder(away + math.pi, 2.0 * math.pi) - math.pi,
                            away)
         nearest = (away / self._unit).square().sum(dim=2).min(dim=1).values
         weights = large + (usual - large) * torch.exp(-0.5 * nearest)
-        rows = torch.randint(len(self._seen), (self._count,), generator=generator)
-        share = 2.0 * torch.rand(self._count, network.d, generator=generator,
+        rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
+        share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
                                  dtype=torch.float64) - 1.0
         return (weights * network.residual_sizes(q) + large * network.speed_sizes(
             self._seen[rows], _FASTER * self._fastest * share)).mean()

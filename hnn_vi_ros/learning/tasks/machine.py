@@ -172,8 +172,7 @@ def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | N
                                 config.hidden, scales, config.seed)
     network.begin_with(rigid.module)
     return MachineProblem(network, config, motions, Fading(
-        network, motions, config.windows.batch, family.residual_weight, family.fade_weight),
-        rigid.losses)
+        network, motions, family.residual_weight, family.fade_weight), rigid.losses)
 
 
 def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[Run]) -> Problem:

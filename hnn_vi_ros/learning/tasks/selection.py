@@ -195,7 +195,7 @@ def _named(config: MachineConfig, name: str) -> MachineConfig:
 
 
 def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
-    """Return a configuration with a share of the steps."""
+    """Return a configuration with a share of the steps, on half as many windows each."""
     loss = config.loss_of(all(motion.accelerations for motion in motions))
 
     def less(steps: int) -> int:
@@ -203,6 +203,7 @@ def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
     changes: dict[str, object] = {
         'forward_steps': less(loss.forward_steps),
         'forward_lbfgs_steps': less(loss.forward_lbfgs_steps),
+        'batch': math.ceil(0.5 * loss.batch),
         'windows': [stage.model_copy(update={'steps': less(stage.steps)})
                     for stage in loss.windows]} if isinstance(loss, Trajectory) else {
         'steps': less(loss.steps), 'lbfgs_steps': less(loss.lbfgs_steps)}
