@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.planar_chain import (
-    chain_terms, CHAINS, check_chain, no_terms, parameter_names, Terms)
+    chain_terms, CHAINS, couplings, is_chain, no_terms, parameter_names, PLANAR_CHAIN, Terms)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -70,9 +70,12 @@ class PriorCard(StrictModel):
     """A parametric system; M and V of the networks are added to its own."""
 
     kind: str = Field(description=(
-        'rigid links that turn by the angles that are the features, a rigid_body of its tree, or '
-        'an exact system of the coordinates as they are'))
+        'rigid links in a plane, a rigid_body of its tree, or an exact system of the coordinates '
+        'as they are'))
     parameters: dict[str, Quantity] = Field(description='as they were fitted')
+    angles: list[list[float]] | None = Field(None, description=(
+        'of a planar_chain the angles of its links from the vertical, rows of combinations of the '
+        'coordinates; zeros for a cart'))
     tree: TreeCard | None = Field(None, description='of a rigid_body')
     alone: bool = Field(False, description=(
         'whether a rigid_body is all of M and V, and the networks add nothing'))
@@ -82,6 +85,8 @@ class PriorCard(StrictModel):
     def _check(self) -> 'PriorCard':
         if (self.kind == RIGID_BODY) != (self.tree is not None):
             raise ValueError(f'prior: tree must be given for {RIGID_BODY}, and for no other')
+        if (self.kind == PLANAR_CHAIN) != (self.angles is not None):
+            raise ValueError(f'prior: angles must be given for {PLANAR_CHAIN}, and for no other')
         if self.tree is None:
             if self.alone or self.identification is not None:
                 raise ValueError(f'prior: alone and identification are of a {RIGID_BODY}')
@@ -126,13 +131,17 @@ def check_row(kinds: Sequence[Kind], row: Sequence[float]) -> None:
                          'continuous coordinates')
 
 
-def check_prior(kind: str, kinds: Sequence[Kind], features: Sequence[Sequence[float]]) -> None:
+def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[float]]) -> None:
     """Raise ValueError for a prior that there is not, or not of these coordinates."""
     d = len(kinds)
     if kind in CHAINS:
-        if 'prismatic' in kinds:
-            raise ValueError(f'prior: the links of a {kind} turn; a prismatic coordinate does not')
-        check_chain(kind, features, d)
+        if not is_chain(kind, angles, kinds):
+            least, most = CHAINS[kind]
+            count = f'{least}' if least == most else f'{least} to {most}'
+            raise ValueError(
+                f'prior: a {kind} has {count} coordinates, prismatic ones first; the features, or '
+                'angles, must be the angles of its links from the vertical: [a, a + b] for an '
+                'angle b from the first link, [a, b] for two from the vertical')
         return
     if kind not in HAMILTONIANS:
         raise ValueError(f'prior: no exact system {kind!r}; valid: {", ".join(HAMILTONIANS)}')
@@ -194,27 +203,31 @@ class MechanicalCard(StrictModel):
                 raise ValueError(f'prior: {len(prior.tree.bodies)} bodies, expected '
                                  f'{len(self.kinds)}, one for each coordinate')
             return
-        check_prior(prior.kind, self.kinds, self.features)
+        check_prior(prior.kind, self.kinds, self.angles)
         if prior.kind not in CHAINS:
             create(prior.kind, prior.values)
             return
-        names = parameter_names(self.features)
+        names = parameter_names(self.angles)
         if sorted(prior.parameters) != sorted(names):
             raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')
-        rows, matrices = self.terms[:2]
-        # M of two links is smallest where they are in line.
-        for sign in (-1.0, 1.0):
-            mass = np.where(rows.any(axis=1), sign, 1.0) @ matrices.reshape(len(rows), -1)
-            if not np.linalg.eigvalsh(mass.reshape(2 * matrices.shape[1:2]))[0] > 0.0:
-                raise ValueError('prior: its mass matrix is not positive definite')
+        motors = [value for name, value in prior.values.items() if name.startswith('motor')]
+        if min(motors, default=0.0) < 0.0 or not (
+                np.linalg.eigvalsh(couplings(len(self.kinds), prior.values))[0] > 0.0):
+            raise ValueError('prior: its mass matrix is not positive definite')
+
+    @property
+    def angles(self) -> list[list[float]]:
+        """Return the angles of rigid links from the vertical."""
+        return self.features if self.prior is None or self.prior.angles is None else \
+            self.prior.angles
 
     @property
     def terms(self) -> Terms:
         """Return M and V of rigid links, which are zero if there is no prior."""
         if self.prior is None:
             return no_terms(len(self.kinds))
-        return chain_terms(self.features, self.prior.values)
+        return chain_terms(self.angles, self.prior.values)
 
     @property
     def networks(self) -> dict[str, tuple[list[list[float]], int]]:
@@ -242,7 +255,7 @@ def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
     for name in _SHARED:
         if getattr(one, name) != getattr(other, name):
             raise ValueError(f'ensemble: {name} of a member are not those of the others')
-    kinds = [(None if card.prior is None else card.prior.kind,
+    kinds = [(None if card.prior is None else (card.prior.kind, card.prior.angles),
               None if card.input_map is None else len(card.input_map[0]))
              for card in (one, other)]
     if kinds[0] != kinds[1]:

@@ -15,7 +15,7 @@ from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, is_periodic, Kind
 from hnn_vi_ros.models.model_card import Scheme
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, TreeCard, values_of
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -53,6 +53,8 @@ class Structure:
         Their parameters to begin with.
     left_out : tuple of str
         Which of the networks, ``mass`` and ``potential``, add nothing.
+    angles : list of list of float, optional
+        Of the links of a prior that is a chain, from the vertical; None: those that fit best.
 
     """
 
@@ -69,6 +71,7 @@ class Structure:
     tree: TreeCard | None = None
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
+    angles: list[list[float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,8 @@ RetractionName = Literal['cayley', 'exponential']
 # Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
 BODY_FLOOR = 1e-3
 ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
+# A prior that is chosen by held-out motions.
+AUTO = 'auto'
 # A term of a linear combination: sign, number, name.
 _TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
 
@@ -328,13 +333,29 @@ class MechanicalChoice(FamilyChoice):
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of their effect on the joints is learned'))
-    prior: str | None = Field(None, description=(
-        'a system whose parameters are fitted, and that the networks are added to: pendulum or '
-        'double_pendulum, rigid links that turn by the angles that are the features; or another '
-        'exact system, by its name in scenes, of the coordinates in their order'))
-    residual: bool = Field(True, description='whether there are networks in addition to a prior')
-    residual_weight: float = Field(1e-3, ge=0.0, description=(
-        'of the size of the networks added to a prior, at random states, in the loss'))
+    prior: str | None = Field('auto', description=(
+        'a system whose parameters are fitted, and that the networks are added to: planar_chain, '
+        'one to four rigid links in a plane, on carts or not; pendulum or double_pendulum, the '
+        'same with the features for angles; or another exact system, by its name in scenes, of '
+        'the coordinates in their order; none: networks alone; auto: what predicts held-out '
+        'motions best, a planar_chain with networks or without, or networks alone'))
+    angles: list[str] | None = Field(None, description=(
+        'of a planar_chain: the angles of its links from the vertical, linear combinations of the '
+        'coordinates that turn; default: those that fit best, of the features, the coordinates '
+        'and their sums'))
+    residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
+        'whether there are networks in addition to a prior, or which'))
+    residual_weight: float = Field(1e-6, ge=0.0, description=(
+        'of the size of the networks added to a prior, at states like those of the data, in the '
+        'loss'))
+    fade_weight: float = Field(0.1, ge=0.0, description=(
+        'the same at all other states, where networks fade, and of the forces that they make at '
+        'twice the speeds of the data'))
+
+    @field_validator('prior', mode='before')
+    @classmethod
+    def _named(cls, value: object) -> object:
+        return None if value == 'none' else value
 
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
         """Return the structure of the networks; ValueError for a name of no coordinate."""
@@ -355,23 +376,46 @@ class MechanicalChoice(FamilyChoice):
                 check_row(kinds, row)
             return found
         features = rows(self.features or names, 'features')
-        self._check_prior(kinds, features)
+        angles = None if self.angles is None else self._angles(names, kinds, self.angles)
+        if self.prior in CHAINS and self.prior != PLANAR_CHAIN:
+            angles = features
+        self._check_prior(kinds, angles)
+        parts = 'mass', 'potential'
         mass_features = rows(seen, 'mass_depends_on')
         rubbing = seen if friction.network_depends_on is None else friction.network_depends_on
         return Structure(
             kinds, features, mass_features, self.mass == 'diagonal', friction.viscous,
-            friction.coulomb, friction.stribeck, self.prior, self.residual,
-            rows(rubbing, 'friction.network_depends_on') if friction.network else None)
+            friction.coulomb, friction.stribeck,
+            PLANAR_CHAIN if self.prior in CHAINS else None if self.prior == AUTO else self.prior,
+            bool(self.residual),
+            rows(rubbing, 'friction.network_depends_on') if friction.network else None,
+            left_out=() if self.residual is True else tuple(
+                name for name in parts if name not in (self.residual or parts)), angles=angles)
 
-    def _check_prior(self, kinds: list[Kind], features: list[list[float]]) -> None:
-        if self.prior is None:
-            if not self.residual:
-                raise ValueError('residual: without a prior there is nothing but the networks')
+    def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
+                ) -> list[list[float]]:
+        """Return the angles of a chain's links, and zeros for its carts."""
+        found = iter([combination(text, names, 'angles') for text in texts])
+        turning = [kind != 'prismatic' for kind in kinds]
+        if len(texts) != sum(turning):
+            raise ValueError(f'angles: {len(texts)} for {sum(turning)} coordinates that turn; '
+                             'name one for each')
+        return [next(found) if turns else [0.0] * len(kinds) for turns in turning]
+
+    def _check_prior(self, kinds: list[Kind], angles: list[list[float]] | None) -> None:
+        if self.angles is not None and self.prior not in (AUTO, PLANAR_CHAIN):
+            raise ValueError('angles: of a planar_chain, and of prior: auto, alone')
+        if self.prior in (None, AUTO):
+            if self.residual is not True:
+                raise ValueError('residual: needs a prior, without which there is nothing but the '
+                                 'networks; name it')
             return
+        assert self.prior is not None, 'just looked'
         if self.prior not in CHAINS and self.prior not in exact_systems():
+            valid = sorted({AUTO, 'none', *CHAINS, *exact_systems()})
             raise ValueError(f'prior: {self.prior!r} is no system of the form p . M(q)^-1 p / 2 '
-                             f'+ V(q); valid: {", ".join(sorted({*CHAINS, *exact_systems()}))}')
-        check_prior(self.prior, kinds, features)
+                             f'+ V(q); valid: {", ".join(valid)}')
+        check_prior(self.prior, kinds, angles or [*chain_angles(kinds), []][0])
         if self.prior not in CHAINS and self.input_map != 'identity':
             raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
                              'norm of the map would fix again; take input_map: identity')
@@ -403,7 +447,9 @@ class RigidBodyChoice(FamilyChoice):
     residual: list[Literal['potential', 'friction', 'mass']] = Field([], description=(
         'networks that are added: V(q), the friction -D(q) v, M(q); one, or a list'))
     residual_weight: float = Field(1e-3, ge=0.0, description=(
-        'of the size of those networks, at random states, in the loss'))
+        'of the size of those networks, at states like those of the data, in the loss'))
+    fade_weight: float = Field(0.1, ge=0.0, description=(
+        'the same at all other states, where networks fade'))
     # It is a prior of the family mechanical, whose joints have a force each.
     prior: ClassVar[str] = RIGID_BODY
     input_map: ClassVar[str] = 'identity'

@@ -18,8 +18,6 @@ import torch
 
 # Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
-_LEAST = -5.0
 # The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
 _FIRST_ROOT = 0.2
 
@@ -123,12 +121,6 @@ class JointFriction(torch.nn.Module):
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
-
-    def raise_to_least(self) -> None:
-        """Clamp coefficients away from zero, where the gradient vanishes."""
-        with torch.no_grad():
-            for raw in (self.raw_viscous, self.raw_force):
-                raw.clamp_(min=_LEAST)
 
     def scale(self, factor: float) -> None:
         """Multiply all of it by a factor."""
@@ -421,14 +413,14 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of a network without residual; begin with small networks."""
+        """Take prior and friction of a network without residual, which stay; add small networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
                 if name.startswith(('prior.', 'friction.raw_', 'raw_map')):
-                    parameter.copy_(known[name])
-            self.friction.raise_to_least()
+                    # What is left where networks fade is what least squares have found.
+                    parameter.copy_(known[name]).requires_grad_(False)
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
@@ -436,29 +428,35 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
         if isinstance(self.prior, RigidTree):
-            # The identified parameters stay fixed, with their errors.
-            self.prior.requires_grad_(False)
             self.prior.identification = rigid.prior.identification
 
-    def random_states(self, count: int, generator: torch.Generator) -> torch.Tensor:
-        """Return coordinates, shape (count, d), of all turns, or of the range of the data."""
+    def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
+                      ) -> torch.Tensor:
+        """Return coordinates, (count, d), of all turns, or so many times the data's range."""
         turns = torch.tensor([kind == 'continuous' for kind in self.structure.kinds])
         centre, half = torch.tensor(self.scales.q_centre), torch.tensor(self.scales.q_half)
         share = 2.0 * torch.rand(count, self.d, generator=generator, dtype=torch.float64) - 1.0
-        return torch.where(turns, math.pi * share, centre + half * share)
+        return torch.where(turns, math.pi * share, centre + reach * half * share)
 
-    def residual_size(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the mean square of the networks' parts of M, V_q and D, at q of shape (N, d)."""
+    def residual_sizes(self, q: torch.Tensor) -> torch.Tensor:
+        """Return the square of the networks' parts of M, V_q and D, shape (N,), at q (N, d)."""
         L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
         force = self._potential_slope(q)
         unit = _LARGE * inertia * torch.tensor(self.scales.a)
-        size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
-                + (force / unit).square().mean())
+        size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean(dim=(1, 2))
+                + (force / unit).square().mean(dim=1))
         if self.structure.friction_features is None:
             return size
         B = self.friction.roots(q) / self.friction.viscous_unit.sqrt()[:, None]
-        return size + (B @ B.transpose(1, 2) / _LARGE).square().mean()
+        return size + (B @ B.transpose(1, 2) / _LARGE).square().mean(dim=(1, 2))
+
+    def speed_sizes(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return the square of the networks' forces that grow with v^2, shape (N,)."""
+        L, slopes, u, w, inertial = self._kinetic(q, v)
+        forces = self.root_inertia * self._turned(L, slopes, u, w, v) - inertial
+        unit = _LARGE * self.root_inertia.square() / _ADDED * torch.tensor(self.scales.a)
+        return (forces / unit).square().mean(dim=1)
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
@@ -562,10 +560,7 @@ class MechanicalNetwork(torch.nn.Module):
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, slopes, u, w, rest = self._parts(q, v)
-        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
-        L_dot = self.matrix(by_time)
-        inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
-        needed, values = inertial - rest / self.root_inertia, None
+        needed, values = self._turned(L, slopes, u, w, v) - rest / self.root_inertia, None
         if self.prior is not None:
             values = self.prior.values()
             needed = needed + self.prior.forces(q, v, values) / self.root_inertia
@@ -580,15 +575,27 @@ class MechanicalNetwork(torch.nn.Module):
         values = self.prior.values() if values is None else values
         return gram + self.prior.mass(q, values) / (S[:, None] * S)
 
+    def _turned(self, L: torch.Tensor, slopes: torch.Tensor, u: torch.Tensor, w: torch.Tensor,
+                v: torch.Tensor) -> torch.Tensor:
+        """Return S^-1 (M v)' at held v, of the networks' M, shape (N, d)."""
+        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
+        L_dot = self.matrix(by_time)
+        return (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
+
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
+        *parts, inertial = self._kinetic(q, v)
+        return *parts, inertial - self._potential_slope(q) - self.friction(q, v)
+
+    def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""
         entries, slopes = self._roots(q)
         L, u = self.matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
         inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_features.features
-        return L, slopes, u, w, inertial - self._potential_slope(q) - self.friction(q, v)
+        return L, slopes, u, w, inertial
 
     def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
@@ -638,7 +645,8 @@ class MechanicalNetwork(torch.nn.Module):
             return None
         if isinstance(self.prior, RigidTree):
             return self.prior.card(alone=not self.structure.residual)
-        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit))
+        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit),
+                         angles=self.structure.angles)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:
@@ -646,8 +654,10 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | R
         return None
     if structure.tree is not None and structure.values is not None:
         return RigidTree(structure.tree, structure.values)
-    return PlanarChain(structure.features, inertia) if structure.prior in CHAINS else \
-        ExactPrior(structure.prior)
+    if structure.prior in CHAINS:
+        assert structure.angles is not None, 'a chain has them'
+        return PlanarChain(structure.angles, inertia)
+    return ExactPrior(structure.prior)
 
 
 def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor

@@ -291,6 +291,61 @@ def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
     return Windows(count, loss.method, loss.time_scale), starts
 
 
+# Networks fade beyond about this distance from all that was seen: of coordinates that turn over
+# [rad], and of others as a share of half their range.
+_NEAR_ANGLE, _NEAR_SHARE = 0.3, 0.2
+# So many samples stand for what was seen; networks fade at this multiple of its speeds, and at so
+# many random states in each step.
+_SEEN, _FASTER, _STATES = 500, 2.0, 64
+
+
+class Fading:
+    """
+    A penalty by which networks beside a prior fade outside of what was seen.
+
+    It is the size of the networks, as forces, at random states: with a small weight at those
+    like the data, with a large one at all others, and, as an error of M' grows with v^2, with
+    the large one for the forces that M' makes at up to twice the speeds of the data.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior.
+    motions : sequence of Run
+        What was seen.
+    seen_weight, fade_weight : float
+        The two weights.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork, motions: Sequence[Run], seen_weight: float,
+                 fade_weight: float):
+        self._network = network
+        self._weights = seen_weight, fade_weight
+        q, v = (np.concatenate([getattr(motion, name) for motion in motions])
+                for name in ('q_smooth', 'v_smooth'))
+        self._turns = torch.tensor([kind == 'continuous' for kind in network.structure.kinds])
+        self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
+            np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))
+        self._seen = torch.tensor(q[::max(1, len(q) // _SEEN)])
+        self._fastest = torch.tensor(np.abs(v).max(axis=0))
+
+    def __call__(self, generator: torch.Generator) -> torch.Tensor:
+        """Return it, at states drawn anew."""
+        network, (usual, large) = self._network, self._weights
+        q = network.random_states(_STATES, generator, reach=2.0)
+        away = q[:, None] - self._seen
+        away = torch.where(self._turns, torch.remainder(away + math.pi, 2.0 * math.pi) - math.pi,
+                           away)
+        nearest = (away / self._unit).square().sum(dim=2).min(dim=1).values
+        weights = large + (usual - large) * torch.exp(-0.5 * nearest)
+        rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
+        share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
+                                 dtype=torch.float64) - 1.0
+        return (weights * network.residual_sizes(q) + large * network.speed_sizes(
+            self._seen[rows], _FASTER * self._fastest * share)).mean()
+
+
 class MachineProblem(Problem):
     """
     A network, and the stages that fit it to motions: at single samples, or by simulated windows.

@@ -10,6 +10,7 @@ form of the Levenberg-Marquardt method.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 from hnn_vi_ros.learning.data.runs import Run
@@ -18,8 +19,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.models.mechanical_card import Kind
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
@@ -68,28 +68,47 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     return losses
 
 
-def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwork | None:
+def best_rigid_body(loss: Trajectory, motions: Sequence[Run], structure: Structure | None = None,
+                    learns_map: bool = False
+                    ) -> tuple[MechanicalNetwork, dict[str, float]] | None:
     """
-    Return a chain of as many links as there are coordinates, by the angles that fit better.
+    Return a chain of as many links as there are coordinates, and its losses after each fit.
 
-    None if no chain has so many links, if none follows the motions through the first windows, or
-    if the forces are not those on the joints.
+    Parameters
+    ----------
+    loss : Trajectory
+        Its windows are simulated.
+    motions : sequence of Run
+        What to learn from.
+    structure : Structure, optional
+        Joints and friction. The links have its angles, or those that fit best if it names none.
+        Default: joints that turn, with viscous friction and two Coulomb terms.
+    learns_map : bool
+        Whether an input map is fitted as well.
+
+    Returns
+    -------
+    tuple or None
+        None if no chain has so many links, if none follows the motions through the last windows,
+        or if the forces are not those on the joints.
+
     """
-    d = motions[0].q.shape[1]
-    if motions[0].tau.shape[1] != d:
+    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    known = structure or Structure(['revolute'] * d, [], [])
+    if motors != d and not learns_map:
         return None
-    scales = scales_of(motions)
-    kinds: list[Kind] = ['revolute'] * d
-    fitted: list[tuple[float, int, MechanicalNetwork]] = []
-    for kind, links in CHAINS.items():
-        # Angles from the vertical, and from the link before.
-        for features in (np.eye(d), np.tril(np.ones((d, d))))[:d if links == d else 0]:
-            network = MechanicalNetwork(Structure(
-                kinds, features.tolist(), [], prior=kind, residual=False), [1], scales, 0)
-            *_, last = fit_rigid_body(network, loss, motions).values()
-            if np.isfinite(last):
-                fitted.append((last, len(fitted), network))
-    return min(fitted)[2] if fitted else None
+    scales = scales_of(motions, learns_map)
+    fitted: list[tuple[float, int, MechanicalNetwork, dict[str, float]]] = []
+    for angles in chain_angles(known.kinds, known.features) \
+            if known.angles is None else [known.angles]:
+        network = MechanicalNetwork(replace(
+            known, features=known.features or np.eye(d).tolist(), mass_features=[],
+            prior=PLANAR_CHAIN, angles=angles, left_out=(), residual=False,
+            friction_features=None), [1], scales, 0)
+        losses = fit_rigid_body(network, loss, motions)
+        if np.isfinite([*losses.values()]).all():
+            fitted.append(([*losses.values()][-1], len(fitted), network, losses))
+    return min(fitted)[2:] if fitted else None
 
 
 def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, most: int
