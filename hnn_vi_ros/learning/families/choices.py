@@ -53,6 +53,8 @@ class Structure:
         Their parameters to begin with.
     left_out : tuple of str
         Which of the networks, ``mass`` and ``potential``, add nothing.
+    directed, offset, fade : bool
+        See FrictionChoice.
 
     """
 
@@ -69,6 +71,9 @@ class Structure:
     tree: TreeCard | None = None
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
+    directed: bool = False
+    offset: bool = False
+    fade: bool = False
 
 
 @dataclass(frozen=True)
@@ -304,11 +309,21 @@ class FrictionChoice(StrictModel):
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
         'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+    directed: bool = Field(False, description='whether each b and c depends on the sign of v')
+    offset: bool = Field(False, description='whether the motors add a constant force')
+    fade: bool = Field(False, description=(
+        'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
     network: bool = Field(False, description=(
         '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
         'are'))
     network_depends_on: list[str] | None = Field(None, description=(
         'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
+
+
+# What ``friction: auto`` begins with, and what of it is then dropped where it does not help.
+ALL_FRICTION = FrictionChoice(coulomb=1, stribeck=1, directed=True, offset=True, fade=True)
+DROPPED: dict[str, int | bool] = {
+    'stribeck': 0, 'fade': False, 'offset': False, 'directed': False}
 
 
 class MechanicalChoice(FamilyChoice):
@@ -324,7 +339,10 @@ class MechanicalChoice(FamilyChoice):
         'M(q), a diagonal one, or a matrix that depends on nothing'))
     mass_depends_on: list[str] | None = Field(None, description=(
         'the inputs of M, in the same way; default: each coordinate'))
-    friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    friction: FrictionChoice | Literal['auto'] = Field(
+        default_factory=FrictionChoice, description=(
+            'terms; or auto, of a prior: all terms that drives have, less those without which '
+            'parts of the training data that were left out are predicted as well'))
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of their effect on the joints is learned'))
@@ -344,7 +362,9 @@ class MechanicalChoice(FamilyChoice):
                 raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
                                  'out')
             seen = []
-        friction = self.friction
+        friction = ALL_FRICTION if self.friction == 'auto' else self.friction
+        if self.friction == 'auto' and self.prior is None:
+            raise ValueError('friction: auto is chosen by fits of a prior; name one, or terms')
         if not friction.network and friction.network_depends_on is not None:
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
@@ -361,7 +381,8 @@ class MechanicalChoice(FamilyChoice):
         return Structure(
             kinds, features, mass_features, self.mass == 'diagonal', friction.viscous,
             friction.coulomb, friction.stribeck, self.prior, self.residual,
-            rows(rubbing, 'friction.network_depends_on') if friction.network else None)
+            rows(rubbing, 'friction.network_depends_on') if friction.network else None,
+            directed=friction.directed, offset=friction.offset, fade=friction.fade)
 
     def _check_prior(self, kinds: list[Kind], features: list[list[float]]) -> None:
         if self.prior is None:
@@ -375,7 +396,7 @@ class MechanicalChoice(FamilyChoice):
         if self.prior not in CHAINS and self.input_map != 'identity':
             raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
                              'norm of the map would fix again; take input_map: identity')
-        if self.friction.network and not self.residual:
+        if self.friction != 'auto' and self.friction.network and not self.residual:
             raise ValueError('friction.network: residual: false leaves out all networks; leave '
                              'out one of the two')
 
@@ -418,6 +439,9 @@ class RigidBodyChoice(FamilyChoice):
         if self.friction.network or self.friction.network_depends_on is not None:
             raise ValueError('friction.network: take residual: friction, a network in addition '
                              'to the friction of joints')
+        if self.friction.offset or self.friction.fade:
+            raise ValueError('friction: a rigid_body has offsets of its own, and no fade; take '
+                             'offsets: true, or the family mechanical')
         return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
@@ -435,7 +459,7 @@ class RigidBodyChoice(FamilyChoice):
             kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
             self.friction.stribeck, self.prior, bool(self.residual),
             rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
-            left_out)
+            left_out, self.friction.directed)
 
 
 def combination(text: str, names: Sequence[str], key: str) -> list[float]:
