@@ -9,7 +9,6 @@ from hnn_vi_ros.effects.body_forces import add_body_drag, body_network, BodyNetw
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
-from hnn_vi_ros.models.mechanical_card import StribeckTerm
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
@@ -37,8 +36,8 @@ class LearnedFrictionParameters(NamedTuple):
         b where v > 0 and where v < 0.
     coulomb : np.ndarray, shape (k, 3, d)
         c where v > 0, where v < 0, and 1/w of each term.
-    stribeck : np.ndarray, shape (l, 4, d)
-        The same, and 1/s.
+    stribeck : np.ndarray, shape (l, 3, d)
+        c, 1/w and 1/s of each term.
     add : callable
         The function that adds the friction of the network; see add_by_network.
     own : FrictionNetwork, BodyNetwork or tuple of int
@@ -59,7 +58,7 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
     """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
     d, card = len(columns(coordinates)[0]), model.card
     if card.mechanical is None:
-        nothing = [np.zeros(shape) for shape in (d, d, (2, d), (0, 3, d), (0, 4, d))]
+        nothing = [np.zeros(shape) for shape in (d, d, (2, d), (0, 3, d), (0, 3, d))]
         return LearnedFrictionParameters(
             *nothing, add_body_drag, body_network(model, 'dissipation', coordinates))
     friction = card.mechanical.friction
@@ -67,15 +66,17 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
         kinds = ' and '.join(sorted({coordinate.kind for coordinate in coordinates}))
         raise ValueError(f'the model has {len(friction.viscous)} scalar coordinates, H has '
                          f'{len(coordinates)} ({kinds})')
-    coulomb, stribeck = ([
-        (term.force, term.back or term.force, np.reciprocal(term.width),
-         *([np.reciprocal(term.speed)] if isinstance(term, StribeckTerm) else []))
-        for term in terms] for terms in (friction.coulomb, friction.stribeck))
+    coulomb: list[Any] = [
+        (term.force, term.back or term.force, np.reciprocal(term.width))
+        for term in friction.coulomb]
+    stribeck: list[Any] = [
+        (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
+        for term in friction.stribeck]
     return LearnedFrictionParameters(
         np.zeros(d) if friction.switch is None else np.reciprocal(friction.switch),
         np.array(friction.offset or np.zeros(d)),
         np.array([friction.viscous, friction.viscous_back or friction.viscous]),
-        np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 4, d)), *network_of(model))
+        np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 3, d)), *network_of(model))
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:

@@ -84,8 +84,8 @@ class LearnedFriction(Force):
                 force = coulomb[k, 1, i] + ahead * (coulomb[k, 0, i] - coulomb[k, 1, i])
                 friction += force * math.tanh(v * coulomb[k, 2, i])
             for k in range(stribeck.shape[0]):
-                ratio = v * stribeck[k, 3, i]
-                force = stribeck[k, 1, i] + ahead * (stribeck[k, 0, i] - stribeck[k, 1, i])
-                friction += force * math.tanh(v * stribeck[k, 2, i]) * math.exp(-ratio * ratio)
+                ratio = v * stribeck[k, 2, i]
+                friction += (stribeck[k, 0, i] * math.tanh(v * stribeck[k, 1, i])
+                             * math.exp(-ratio * ratio))
             f_p[i] += offset[i] - friction
         add(own, q, velocity, f_p)

@@ -34,9 +34,11 @@ class CoulombTerm(StrictModel):
     back: list[NotNegative] | None = Field(None, description='c where v < 0; null: the same')
 
 
-class StribeckTerm(CoulombTerm):
+class StribeckTerm(StrictModel):
     """A friction -c tanh(v / w) exp(-(v / s)^2) at each coordinate: what breaking away adds."""
 
+    force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
+    width: list[Positive] = Field(description='w, in the unit of the velocity')
     speed: list[Positive] = Field(description='s, in the unit of the velocity')
 
 
@@ -44,7 +46,8 @@ class FrictionCard(StrictModel):
     """
     Friction at each coordinate, whose power is never positive, and the offset of a motor.
 
-    Where it differs by the sign of v, each b and c is c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
+    Where it differs by the sign of v, b and c of Coulomb terms go over by
+    c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
     """
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
@@ -67,7 +70,7 @@ class FrictionCard(StrictModel):
                     raise ValueError(f'friction: {name} has {len(values)} entries, expected '
                                      f'{len(self.viscous)}, one for each coordinate')
         if self.switch is None and any(back is not None for back in (
-                self.viscous_back, *(term.back for term in (*self.coulomb, *self.stribeck)))):
+                self.viscous_back, *(term.back for term in self.coulomb))):
             raise ValueError('friction: numbers of v < 0 need switch')
         return self
 
@@ -281,7 +284,7 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     def shared(terms: list[Any]) -> list[Any]:
         return [term.model_copy(update={
             key: [force / count for force in forces]
-            for key in ('force', 'back') if (forces := getattr(term, key)) is not None})
+            for key in ('force', 'back') if (forces := getattr(term, key, None)) is not None})
             for term in terms]
 
     def mean(values: list[Any]) -> Any:

@@ -309,7 +309,8 @@ class FrictionChoice(StrictModel):
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
         'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
-    directed: bool = Field(False, description='whether each b and c depends on the sign of v')
+    directed: bool = Field(False, description=(
+        'whether b and the c of Coulomb terms depend on the sign of v'))
     offset: bool = Field(False, description='whether the motors add a constant force')
     fade: bool = Field(False, description=(
         'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
@@ -575,6 +576,9 @@ class Trajectory(StrictModel):
     method: WindowMethod = Field('implicit_midpoint', description=(
         'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
         'nothing'))
+    records: bool = Field(False, description=(
+        'whether a prior with its friction is fitted to the positions of whole motions in the '
+        'end, each simulated from its first state'))
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))

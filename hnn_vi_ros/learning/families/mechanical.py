@@ -30,7 +30,7 @@ class JointFriction(torch.nn.Module):
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
     semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
-    each b and c, and the offset of a motor is a friction that does not depend on v.
+    each b and of each c of the first terms, and the offset of a motor is a friction that does not depend on v.
 
     Parameters
     ----------
@@ -60,7 +60,8 @@ class JointFriction(torch.nn.Module):
         self.raw_viscous = torch.nn.Parameter(
             torch.full((sides, d), -3.0, dtype=torch.float64))
         self.raw_force = torch.nn.Parameter(
-            torch.full((terms, sides, d), -3.0, dtype=torch.float64))
+            torch.full((structure.coulomb * sides + structure.stribeck, d), -3.0,
+                       dtype=torch.float64))
         self.raw_offset = torch.nn.Parameter(
             torch.zeros((int(structure.offset), d), dtype=torch.float64))
         # Widths at first spread over their bounds.
@@ -86,7 +87,12 @@ class JointFriction(torch.nn.Module):
             torch.tensor(_FIRST_ROOT * (rows == columns)))
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
-        """Return b (n, d) of n signs of v, c (k, n, d), w (k, d), and s (l, d) of the last l."""
+        """
+        Return b, c, w and s.
+
+        b is of shape (n, d) for n signs of v; c has a row for each of them of each Coulomb term,
+        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l.
+        """
         positive = torch.nn.functional.softplus
         span = math.log(_WIDEST / _NARROWEST)
         width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
@@ -121,8 +127,11 @@ class JointFriction(torch.nn.Module):
         shares = self.shares(v)
         total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
         if len(c):
-            c = (shares[:, None] * c).sum(dim=2)
-            terms, n = c * torch.tanh(v[:, None, :] / w), self.structure.coulomb
+            n, (sided, rest) = self.structure.coulomb, c.split([len(c) - len(s), len(s)])
+            sided = (shares[:, None] * sided.unflatten(0, (n, -1))).sum(dim=2) if n else \
+                v[:, None, :][:, :0]
+            c = torch.cat([sided, rest.expand(len(v), -1, -1)], dim=1)
+            terms = c * torch.tanh(v[:, None, :] / w)
             if len(s):
                 ends = torch.exp(-(v[:, None, :] / s).square())
                 terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
@@ -141,12 +150,12 @@ class JointFriction(torch.nn.Module):
     def columns(self, v: torch.Tensor) -> torch.Tensor:
         """Return the friction of each of ``values`` where it alone is one, (N, d, k), at v."""
         _, _, widths, speeds = (part.detach() for part in self.coefficients())
-        found = [v] * self.structure.viscous
-        for k, width in enumerate(widths):
-            slower = k - self.structure.coulomb
-            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
-            found.append(torch.tanh(v / width) * ends)
-        found = [one * share for one in found for share in self.shares(v).unbind(dim=1)]
+        n = self.structure.coulomb
+        found = [one * share
+                 for one in (*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n]))
+                 for share in self.shares(v).unbind(dim=1)]
+        found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
+                  for w, s in zip(widths[n:], speeds, strict=True)]
         found += [-torch.ones_like(v)] * self.structure.offset
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
@@ -169,15 +178,15 @@ class JointFriction(torch.nn.Module):
         """Return the coefficients for the model card."""
         b, c, w, s = (part.detach().tolist() for part in self.coefficients())
         n, directed = self.structure.coulomb, self.structure.directed
-        sides = [{'force': one[0], 'back': one[1] if directed else None} for one in c]
+        sides = 1 + directed
         return FrictionCard(
             viscous=b[0], viscous_back=b[1] if directed else None,
             switch=self.switch.tolist() if directed else None,
             offset=self.offset().detach().tolist()[0] if self.structure.offset else None,
-            coulomb=[CoulombTerm(width=width, **side)
-                     for side, width in zip(sides[:n], w[:n], strict=True)],
-            stribeck=[StribeckTerm(width=width, speed=speed, **side)
-                      for side, width, speed in zip(sides[n:], w[n:], s, strict=True)])
+            coulomb=[CoulombTerm(force=c[sides * k], width=w[k],
+                                 back=c[sides * k + 1] if directed else None) for k in range(n)],
+            stribeck=[StribeckTerm(force=force, width=width, speed=speed)
+                      for force, width, speed in zip(c[sides * n:], w[n:], s, strict=True)])
 
 
 class Linearised(NamedTuple):

@@ -10,13 +10,14 @@ form of the Levenberg-Marquardt method.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.runs import part_of, Run
 from hnn_vi_ros.learning.families.choices import Structure, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine import (
-    acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
+    acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.planar_chain import CHAINS
@@ -30,6 +31,8 @@ _SAMPLES, _WINDOWS = 4000, 500
 _EVALUATIONS = 60
 # Least inertia and friction that a fit begins with, in units of the usual ones.
 LEAST = 1e-4
+# Differences of numbers by which whole motions are differentiated, far above their rounding.
+_DIFFERENCE = 1e-5
 # Stribeck friction ends between this share of the usual speed and the rest of it.
 _SHARE = 0.01
 # Windows begin at most so many times in the time that one lasts.
@@ -70,6 +73,52 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
         found, losses[name] = _least_squares(physical, found, errors)
     physical.give(found)
     return losses
+
+
+def held_out(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]) -> float:
+    """Return the loss on the longest windows of motions that a network was not fitted to."""
+    *_, (_, _, errors) = window_fits(network, loss, samples_of(motions, loss.step_size), _WINDOWS)
+    return float(2.0 * ((1.0 + errors(Solutions()).square()).sqrt() - 1.0).mean())
+
+
+def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run],
+                simulate: Callable[[Run], np.ndarray]) -> float:
+    """
+    Fit prior and friction of a network to the positions of whole motions (output error).
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior and without networks; changed in place, never for the worse.
+    loss : Trajectory
+        Its step size, by which motions are thinned out, forces averaged.
+    motions : sequence of Run
+        What to learn from.
+    simulate : callable
+        ``simulate(motion)`` returns the positions, shape (N, d), of the network as it is, from
+        the first smoothed state of a motion.
+
+    Returns
+    -------
+    float
+        The root mean square error, in units of the spread of each coordinate.
+
+    """
+    every, physical = samples_of(motions, loss.step_size).every, _Physical(network)
+    scale = physical.scale
+    records = [replace(part_of(motion, slice(None, None, every)), held=True,
+                       tau=mean_forces(motion, every)[::every]) for motion in motions]
+    size = np.concatenate([motion.q for motion in motions]).std(axis=0)
+
+    def errors(x: np.ndarray) -> np.ndarray:
+        physical.give((x - 1.0) * scale)
+        return np.concatenate([(simulate(motion) - motion.q) / size for motion in records]).ravel()
+    # All numbers are one more than they are, so that differences are of one size.
+    least, most, start = (1.0 + part for part in (
+        physical.least, physical.most, physical.now() / scale))
+    fit = least_squares(errors, np.maximum(start, least + _ABOVE), diff_step=_DIFFERENCE,
+                        bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
+    return float(np.sqrt(np.mean(errors(fit.x)**2)))
 
 
 def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwork | None:
@@ -139,7 +188,7 @@ class RigidUnknowns(ABC):
 
     def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
         friction = network.friction
-        sides, terms = len(friction.raw_viscous), friction.raw_force.flatten(0, 1).shape[0]
+        sides, terms = len(friction.raw_viscous), len(friction.raw_force)
         motors = network.raw_map.numel() if network.scales.input_map is not None else 0
         self.network = network
         fades = network.scales.command[:None if network.structure.fade and self.all else 0]
@@ -172,7 +221,7 @@ class RigidUnknowns(ABC):
                 viscous.reshape(-1, d) / friction.viscous_unit)
         if len(forces):
             found['friction.raw_force'] = _inverse_softplus(
-                forces.reshape(friction.raw_force.shape) / friction.force_unit)
+                forces.reshape(-1, d) / friction.force_unit)
         if len(offsets):
             found['friction.raw_offset'] = offsets.reshape(-1, d) / friction.force_unit
         if len(input_map):
