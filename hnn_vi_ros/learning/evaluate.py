@@ -18,7 +18,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bag_signals import BagMotions
-from hnn_vi_ros.learning.data.runs import Run, RunData
+from hnn_vi_ros.learning.data.runs import delayed, Run, RunData
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
@@ -57,6 +57,11 @@ def main(argv: Sequence[str]) -> None:
         # An input map would want its own number of them.
         effects = [effect for effect in effects
                    if not isinstance(effect, ExternalForce) or effect.names]
+    checkpoint = getattr(hamiltonian, 'checkpoint', None)
+    if checkpoint is not None and checkpoint.card.mechanical is not None \
+            and (delay := checkpoint.card.mechanical.delay):
+        motions = [delayed(motion, delay / motion.spacing) for motion in motions]
+        description += f'; forces act {delay:.3g} s later, as in the data of the model'
     known = None if arguments.baselines is None else \
         _motions(arguments, arguments.baselines, names)[0]
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)

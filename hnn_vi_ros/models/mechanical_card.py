@@ -23,7 +23,7 @@ Kind = Literal['revolute', 'continuous', 'prismatic']
 # An ensemble has at most this many members.
 MOST_MEMBERS = 64
 # The members of an ensemble agree in these fields.
-_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features'
+_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay'
 
 
 class CoulombTerm(StrictModel):
@@ -31,6 +31,7 @@ class CoulombTerm(StrictModel):
 
     force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
     width: list[Positive] = Field(description='w, in the unit of the velocity')
+    back: list[NotNegative] | None = Field(None, description='c where v < 0; null: the same')
 
 
 class StribeckTerm(StrictModel):
@@ -42,20 +43,35 @@ class StribeckTerm(StrictModel):
 
 
 class FrictionCard(StrictModel):
-    """Friction at each coordinate, whose power is never positive."""
+    """
+    Friction at each coordinate, whose power is never positive, and the offset of a motor.
+
+    Where it differs by the sign of v, b and c of Coulomb terms go over by
+    c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
+    """
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
+    viscous_back: list[NotNegative] | None = Field(None, description=(
+        'b where v < 0; null: the same'))
+    switch: list[Positive] | None = Field(None, description=(
+        's, the speed at which one direction goes over into the other; null: they are the same'))
+    offset: list[float] | None = Field(None, description=(
+        'a constant force, in the unit of the generalised force'))
     # The mean of an ensemble has the terms of all members.
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
     @model_validator(mode='after')
     def _check(self) -> 'FrictionCard':
-        for term in (*self.coulomb, *self.stribeck):
-            for name, values in term.model_dump().items():
-                if len(values) != len(self.viscous):
+        own = {name: getattr(self, name) for name in ('viscous_back', 'switch', 'offset')}
+        for part in (own, *(dict(term) for term in (*self.coulomb, *self.stribeck))):
+            for name, values in part.items():
+                if values is not None and len(values) != len(self.viscous):
                     raise ValueError(f'friction: {name} has {len(values)} entries, expected '
                                      f'{len(self.viscous)}, one for each coordinate')
+        if self.switch is None and any(back is not None for back in (
+                self.viscous_back, *(term.back for term in self.coulomb))):
+            raise ValueError('friction: numbers of v < 0 need switch')
         return self
 
 
@@ -171,6 +187,10 @@ class MechanicalCard(StrictModel):
     input_map: list[list[float]] | None = Field(None, description=(
         'forces on the coordinates, one row each, that the motors make of commands of 1; null: '
         'each coordinate has a motor of its own'))
+    fade: list[NotNegative] | None = Field(None, description=(
+        'g of each motor, which makes of a command u the force of u / (1 + g abs(u)); null: 0'))
+    delay: float = Field(0.0, description=(
+        'by how much commands act later than the data said, to be shifted by in data alike [s]'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
@@ -191,6 +211,8 @@ class MechanicalCard(StrictModel):
             if len(self.input_map) != d or len(columns) > 1 or not 1 <= max(columns) <= d:
                 raise ValueError(f'input_map must have {d} rows, one for each coordinate, of '
                                  f'1 to {d} motors')
+        if self.fade is not None and len(self.fade) != len((self.input_map or [[]])[0]):
+            raise ValueError('fade must have an entry for each motor of an input_map')
         return self
 
     def _check_prior(self, prior: PriorCard | None) -> None:
@@ -273,13 +295,16 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     count, first = len(cards), cards[0]
 
     def shared(terms: list[Any]) -> list[Any]:
-        return [term.model_copy(update={'force': [force / count for force in term.force]})
-                for term in terms]
+        return [term.model_copy(update={
+            key: [force / count for force in forces]
+            for key in ('force', 'back') if (forces := getattr(term, key, None)) is not None})
+            for term in terms]
 
     def mean(values: list[Any]) -> Any:
-        return np.mean(values, axis=0).tolist()
+        return None if values[0] is None else np.mean(values, axis=0).tolist()
     friction = FrictionCard(
-        viscous=mean([card.friction.viscous for card in cards]),
+        **{name: mean([getattr(card.friction, name) for card in cards])
+           for name in ('viscous', 'viscous_back', 'switch', 'offset')},
         coulomb=[term for card in cards for term in shared(card.friction.coulomb)],
         stribeck=[term for card in cards for term in shared(card.friction.stribeck)])
     prior, priors = first.prior, [card.prior for card in cards if card.prior is not None]
@@ -290,4 +315,5 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     return first.model_copy(update={
         'friction': friction, 'prior': prior,
         'mass_scale': mean([card.mass_scale for card in cards]),
-        'input_map': first.input_map and mean([card.input_map for card in cards])})
+        **{name: mean([getattr(card, name) for card in cards])
+           for name in ('input_map', 'fade')}})

@@ -55,6 +55,8 @@ class Structure:
         Which of the networks, ``mass`` and ``potential``, add nothing.
     angles : list of list of float, optional
         Of the links of a prior that is a chain, from the vertical; None: those that fit best.
+    directed, offset, fade : bool
+        See FrictionChoice.
 
     """
 
@@ -72,6 +74,9 @@ class Structure:
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
     angles: list[list[float]] | None = None
+    directed: bool = False
+    offset: bool = False
+    fade: bool = False
 
 
 @dataclass(frozen=True)
@@ -309,11 +314,22 @@ class FrictionChoice(StrictModel):
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
         'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+    directed: bool = Field(False, description=(
+        'whether b and the c of Coulomb terms depend on the sign of v'))
+    offset: bool = Field(False, description='whether the motors add a constant force')
+    fade: bool = Field(False, description=(
+        'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
     network: bool = Field(False, description=(
         '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
         'are'))
     network_depends_on: list[str] | None = Field(None, description=(
         'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
+
+
+# What ``friction: auto`` begins with, and what of it is then dropped where it does not help.
+ALL_FRICTION = FrictionChoice(coulomb=1, stribeck=1, directed=True, offset=True, fade=True)
+DROPPED: dict[str, int | bool] = {
+    'stribeck': 0, 'fade': False, 'offset': False, 'directed': False}
 
 
 class MechanicalChoice(FamilyChoice):
@@ -329,7 +345,10 @@ class MechanicalChoice(FamilyChoice):
         'M(q), a diagonal one, or a matrix that depends on nothing'))
     mass_depends_on: list[str] | None = Field(None, description=(
         'the inputs of M, in the same way; default: each coordinate'))
-    friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    friction: FrictionChoice | Literal['auto'] = Field(
+        default_factory=FrictionChoice, description=(
+            'terms; or auto, of a prior: all terms that drives have, less those without which '
+            'parts of the training data that were left out are predicted as well'))
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of their effect on the joints is learned'))
@@ -365,7 +384,9 @@ class MechanicalChoice(FamilyChoice):
                 raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
                                  'out')
             seen = []
-        friction = self.friction
+        friction = ALL_FRICTION if self.friction == 'auto' else self.friction
+        if self.friction == 'auto' and self.prior is None:
+            raise ValueError('friction: auto is chosen by fits of a prior; name one, or terms')
         if not friction.network and friction.network_depends_on is not None:
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
@@ -390,7 +411,8 @@ class MechanicalChoice(FamilyChoice):
             bool(self.residual),
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
-                name for name in parts if name not in (self.residual or parts)), angles=angles)
+                name for name in parts if name not in (self.residual or parts)), angles=angles,
+            directed=friction.directed, offset=friction.offset, fade=friction.fade)
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
@@ -419,7 +441,7 @@ class MechanicalChoice(FamilyChoice):
         if self.prior not in CHAINS and self.input_map != 'identity':
             raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
                              'norm of the map would fix again; take input_map: identity')
-        if self.friction.network and not self.residual:
+        if self.friction != 'auto' and self.friction.network and not self.residual:
             raise ValueError('friction.network: residual: false leaves out all networks; leave '
                              'out one of the two')
 
@@ -464,6 +486,9 @@ class RigidBodyChoice(FamilyChoice):
         if self.friction.network or self.friction.network_depends_on is not None:
             raise ValueError('friction.network: take residual: friction, a network in addition '
                              'to the friction of joints')
+        if self.friction.offset or self.friction.fade:
+            raise ValueError('friction: a rigid_body has offsets of its own, and no fade; take '
+                             'offsets: true, or the family mechanical')
         return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
@@ -481,7 +506,7 @@ class RigidBodyChoice(FamilyChoice):
             kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
             self.friction.stribeck, self.prior, bool(self.residual),
             rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
-            left_out)
+            left_out, directed=self.friction.directed)
 
 
 def combination(text: str, names: Sequence[str], key: str) -> list[float]:
@@ -597,6 +622,9 @@ class Trajectory(StrictModel):
     method: WindowMethod = Field('implicit_midpoint', description=(
         'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
         'nothing'))
+    records: bool = Field(False, description=(
+        'whether a prior with its friction is fitted to the positions of whole motions in the '
+        'end, each simulated from its first state'))
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))

@@ -27,7 +27,8 @@ class JointFriction(torch.nn.Module):
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
-    semidefinite for any outputs, and all friction dissipates energy.
+    semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
+    each b and of each c of the first terms, and the offset of a motor is a friction that does not depend on v.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class JointFriction(torch.nn.Module):
     def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
                  seed: int):
         super().__init__()
-        d = len(structure.kinds)
+        d, sides = len(structure.kinds), 1 + structure.directed
         self.structure = structure
         terms = structure.coulomb + structure.stribeck
         force = scales.inertia * scales.a
@@ -54,10 +55,17 @@ class JointFriction(torch.nn.Module):
                 ('speed_unit', scales.v)):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         # log(1 + exp(-3)) is 0.05: little friction at first.
-        self.raw_viscous = torch.nn.Parameter(torch.full((d,), -3.0, dtype=torch.float64))
-        self.raw_force = torch.nn.Parameter(torch.full((terms, d), -3.0, dtype=torch.float64))
+        self.raw_viscous = torch.nn.Parameter(
+            torch.full((sides, d), -3.0, dtype=torch.float64))
+        self.raw_force = torch.nn.Parameter(
+            torch.full((structure.coulomb * sides + structure.stribeck, d), -3.0,
+                       dtype=torch.float64))
+        self.raw_offset = torch.nn.Parameter(
+            torch.zeros((int(structure.offset), d), dtype=torch.float64))
         # Widths at first spread over their bounds.
-        spread = torch.linspace(-1.0, 1.0, terms + 2, dtype=torch.float64)[1:-1, None]
+        spread = torch.cat([
+            torch.linspace(-1.0, 1.0, count + 2, dtype=torch.float64)[1:-1, None]
+            for count in (structure.coulomb, structure.stribeck)])
         self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
         self.raw_speed = torch.nn.Parameter(
             torch.zeros((structure.stribeck, d), dtype=torch.float64))
@@ -77,13 +85,34 @@ class JointFriction(torch.nn.Module):
             torch.tensor(_FIRST_ROOT * (rows == columns)))
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
-        """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
+        """
+        Return b, c, w and s.
+
+        b is of shape (n, d) for n signs of v; c has a row for each of them of each Coulomb term,
+        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l.
+        """
         positive = torch.nn.functional.softplus
         span = math.log(_WIDEST / _NARROWEST)
         width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
         return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
                 self.force_unit * positive(self.raw_force), width,
                 self.speed_unit * torch.sigmoid(self.raw_speed))
+
+    @property
+    def switch(self) -> torch.Tensor:
+        """Return the speeds at which directions go over into each other, shape (d,)."""
+        return self.speed_unit * math.sqrt(_NARROWEST * _WIDEST)
+
+    def shares(self, v: torch.Tensor) -> torch.Tensor:
+        """Return how much the numbers of each sign count at v, shape (N, n, d)."""
+        if not self.structure.directed:
+            return torch.ones_like(v)[:, None]
+        ahead = torch.sigmoid(2.0 * v / self.switch)
+        return torch.stack([ahead, 1.0 - ahead], dim=1)
+
+    def offset(self) -> torch.Tensor:
+        """Return the constant force, shape (1, d), or (0, d) without one."""
+        return self.force_unit * self.raw_offset
 
     def roots(self, q: torch.Tensor) -> torch.Tensor:
         """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
@@ -93,9 +122,14 @@ class JointFriction(torch.nn.Module):
     def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return the friction that is taken from tau, all of shape (N, d)."""
         b, c, w, s = self.coefficients()
-        total = b * v
+        shares = self.shares(v)
+        total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
         if len(c):
-            terms, n = c * torch.tanh(v[:, None, :] / w), self.structure.coulomb
+            n, (sided, rest) = self.structure.coulomb, c.split([len(c) - len(s), len(s)])
+            sided = (shares[:, None] * sided.unflatten(0, (n, -1))).sum(dim=2) if n else \
+                v[:, None, :][:, :0]
+            c = torch.cat([sided, rest.expand(len(v), -1, -1)], dim=1)
+            terms = c * torch.tanh(v[:, None, :] / w)
             if len(s):
                 ends = torch.exp(-(v[:, None, :] / s).square())
                 terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
@@ -106,18 +140,21 @@ class JointFriction(torch.nn.Module):
         return total
 
     def values(self) -> torch.Tensor:
-        """Return all b and c, shape (k,), in the order of ``columns``."""
+        """Return all b, c and offsets, shape (k,), in the order of ``columns``."""
         b, c, *_ = self.coefficients()
-        return torch.cat([b[:self.structure.viscous * len(b)], c.flatten()])
+        return torch.cat([b[:self.structure.viscous * len(b)].flatten(), c.flatten(),
+                          self.offset().flatten()])
 
     def columns(self, v: torch.Tensor) -> torch.Tensor:
-        """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
+        """Return the friction of each of ``values`` where it alone is one, (N, d, k), at v."""
         _, _, widths, speeds = (part.detach() for part in self.coefficients())
-        found = [v] * self.structure.viscous
-        for k, width in enumerate(widths):
-            slower = k - self.structure.coulomb
-            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
-            found.append(torch.tanh(v / width) * ends)
+        n = self.structure.coulomb
+        found = [one * share
+                 for one in (*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n]))
+                 for share in self.shares(v).unbind(dim=1)]
+        found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
+                  for w, s in zip(widths[n:], speeds, strict=True)]
+        found += [-torch.ones_like(v)] * self.structure.offset
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
@@ -132,12 +169,16 @@ class JointFriction(torch.nn.Module):
     def card(self) -> FrictionCard:
         """Return the coefficients for the model card."""
         b, c, w, s = (part.detach().tolist() for part in self.coefficients())
-        n = self.structure.coulomb
+        n, directed = self.structure.coulomb, self.structure.directed
+        sides = 1 + directed
         return FrictionCard(
-            viscous=b, coulomb=[CoulombTerm(force=force, width=width)
-                                for force, width in zip(c[:n], w[:n], strict=True)],
+            viscous=b[0], viscous_back=b[1] if directed else None,
+            switch=self.switch.tolist() if directed else None,
+            offset=self.offset().detach().tolist()[0] if self.structure.offset else None,
+            coulomb=[CoulombTerm(force=c[sides * k], width=w[k],
+                                 back=c[sides * k + 1] if directed else None) for k in range(n)],
             stribeck=[StribeckTerm(force=force, width=width, speed=speed)
-                      for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
+                      for force, width, speed in zip(c[sides * n:], w[n:], s, strict=True)])
 
 
 class Linearised(NamedTuple):
@@ -207,7 +248,8 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
     """Return a function, (N, d), and its derivatives by q and v, by one backward pass."""
     with torch.enable_grad():
         at = q.detach().requires_grad_(), v.detach().requires_grad_()
-        value = function(*at)
+        # Rates of a system without forces are constants, which have no derivatives.
+        value = function(*at) + torch.zeros_like(at[0]) * at[0]
         units = torch.eye(q.shape[1], dtype=q.dtype)[:, None, :].expand(-1, len(q), -1)
         rows = torch.autograd.grad(value, at, units, is_grads_batched=True, allow_unused=True)
     none = torch.zeros_like(units)
@@ -377,16 +419,19 @@ class MechanicalNetwork(torch.nn.Module):
         self.friction = JointFriction(structure, hidden, scales, seed + 2)
         if scales.input_map is not None:
             self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
+        if structure.fade:
+            self.register_buffer('command_unit', torch.tensor(scales.command), persistent=False)
+            self.raw_fade = torch.nn.Parameter(torch.full_like(self.command_unit, -3.0))
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = _prior(structure, float(scales.inertia.mean()))
+        self.register_buffer('identity', torch.eye(d, dtype=torch.float64), persistent=False)
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
         for name, values in (
                 ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns),
-                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia)),
-                ('identity', np.eye(d))):
+                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)
@@ -418,7 +463,7 @@ class MechanicalNetwork(torch.nn.Module):
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
-                if name.startswith(('prior.', 'friction.raw_', 'raw_map')):
+                if name.startswith(('prior.', 'friction.raw_', 'raw_map', 'raw_fade')):
                     # What is left where networks fade is what least squares have found.
                     parameter.copy_(known[name]).requires_grad_(False)
             states = self.random_states(256, torch.Generator().manual_seed(0))
@@ -499,9 +544,15 @@ class MechanicalNetwork(torch.nn.Module):
             return None
         return self.raw_map * (math.sqrt(self.raw_map.shape[1]) / self.raw_map.norm())
 
+    def fade(self) -> torch.Tensor:
+        """Return g, shape (m,), of motors that make u / (1 + g abs(u)) of a command u."""
+        return torch.nn.functional.softplus(self.raw_fade) / self.command_unit
+
     def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
         """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
         input_map = self.input_map()
+        if self.structure.fade:
+            tau = tau / (1.0 + self.fade() * tau.abs())
         return tau if input_map is None else tau @ input_map.T
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
@@ -628,12 +679,16 @@ class MechanicalNetwork(torch.nn.Module):
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
         structure, input_map = self.structure, self.input_map()
+        if input_map is None and structure.fade:
+            input_map = self.identity
         motors = None if input_map is None else input_map.tolist()
+        fade = self.fade().tolist() if structure.fade else None
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction,
             floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
             diagonal_mass=structure.diagonal_mass, prior=prior,
-            friction_features=structure.friction_features, input_map=motors)
+            friction_features=structure.friction_features, input_map=motors,
+            fade=fade)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
         """Return the entry of the model card, for momenta in this unit."""

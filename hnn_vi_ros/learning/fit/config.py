@@ -215,6 +215,8 @@ class MachineConfig(TrainingConfig):
         family, loss = self.family, self.loss
         if loss is not None:
             self.check_loss(family, loss.kind)
+        if self.windows.records and (isinstance(family, RigidBodyChoice) or not family.prior):
+            raise ValueError('loss.records: fits a prior of the family mechanical; leave it out')
         if isinstance(family, RigidBodyChoice):
             return self
         if isinstance(self.data, ExcitationData):
