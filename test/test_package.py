@@ -158,6 +158,8 @@ def test_what_a_registry_lists_is_imported_by_it_alone():
     # knows those by name.
     listed = {cls.__module__.partition('.')[2] for registry in REGISTRIES.values()
               for cls in registry.values()}
+    # A system that is written as a formula is a kind of its own, and the base of others.
+    listed -= {'hamiltonians.formula'}
     for path in MODULES:
         own = name_of(path)
         if not own.startswith(('learning.', 'commands.new_scene')) and own not in REGISTRIES:

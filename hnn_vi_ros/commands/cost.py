@@ -272,9 +272,6 @@ def main(argv: list[str]) -> int:
             raise ParameterError(f'--{name} {value:g}: must be a positive number')
     paths = {'--csv': options.csv, '--plot': options.plot}
     check_outputs(paths)
-    if options.plot is not None:
-        # Found out now, not after a minute: a package may be missing.
-        from hnn_vi_ros.commands.cost import draw
     scene = load_scene(options.scene)
     study = _measured(scene, options.duration, options.seconds, options.error)
     for line in _lines(scene, study):
