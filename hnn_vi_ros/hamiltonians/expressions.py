@@ -510,3 +510,48 @@ class Reader:
             raise self._wrong(f'an operator, or a bracket that closes that in column '
                               f'{self.column(begin)}')
         return node
+
+
+class Symbol:
+    """A node that computes like a number: functions of such numbers build formulas."""
+
+    def __init__(self, graph: Graph, node: int):
+        self._graph, self.node = graph, node
+
+    def _made(self, make: Callable[[int, int], int], other: Any) -> 'Symbol':
+        node = other.node if isinstance(other, Symbol) else self._graph.number(other)
+        return Symbol(self._graph, make(self.node, node))
+
+    def __add__(self, other: Any) -> 'Symbol':
+        """Return the sum."""
+        return self._made(self._graph.plus, other)
+
+    def __mul__(self, other: Any) -> 'Symbol':
+        """Return the product."""
+        return self._made(self._graph.product, other)
+
+    def __truediv__(self, other: Any) -> 'Symbol':
+        """Return the quotient."""
+        return self._made(self._graph.over, other)
+
+    def __neg__(self) -> 'Symbol':
+        """Return the negative."""
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> 'Symbol':
+        """Return the difference."""
+        return self + -other
+
+    def __rsub__(self, other: Any) -> 'Symbol':
+        """Return the difference."""
+        return -self + other
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def cos(self) -> 'Symbol':
+        """Return the cosine, as numpy asks for it."""
+        return Symbol(self._graph, self._graph.apply('cos', self.node))
+
+    def sin(self) -> 'Symbol':
+        """Return the sine, as numpy asks for it."""
+        return Symbol(self._graph, self._graph.apply('sin', self.node))

@@ -94,30 +94,8 @@ class Formula(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        graph, names, d = self._graph, [c.name for c in self.coordinates], self.dimension
-        both = names + self._momenta
-        changes = {name: f'change of {name}' for name in both}
-        products = graph.tangents(self._slopes, changes)
-        roots = [self._root, *self._slopes, *products]
-        constants = constants_of(graph, roots, [*both, *changes.values()])
-        code = Code(graph, constants, {
-            **{name: f'q[k + {i}]' for i, name in enumerate(names)},
-            **{name: f'p[k + {i}]' for i, name in enumerate(self._momenta)},
-            **{changes[name]: f'v_q[k + {i}]' for i, name in enumerate(names)},
-            **{changes[name]: f'v_p[k + {i}]' for i, name in enumerate(self._momenta)}})
-        outputs = [f'{half}[k + {i}]' for half in ('dH_dq', 'dH_dp') for i in range(d)]
-        more = [f'{half}[k + {i}]' for half in ('product_q', 'product_p') for i in range(d)]
-        loop = f'for k in range(0, q.size, {d}):'
-        functions = (
-            code.function('energy', 'q, p', [], [self._root], 'k = 0'),
-            code.function('gradient', 'q, p, dH_dq, dH_dp', outputs, self._slopes, loop),
-            code.function('hessian_vector', 'q, p, v_q, v_p, product_q, product_p', more,
-                          products, loop))
-        values = graph.values(constants, self.parameters)
-        return compiled_kernel(
-            functions, tuple(float(values[a]) for a in constants), d,
-            (_largest_term(graph, self._slopes[:d], self.parameters),
-             _largest_term(graph, self._slopes[d:], self.parameters)))
+        return graph_kernel(self._graph, self._root, [c.name for c in self.coordinates],
+                            self._momenta, self.parameters)
 
     def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
         """Raise ValueError, with the column, if H or H' is not finite at a state, (d,) each."""
@@ -133,6 +111,45 @@ class Formula(Hamiltonian):
                     f'H column {begin + 1}: {self._text[begin:end]!r:.80} '
                     f'{f"is {values[node]:g}" if own else "has no finite derivative"} at the '
                     'initial state; begin elsewhere')
+
+
+def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequence[str],
+                 parameters: Mapping[str, float]) -> Kernel:
+    """
+    Return the functions of H as straight code, the same for all values of the parameters.
+
+    Parameters
+    ----------
+    graph : Graph
+        Where H is; its derivatives are added.
+    root : int
+        H.
+    names, momenta : sequence of str
+        What the d coordinates and their momenta are called.
+    parameters : mapping of str to float
+        Values of the other names.
+
+    """
+    d, both = len(names), [*names, *momenta]
+    slopes, changes = graph.gradient(root, both), {name: f'change of {name}' for name in both}
+    products = graph.tangents(slopes, changes)
+    constants = constants_of(graph, [root, *slopes, *products], [*both, *changes.values()])
+    code = Code(graph, constants, {
+        own: f'{array}[k + {i}]' for array, owners in (
+            ('q', names), ('p', momenta), ('v_q', [changes[name] for name in names]),
+            ('v_p', [changes[name] for name in momenta])) for i, own in enumerate(owners)})
+    places, more = ([f'{half}[k + {i}]' for half in halves for i in range(d)] for halves in (
+        ('dH_dq', 'dH_dp'), ('product_q', 'product_p')))
+    loop = f'for k in range(0, q.size, {d}):'
+    values = graph.values(constants, parameters)
+    return compiled_kernel(
+        (code.function('energy', 'q, p', [], [root], 'k = 0'),
+         code.function('gradient', 'q, p, dH_dq, dH_dp', places, slopes, loop),
+         code.function('hessian_vector', 'q, p, v_q, v_p, product_q, product_p', more, products,
+                       loop)),
+        tuple(float(values[a]) for a in constants), d,
+        (_largest_term(graph, slopes[:d], parameters),
+         _largest_term(graph, slopes[d:], parameters)))
 
 
 class Code:
