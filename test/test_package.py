@@ -63,7 +63,7 @@ HOMES = {
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/(\w+/)?\w+\.py|trajectory/\w+\.py'
-                  r'|commands/cost\.py',
+                  r'|commands/cost_figure\.py',
     'pandas': r'trajectory/\w+\.py',
     'xarray': r'trajectory/\w+\.py',
     'shtab': r'commands/completion\.py',

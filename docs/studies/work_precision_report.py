@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.commands.cost import INK
+from hnn_vi_ros.commands.cost_figure import INK
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.viewer.rerun_diagram import Curve, Diagram, record_diagrams
 from studies.measuring import StudyRow
