@@ -102,6 +102,8 @@ EFFECT_ROWS = [
               'henon_heiles', (0.3, -0.2), (0.2, 0.3), 2.0),
     EffectRow('soft_wall', (('soft_wall', {
         'coordinate': 'angle', 'position': 0.1, 'stiffness': 50.0, 'width': 0.3}),)),
+    EffectRow('potential', (('potential', {
+        'formula': 'k*sin(angle)^4 / (1 + angle^2)', 'parameters': {'k': 3.0}}),)),
     EffectRow('damping', (_DAMPING,)),
     EffectRow('dry_friction', (('dry_friction', {
         'coordinate': 'angle', 'force': 2.0, 'speed': 1.0}),)),
@@ -133,6 +135,7 @@ EFFECT_ROWS = [
 UNKNOWN = {
     'gravity': {'coordinate': 'w'}, 'spring': {'point': ['w'], 'anchor': [0.0]},
     'magnetic_field': {'plane': ['x', 'w']}, 'soft_wall': {'coordinate': 'w'},
+    'potential': {'formula': 'x*w'},
     'dry_friction': {'coordinate': 'w', 'force': 1.0},
     'quadratic_drag': {'coordinates': ['x', 'w'], 'coefficient': 1.0},
     'periodic_drive': {'coordinate': 'w', 'amplitude': 1.0, 'frequency': 1.0},
@@ -156,6 +159,7 @@ COMPILED = {
         ('magnetic_field', {'plane': ['x', 'y']}),
         ('spring', {'point': ['x', 'y'], 'anchor': [0.1, 0.1], 'rest_length': 0.3}),
         ('soft_wall', {'coordinate': 'x', 'position': -0.1, 'stiffness': 2.0, 'width': 0.2}),
+        ('potential', {'formula': '0.1*x*y^3 - cos(x)/5'}),
         ('damping', {'rate': [0.3, 0.1]}),
         ('dry_friction', {'coordinate': 'x', 'force': 0.1, 'speed': 0.2}),
         ('quadratic_drag', {'coordinates': ['x', 'y'], 'coefficient': 0.2}),

@@ -17,7 +17,7 @@ from hnn_vi_ros.companions.members import simulate_spread
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, StoppedByEvent
 from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
+from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.phase_space import Event
@@ -35,7 +35,7 @@ def again(value: Any) -> Any:
 
 
 def test_schemas_of_scenes_are_found_by_their_names():
-    for classes in (EFFECTS, HAMILTONIANS, INTEGRATORS, ROBOTS):
+    for classes in (EFFECTS, HAMILTONIANS, INTEGRATORS, DESCRIBED):
         for kind, cls in classes.items():
             # Its function of the same name stands in the package.
             schema = getattr(import_module('hnn_vi_ros.scene.choices'), cls.__name__)

@@ -100,12 +100,17 @@ def cost() -> Parser:
 def new_scene() -> Parser:
     """Return the parser of ``new_scene``."""
     parser = Parser('new_scene', (
-        'Write a new scene file: a copy of a shipped scene, with the schema for editors.'), [
-            'hnn new_scene my_arm', 'hnn new_scene mine.yaml --like double_pendulum'])
+        'Write a new scene file: a copy of a shipped scene, or one of a formula, with the schema '
+        'for editors.'), [
+            'hnn new_scene my_arm', 'hnn new_scene mine.yaml --like double_pendulum',
+            "hnn new_scene my_well --formula 'p_x^2/(2*m) + k*x^4/4'"])
     parser.add_argument('file', type=Path, metavar='FILE', help=(
         'what to write; .yaml is added where it has no suffix'))
-    complete_by(parser.add_argument('--like', default='exact_pendulum', metavar='SCENE', help=(
+    source = parser.add_mutually_exclusive_group()
+    complete_by(source.add_argument('--like', default='exact_pendulum', metavar='SCENE', help=(
         'the scene to copy: a shipped name, or a file (default: exact_pendulum)')), named('scene'))
+    source.add_argument('--formula', metavar='H', help=(
+        'H [J] of coordinates c and their momenta p_c; other names become parameters'))
     return parser
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a scene file to begin from: a copy of a shipped one, or a scene of a robot."""
+"""Write a scene file to begin from: a copy of a shipped one, a scene of a robot or a formula."""
 
 from collections.abc import Iterable
 import json
@@ -15,6 +15,8 @@ from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import package_file, SCHEME, share_folder
 from hnn_vi_ros.files.yaml_text import dump_yaml, one_line
+from hnn_vi_ros.hamiltonians.expressions import Graph, Reader
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
@@ -53,6 +55,19 @@ initial_state:
   # At rest: gravity moves no joint from here. Begin elsewhere, and it falls.
   q: {q}   # {units}
   p: {p}   # {p_units}
+"""
+_FORMULA = """\
+{schema}
+# A first scene of a formula; give its parameters their values, and begin where you like.
+description: {description}
+hamiltonian:
+  kind: formula
+  coordinates: {coordinates}
+  parameters: {parameters}
+  H: {H}
+integrator: {{kind: gauss8}}
+step_size: {step_size:g}   # [s], {steps} in the fastest period of small motions about the state below
+initial_state: {{q: {q}, p: {p}}}
 """
 
 
@@ -263,18 +278,56 @@ def _quoted(text: str) -> str:
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 
 
+def formula_text(text: str, schema: str) -> str:
+    """
+    Return the YAML of a scene of a formula, whose coordinates are those of its momenta.
+
+    Raises
+    ------
+    SceneError
+        It cannot be read, has no momentum, or no value where the scene begins.
+
+    """
+    try:
+        names = Reader(Graph(), text).names
+        # p_x belongs to x, and p1 to q1.
+        owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
+                  name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
+        parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()}, 1.0)
+        hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
+        q, p = 0.1 * np.arange(1.0, d + 1.0), np.zeros(d)
+        hamiltonian.check_state(q, p)
+    except ValueError as problem:
+        raise SceneError(f'--formula: {problem}') from problem
+    hessian, kernel = np.empty((2 * d, 2 * d)), hamiltonian.kernel
+    for unit, row in zip(np.eye(2 * d), hessian, strict=True):
+        # As plain Python: a few calls are over before they would be compiled.
+        kernel.hessian_vector.py_func(  # type: ignore[attr-defined]
+            kernel.parameters, q, p, unit[:d], unit[d:], row[:d], row[d:])
+    rate = np.abs(np.linalg.eigvals(np.vstack([hessian[d:], -hessian[:d]]))).max()
+    return _FORMULA.format(
+        schema=schema, description=_quoted('a first scene of a formula'),
+        coordinates=f'[{", ".join(owners.values())}]', H=json.dumps(text, ensure_ascii=False),
+        parameters=json.dumps(dict(sorted(parameters.items())), ensure_ascii=False), steps=_STEPS,
+        step_size=_round(2.0 * math.pi / max(rate, 1.0) / _STEPS, up=False),
+        q=np.round(q, 6).tolist(), p=p.tolist())
+
+
 def main(argv: list[str]) -> int:
     """Write the file, and print what can be done with it."""
     options = arguments.new_scene().parse_args(argv)
     path = options.file if options.file.suffix in ('.yaml', '.yml') else \
         options.file.with_name(f'{options.file.name}.yaml')
-    scene = load_scene(options.like)
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
-    text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
-    for name, file in scene.model_files().items():
-        # Paths relative to the folder of the original would not be found from the copy.
-        if '/' in name and '://' not in name:
-            text = text.replace(name, str(file.resolve()))
+    if options.formula is not None:
+        text = formula_text(options.formula, schema)
+    else:
+        scene = load_scene(options.like)
+        text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
+        for name, file in scene.model_files().items():
+            # Paths relative to the folder of the original would not be found from the copy.
+            if '/' in name and '://' not in name:
+                text = text.replace(name, str(file.resolve()))
     write_new_scene(path, text)
     print(path)
     print(f'  change it; check it by: {command(f"scene --check {path}")}')

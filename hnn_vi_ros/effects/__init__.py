@@ -16,6 +16,7 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.effects.magnetic_field import MagneticField
 from hnn_vi_ros.effects.observer import Observer
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
+from hnn_vi_ros.effects.potential import FormulaPotential
 from hnn_vi_ros.effects.quadratic_drag import QuadraticDrag
 from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.effects.soft_wall import SoftWall
@@ -27,6 +28,7 @@ EFFECTS: dict[str, type[Effect]] = {
     'spring': Spring,
     'magnetic_field': MagneticField,
     'soft_wall': SoftWall,
+    'potential': FormulaPotential,
     'damping': Damping,
     'dry_friction': DryFriction,
     'quadratic_drag': QuadraticDrag,

@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hamiltonians: analytic ones by name, robots by the kind of their file."""
+"""Hamiltonians: analytic ones by name, others by how they are described."""
 
 from hnn_vi_ros.hamiltonians.ball_joint_pendulum import BallJointPendulum
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
@@ -30,7 +31,8 @@ HAMILTONIANS = {
     'quadrotor': Quadrotor,
     'tao': Tao,
 }
-# Systems that a file describes: the scene locates their argument ``file``; see scene.
-ROBOTS = {
+# Systems that a scene describes: by a formula, or by a file, which it locates; see scene.
+DESCRIBED = {
+    'formula': Formula,
     'urdf': RigidBodyTree,
 }

@@ -105,6 +105,9 @@ class Hamiltonian(ABC):
         """
         return None
 
+    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:  # noqa: B027
+        """Raise ValueError if H is known to be no number at a state, shape (d,) each."""
+
     @property
     def dimension(self) -> int:
         """Return the number d of columns of q: without rotations, of degrees of freedom."""

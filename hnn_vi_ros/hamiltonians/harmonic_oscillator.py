@@ -5,10 +5,10 @@
 from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -49,25 +49,5 @@ class HarmonicOscillator(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mass, self.stiffness),
-                               self.dimension)
-
-
-def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
-    mass, stiffness = parameters
-    return 0.5 * p[0] * p[0] / mass + 0.5 * stiffness * q[0] * q[0]
-
-
-@inlined
-def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
-              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    mass, stiffness = parameters
-    for i in range(q.size):
-        dH_dq[i] = stiffness * q[i]
-        dH_dp[i] = p[i] / mass
-
-
-def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    # The gradient is linear.
-    _gradient(parameters, v_q, v_p, product_q, product_p)
+        return Formula(['x'], 'p_x^2 / (2 * m) + k * x^2 / 2',
+                       {'m': self.mass, 'k': self.stiffness}).kernel

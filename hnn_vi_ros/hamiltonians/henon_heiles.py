@@ -4,10 +4,10 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numpy as np
 
 
 class HenonHeiles(Hamiltonian):
@@ -38,31 +38,6 @@ class HenonHeiles(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # In the triangle the terms of H_q are at most about one, also where they cancel.
-        return compiled_kernel((_energy, _gradient, _hessian_vector), (),
-                               self.dimension, (1.0, 0.0))
-
-
-def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
-    x, y = q[0], q[1]
-    return (0.5 * (p[0] * p[0] + p[1] * p[1] + x * x + y * y)
-            + x * x * y - y * y * y / 3.0)
-
-
-def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
-              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    for i in range(0, q.size, 2):
-        x, y = q[i], q[i + 1]
-        dH_dq[i] = x + 2.0 * x * y
-        dH_dq[i + 1] = y + x * x - y * y
-        dH_dp[i] = p[i]
-        dH_dp[i + 1] = p[i + 1]
-
-
-def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    for i in range(0, q.size, 2):
-        x, y = q[i], q[i + 1]
-        product_q[i] = (1.0 + 2.0 * y) * v_q[i] + 2.0 * x * v_q[i + 1]
-        product_q[i + 1] = 2.0 * x * v_q[i] + (1.0 - 2.0 * y) * v_q[i + 1]
-        product_p[i] = v_p[i]
-        product_p[i + 1] = v_p[i + 1]
+        return Formula(
+            ['x', 'y'], '(p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 * y - y^3 / 3'
+        ).kernel._replace(gradient_scale=(1.0, 0.0))

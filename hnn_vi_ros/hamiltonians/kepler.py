@@ -6,7 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
@@ -88,37 +89,6 @@ class Kepler(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return compiled_kernel((_energy, _gradient, _hessian_vector), (self.mu,), self.dimension)
-
-
-# numpy's rules for division: the centre gives infinity or NaN, which the checks for non-finite
-# states find, rather than an exception out of compiled code.
-def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
-    (mu,) = parameters
-    distance = np.sqrt(q[0] * q[0] + q[1] * q[1])
-    return 0.5 * (p[0] * p[0] + p[1] * p[1]) - mu / distance
-
-
-def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
-              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    (mu,) = parameters
-    for i in range(0, q.size, 2):
-        squared = q[i] * q[i] + q[i + 1] * q[i + 1]
-        attraction = mu / (squared * np.sqrt(squared))
-        dH_dq[i] = attraction * q[i]
-        dH_dq[i + 1] = attraction * q[i + 1]
-        dH_dp[i] = p[i]
-        dH_dp[i + 1] = p[i + 1]
-
-
-def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    (mu,) = parameters
-    for i in range(0, q.size, 2):
-        squared = q[i] * q[i] + q[i + 1] * q[i + 1]
-        attraction = mu / (squared * np.sqrt(squared))
-        change = 3.0 * (q[i] * v_q[i] + q[i + 1] * v_q[i + 1]) / squared
-        product_q[i] = attraction * (v_q[i] - change * q[i])
-        product_q[i + 1] = attraction * (v_q[i + 1] - change * q[i + 1])
-        product_p[i] = v_p[i]
-        product_p[i + 1] = v_p[i + 1]
+        # In the centre this is infinity or NaN, which the checks for non-finite states find.
+        return Formula(['x', 'y'], '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)',
+                       {'mu': self.mu}).kernel

@@ -5,7 +5,8 @@
 from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
@@ -93,30 +94,7 @@ class Pendulum(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        inertia = self.mass * self.length * self.length
-        torque = self.mass * self.gravity * self.length
-        return compiled_kernel((_energy, _gradient, _hessian_vector), (inertia, torque),
-                               self.dimension)
-
-
-def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
-    inertia, torque = parameters
-    # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
-    half = np.sin(0.5 * q[0])
-    return 0.5 * p[0] * p[0] / inertia + 2.0 * torque * half * half
-
-
-def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
-              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    inertia, torque = parameters
-    for i in range(q.size):
-        dH_dq[i] = torque * np.sin(q[i])
-        dH_dp[i] = p[i] / inertia
-
-
-def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    inertia, torque = parameters
-    for i in range(q.size):
-        product_q[i] = torque * np.cos(q[i]) * v_q[i]
-        product_p[i] = v_p[i] / inertia
+        # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
+        return Formula(
+            ['angle'], 'p_angle^2 / (2 * m * l^2) + 2 * m * g * l * sin(angle / 2)^2',
+            {'m': self.mass, 'l': self.length, 'g': self.gravity}).kernel

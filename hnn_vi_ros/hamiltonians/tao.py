@@ -4,10 +4,10 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
-import numpy as np
 
 
 class Tao(Hamiltonian):
@@ -29,23 +29,4 @@ class Tao(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return compiled_kernel((_energy, _gradient, _hessian_vector), (), self.dimension)
-
-
-def _energy(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray) -> float:
-    return 0.5 * (q[0] * q[0] + 1.0) * (p[0] * p[0] + 1.0)
-
-
-def _gradient(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray,
-              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    for i in range(q.size):
-        dH_dq[i] = q[i] * (p[i] * p[i] + 1.0)
-        dH_dp[i] = (q[i] * q[i] + 1.0) * p[i]
-
-
-def _hessian_vector(parameters: tuple[float, ...], q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    for i in range(q.size):
-        mixed = 2.0 * q[i] * p[i]
-        product_q[i] = (p[i] * p[i] + 1.0) * v_q[i] + mixed * v_p[i]
-        product_p[i] = mixed * v_q[i] + (q[i] * q[i] + 1.0) * v_p[i]
+        return Formula(['x'], '(x^2 + 1) * (p_x^2 + 1) / 2').kernel

@@ -18,7 +18,7 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
-from hnn_vi_ros.hamiltonians import HAMILTONIANS, ROBOTS
+from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
@@ -56,7 +56,7 @@ def plain_data(value: Any) -> Any:
     return value
 
 
-_EXACT: dict[str, type] = {**HAMILTONIANS, **ROBOTS}
+_EXACT: dict[str, type] = {**HAMILTONIANS, **DESCRIBED}
 
 
 class Scene(StrictModel):
@@ -270,6 +270,8 @@ class Scene(StrictModel):
             hamiltonian = self._construct(_EXACT, choice, 'hamiltonian')
         self._check_dimension(hamiltonian.coordinates)
         state = np.array(self.initial_state.q), np.array(self.initial_state.p)
+        with self.placed('hamiltonian'):
+            hamiltonian.check_state(*state)
         hamiltonian.invariants = invariants_of(
             self.invariants, hamiltonian, not self.effects, state, self.place,
             self._origin.code_folder)

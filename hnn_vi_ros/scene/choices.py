@@ -2,18 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parts of a scene in YAML: classes by kind, initial state, conditions, invariants."""
 
-import ast
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from inspect import cleandoc, Parameter, signature
 import math
-import operator
 from typing import Annotated, Any, Literal, Union
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
 from hnn_vi_ros.files.named_code import find_beside, import_named, NAMES_CODE
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader
 from hnn_vi_ros.phase_space import columns
 import numpy as np
 from pydantic import (
@@ -111,19 +110,8 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
 
 
 _LONGEST = 200
-_Number = np.ndarray | np.float64
-_OPERATORS: dict[type[ast.operator], Callable[[_Number, _Number], _Number]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul,
-    ast.Div: operator.truediv, ast.Pow: operator.pow}
-_SIGNS: dict[type[ast.unaryop], Callable[[Any], Any]] = {
-    ast.USub: operator.neg, ast.UAdd: operator.pos}
-_FUNCTIONS: dict[str, Callable[[_Number], _Number]] = {
-    'abs': np.abs, 'cos': np.cos, 'sin': np.sin, 'sqrt': np.sqrt}
-_GRAMMAR = ('an equation of numbers, pi, the coordinates c, their momenta p_c and velocities v_c, '
-            'and H, with + - * / **, brackets, abs, cos, sin and sqrt')
-
-# A compiled expression: a function of the values of names.
-Value = Callable[[dict[str, np.ndarray]], _Number]
+_EXPECTED = ('an equation of the coordinates c, their momenta p_c and velocities v_c, and H, with '
+             f'{GRAMMAR}')
 
 
 class Condition:
@@ -150,13 +138,18 @@ class Condition:
         sides = text.split('=')
         if len(text) > _LONGEST or len(sides) != 2:
             raise ValueError(f'{text[:_LONGEST]!r} is no equation of at most {_LONGEST} '
-                             f'characters: expected {_GRAMMAR}')
-        self._names: set[str] = set()
-        left, right = (self._read(side) for side in sides)
+                             f'characters: expected {_EXPECTED}')
+        self._graph = Graph()
+        try:
+            left, right = (Reader(self._graph, side, start) for side, start in zip(
+                sides, (1, len(sides[0]) + 2), strict=True))
+        except ValueError as problem:
+            raise ValueError(f'{text!r}: {problem}') from problem
+        self._names = left.names.keys() | right.names.keys()
         if not self._names:
             raise ValueError(f'{self.text!r} depends on nothing of the system: expected '
-                             f'{_GRAMMAR}')
-        self._difference: Value = lambda values: left(values) - right(values)
+                             f'{_EXPECTED}')
+        self._difference = self._graph.plus(left.root, self._graph.scaled(-1.0, right.root))
 
     def check(self, hamiltonian: Hamiltonian) -> None:
         """Raise ValueError, with the valid names, if it names a quantity the system lacks."""
@@ -191,59 +184,10 @@ class Condition:
             values[f'p_{name}'] = p[..., i]
         # Last of all: a coordinate may be named as another's momentum.
         values |= {name: q[..., i] for i, name in enumerate(names)}
-        with np.errstate(all='ignore'):
-            difference = self._difference(values)
+        difference = self._graph.values([self._difference], values)[self._difference]
         shape = np.shape(q)[:-1]
         return np.asarray(difference) if np.shape(difference) == shape \
             else np.broadcast_to(difference, shape)
-
-    def _read(self, side: str) -> Value:
-        try:
-            tree = ast.parse(side.strip(), mode='eval').body
-        except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
-            raise ValueError(f'{self.text!r}: {side.strip()!r} cannot be read: expected '
-                             f'{_GRAMMAR}') from problem
-        value = self._build(tree)
-        for part in ast.walk(tree):
-            if isinstance(part, ast.BinOp | ast.Call | ast.Constant) and not _names_in(part):
-                with np.errstate(all='ignore'):
-                    number = self._build(part)({})
-                if not np.isfinite(number):
-                    raise ValueError(f'{self.text!r}: {ast.unparse(part)} is {number}, so this '
-                                     'never comes true')
-        return value
-
-    def _build(self, node: ast.AST) -> Value:
-        """Return the function of a part of an expression; nothing else than these is taken."""
-        match node:
-            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                # In float64 no power takes long, as one of integers of any length does.
-                number = np.float64(value)
-                return lambda values: number
-            case ast.Name(id='pi'):
-                return lambda values: np.float64(np.pi)
-            case ast.Name(id=name):
-                self._names.add(name)
-                return lambda values: values[name]
-            case ast.UnaryOp(op=sign, operand=inner) if type(sign) in _SIGNS:
-                change, part = _SIGNS[type(sign)], self._build(inner)
-                return lambda values: change(part(values))
-            case ast.BinOp(left=first, op=kind, right=last) if type(kind) in _OPERATORS:
-                join = _OPERATORS[type(kind)]
-                left, right = self._build(first), self._build(last)
-                return lambda values: join(left(values), right(values))
-            case ast.Call(func=ast.Name(id=name), args=[inner], keywords=[]) \
-                    if name in _FUNCTIONS:
-                function, part = _FUNCTIONS[name], self._build(inner)
-                return lambda values: function(part(values))
-        raise ValueError(f'{self.text!r}: {ast.unparse(node)!r} is not allowed: expected '
-                         f'{_GRAMMAR}')
-
-
-def _names_in(node: ast.AST) -> bool:
-    """Return whether an expression has quantities of a system in it."""
-    return any(isinstance(part, ast.Name) and part.id not in ('pi', *_FUNCTIONS)
-               for part in ast.walk(node))
 
 
 class InitialState(StrictModel):
@@ -291,7 +235,7 @@ class EventChoice(StrictModel):
 
     when: str = Field(max_length=200, description=(
         'an equation that comes true at the event, of coordinates c, momenta p_c, velocities v_c, '
-        'H, pi and numbers, with + - * / ** ( ) abs cos sin sqrt: angle1 = 0'))
+        'H, pi and numbers, with + - * / ^ ( ) and functions such as sin and sqrt: angle1 = 0'))
     direction: Literal['up', 'down', 'both'] = Field('both', description=(
         'which changes of its left less its right side count'))
     then: Literal['log', 'stop'] = Field('log', description=(

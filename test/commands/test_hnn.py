@@ -114,6 +114,21 @@ def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
         new_scene.main([str(path)])
 
 
+def test_new_scene_of_a_formula_runs(tmp_path):
+    path = tmp_path / 'mine.yaml'
+    new_scene.main([str(path), '--formula', 'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
+    scene = load_scene(path)
+    assert scene.hamiltonian.coordinates == ['x', 'q1']
+    assert scene.hamiltonian.parameters == {'k': 1.0, 'm': 1.0}
+    # The springs of 2 x 100 N/m between two masses of 1 kg: sqrt(200) rad/s, a hundred steps.
+    assert scene.step_size == 0.002
+    assert np.ptp(simulate(scene, 1.0).energy) < 1e-12
+    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'coordinates'),
+                       ('p_x^2/2 + log(-x)', r"H column 11: 'log\(-x\)' is nan at")):
+        with pytest.raises(SceneError, match=f'--formula: .*{said}'):
+            new_scene.main([str(tmp_path / 'other.yaml'), '--formula', text])
+
+
 def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
     assert doctor.main([]) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -5,6 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import TreeParameters, Work
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -20,10 +21,14 @@ import yaml
 STATES = 20
 
 
-@pytest.fixture(params=['tree', *(path.stem for path in SHIPPED)])
+@pytest.fixture(params=['tree', 'small tree', *(path.stem for path in SHIPPED)])
 def robot(request, tmp_path) -> RigidBodyTree:
     if request.param == 'tree':
         return tree(tmp_path)
+    if request.param == 'small tree':
+        # Two branches, a slide, and joints that are held askew.
+        return tree(tmp_path, joints=['tail', 'rail', 'wrist'], rotor_inertia={'rail': 1.5},
+                    locked={'follower': 0.03, 'hip': 0.6, 'finger': 0.3})
     return RigidBodyTree(str(ROOT / 'config' / 'robots' / f'{request.param}.urdf'))
 
 
@@ -42,7 +47,9 @@ def states(robot: RigidBodyTree) -> tuple[np.ndarray, np.ndarray]:
 def complex_kernel(robot: RigidBodyTree):
     """Return the kernel as plain Python for complex numbers, in which nothing is lost by steps."""
     kernel = robot.kernel
-    parameters = TreeParameters(kernel.parameters.bodies, Work.empty(robot.dimension, complex))
+    if robot.dimension <= MOST_STRAIGHT:
+        return kernel
+    parameters = TreeParameters(robot.bodies, Work.empty(robot.dimension, complex))
     return kernel._replace(parameters=parameters)
 
 
@@ -149,14 +156,19 @@ def test_coordinates_are_the_joints_with_their_units(tmp_path):
         -0.5, 90.0, 2.5, 0.5)
 
 
-def test_all_robots_are_one_kernel(tmp_path):
-    robots = [tree(tmp_path), *(RigidBodyTree(str(path)) for path in SHIPPED)]
+def test_robots_are_one_kernel_and_small_ones_one_for_each_shape(tmp_path):
+    robots = [tree(tmp_path), *(robot for path in SHIPPED if (
+        robot := RigidBodyTree(str(path))).dimension > MOST_STRAIGHT)]
     q, p = states(robots[0])
     robots[0].gradient(q, p)
     dispatcher = original(by_address(robots[0].kernel)).gradient
     assert all(robot.kernel.gradient is dispatcher for robot in robots)
     types = {str(tuple(map(type, _leaves(robot.kernel.parameters)))) for robot in robots}
     assert len(types) == 1
+    small = [tree(tmp_path, chain([mass, 0.7], [0.4, 0.3])) for mass in (1.3, 0.9)]
+    kernels = [robot.kernel for robot in small]
+    assert kernels[0].gradient is kernels[1].gradient
+    assert kernels[0].parameters != kernels[1].parameters
 
 
 def _leaves(value):

@@ -1,8 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""H of a tree of bodies, compiled: the tree is data."""
+"""H of a tree of bodies, compiled: of a few bodies as straight code; of more, the tree is data."""
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes,
     solve_rates, TreeParameters, Work)
@@ -21,9 +22,9 @@ def tree_kernel(bodies: Bodies) -> Kernel:
     weights = (bodies.inertia[1:, 0] * reach[1:]
                + np.linalg.norm(bodies.inertia[1:, 1:4], axis=1))
     scale = float(np.linalg.norm(bodies.gravity) * weights.sum())
-    kernel = compiled_kernel((_energy, _gradient, _hessian_vector),
-                             TreeParameters(bodies, Work.empty(d)), d, (scale, 0.0))
-    return kernel._replace(energy_scale=scale)
+    kernel = small_tree_kernel(bodies) if d <= MOST_STRAIGHT else compiled_kernel(
+        (_energy, _gradient, _hessian_vector), TreeParameters(bodies, Work.empty(d)), d)
+    return kernel._replace(gradient_scale=(scale, 0.0), energy_scale=scale)
 
 
 def extended_gradient(bodies: Bodies, q: np.ndarray, p: np.ndarray

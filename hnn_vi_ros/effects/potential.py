@@ -1,0 +1,84 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A potential energy that is written as a formula."""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+from hnn_vi_ros.effects.base import EffectState, Joined, Potential
+from hnn_vi_ros.hamiltonians.expressions import Graph
+from hnn_vi_ros.hamiltonians.formula import check_names, Code, constants_of, read_formula
+from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.phase_space import Coordinate, scalar_columns
+
+
+class FormulaPotential(Potential):
+    """
+    A potential energy V(q) as a formula of coordinates, such as ``k*(x - y)^2 / 2``.
+
+    It is written, read and compiled as H of ``hamiltonian: {kind: formula}`` is. Energy account: V
+    joins H.
+
+    Parameters
+    ----------
+    formula : str
+        V [J], at most 4000 characters.
+    parameters : dict of str to float, optional
+        Values of the names in it that are no coordinates.
+
+    Raises
+    ------
+    ValueError
+        A formula that cannot be read, or a name that is not known or not used; names the column.
+
+    """
+
+    def __init__(self, formula: str, parameters: dict[str, float] | None = None):
+        self.formula, self.parameters = formula, dict(parameters or {})
+        check_names('parameters', [*self.parameters])
+        self._formulas: type[Joined] = FormulaPotential
+
+    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> tuple[float, ...]:
+        """Return the parts of V that do not change."""
+        columns, graph = scalar_columns(coordinates), Graph()
+        own = {name: value for name, value in self.parameters.items() if name not in columns}
+        if len(own) < len(self.parameters):
+            shared = sorted(self.parameters.keys() & columns)[0]
+            raise ValueError(f'parameters {shared} is a coordinate; call it otherwise')
+        root = read_formula('formula', graph, self.formula, [*columns], own).root
+        moving = [name for name in columns if graph.depending([root], [name])]
+        if not moving:
+            raise ValueError('formula depends on no coordinate, so nothing acts')
+        slopes = graph.gradient(root, moving)
+        changes = {name: f'change of {name}' for name in moving}
+        products = graph.tangents(slopes, changes)
+        constants = constants_of(graph, [root, *slopes, *products], [*moving, *changes.values()])
+        code = Code(graph, constants, {
+            **{name: f'q[{columns[name]}]' for name in moving},
+            **{changes[name]: f'v[{columns[name]}]' for name in moving}})
+        places = [columns[name] for name in moving]
+        self._formulas = _bound(
+            code.function('energy', 'q', [], [root]),
+            code.function('add_gradient', 'q, dH_dq', [f'dH_dq[{i}]' for i in places], slopes,
+                          add=True),
+            code.function('add_hessian_vector', 'q, v, product',
+                          [f'product[{i}]' for i in places], products, add=True))
+        values = graph.values(constants, own)
+        return tuple(float(values[a]) for a in constants)
+
+    def formulas(self, parameters: tuple[float, ...]) -> type[Joined]:
+        """Return those of the formula in the coordinates that were last resolved."""
+        return self._formulas
+
+
+@cache
+def _bound(*functions: Callable[..., Any]) -> type[Joined]:
+    """Return a class of three functions, by a name that holds what they are made of."""
+    names = ('energy', 'add_gradient', 'add_hessian_vector')
+    digests = '_'.join(function.__qualname__.rpartition('_')[2] for function in functions)
+    made = type(f'FormulaPotential_{digests}', (FormulaPotential,), {
+        name: staticmethod(inlined(function))
+        for name, function in zip(names, functions, strict=True)})
+    made.__module__ = __name__
+    return made

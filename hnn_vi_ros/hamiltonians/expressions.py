@@ -1,0 +1,557 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Formulas: read from text without executing any of it, differentiated, and written as code.
+
+A formula is a graph, in which equal parts are one node. Its derivatives are nodes of the same
+graph, so that what H, its gradient and its Hessian-vector product have in common is computed once.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+import math
+import re
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+# Characters of a formula, brackets inside each other, and nodes of a graph with all derivatives.
+LONGEST, DEEPEST, MOST_NODES = 4000, 60, 10_000
+# How a formula may be written, for errors.
+GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, asin, '
+           'atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh')
+
+# The derivative of each function by its argument x, where it is z.
+_SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
+    'abs': lambda g, x, z: g.apply('sign', x),
+    'acos': lambda g, x, z: g.scaled(-1.0, _root_of_rest(g, x)),
+    'asin': lambda g, x, z: _root_of_rest(g, x),
+    'atan': lambda g, x, z: g.over(g.number(1.0), g.plus(g.number(1.0), g.power(x, 2))),
+    'cos': lambda g, x, z: g.scaled(-1.0, g.apply('sin', x)),
+    'cosh': lambda g, x, z: g.apply('sinh', x),
+    'exp': lambda g, x, z: z,
+    'log': lambda g, x, z: g.over(g.number(1.0), x),
+    'sign': lambda g, x, z: g.number(0.0),
+    'sin': lambda g, x, z: g.apply('cos', x),
+    'sinh': lambda g, x, z: g.apply('cosh', x),
+    'sqrt': lambda g, x, z: g.over(g.number(0.5), z),
+    'tan': lambda g, x, z: g.plus(g.number(1.0), g.power(z, 2)),
+    'tanh': lambda g, x, z: g.plus(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
+}
+FUNCTIONS = tuple(name for name in _SLOPES if name != 'sign')
+_NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan}
+_CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
+
+
+class Graph:
+    """
+    Expressions, each a number that stands behind its arguments; equal ones are the same number.
+
+    Attributes
+    ----------
+    nodes : list of tuple
+        ``('number', x)``, ``('name', name)``, ``('scaled', c, a)`` for c a, ``('sum', a, b)``,
+        ``('product', a, b)``, ``('over', a, b)`` for a / b, ``('power', a, n)`` with a whole
+        n > 1, ``('raised', a, b)`` for any power, and ``(function, a)``.
+
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[Any, ...]] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+
+    def _node(self, *node: Any) -> int:
+        if node not in self._known:
+            if len(self.nodes) == MOST_NODES:
+                raise ValueError(f'the formula and its derivatives have more than {MOST_NODES} '
+                                 'parts: write it shorter, or give H as code (kind: python)')
+            self._known[node] = len(self.nodes)
+            self.nodes.append(node)
+        return self._known[node]
+
+    def number(self, value: float) -> int:
+        """Return a number; -0 is 0."""
+        if not math.isfinite(value):
+            raise ValueError(f'this is {value}, no finite number')
+        return self._node('number', float(value) + 0.0)
+
+    def name(self, name: str) -> int:
+        """Return what has a name."""
+        return self._node('name', name)
+
+    def _value(self, a: int) -> float | None:
+        kind, *rest = self.nodes[a]
+        return rest[0] if kind == 'number' else None
+
+    def _factor(self, a: int) -> tuple[float, int]:
+        """Return c and b of a = c b, where c is a number in front."""
+        kind, *rest = self.nodes[a]
+        return (rest[0], rest[1]) if kind == 'scaled' else (1.0, a)
+
+    def scaled(self, c: float, a: int) -> int:
+        """Return c a."""
+        value, (inner, rest) = self._value(a), self._factor(a)
+        if value is not None:
+            return self.number(c * value)
+        c *= inner
+        if c == 0.0 or not math.isfinite(c):
+            return self.number(c)
+        return rest if c == 1.0 else self._node('scaled', c, rest)
+
+    def plus(self, a: int, b: int) -> int:
+        """Return a + b."""
+        x, y = self._value(a), self._value(b)
+        if x is not None and y is not None:
+            return self.number(x + y)
+        if x == 0.0:
+            return b
+        if y == 0.0:
+            return a
+        (c, rest), (d, other) = self._factor(a), self._factor(b)
+        if rest == other:
+            return self.scaled(c + d, rest)
+        return self._node('sum', a, b)
+
+    def product(self, a: int, b: int) -> int:
+        """Return a b, with numbers in front."""
+        for value, other in ((self._value(a), b), (self._value(b), a)):
+            if value is not None:
+                return self.scaled(value, other)
+        (c, a), (d, b) = self._factor(a), self._factor(b)
+        for whole, other in ((a, b), (b, a)):
+            kind, *rest = self.nodes[whole]
+            if kind == 'over' and self._value(rest[0]) == 1.0:
+                return self.scaled(c * d, self.over(other, rest[1]))
+        if a == b:
+            return self.scaled(c * d, self.power(a, 2))
+        for whole, cosine in ((a, b), (b, a)):
+            if self.nodes[cosine][0] == 'cos':
+                half = self.nodes[cosine][1]
+                sine = self._node('sin', half)
+                factors = self.nodes[whole][1:] if self.nodes[whole][0] == 'product' else [whole]
+                (number, double), left = self._factor(half), [x for x in factors if x != sine]
+                if number == 0.5 and len(left) < len(factors):
+                    # Heights as 2 sin(q / 2)^2 keep their digits, and their torque is one sine.
+                    made = self.scaled(0.5, self.apply('sin', double))
+                    return self.scaled(c * d, self.product(left[0], made) if left else made)
+        return self.scaled(c * d, self._node('product', *sorted((a, b))))
+
+    def over(self, a: int, b: int) -> int:
+        """Return a / b; a division by a number is a product with its inverse."""
+        value = self._value(b)
+        if value:
+            return self.scaled(1.0 / value, a)
+        if value == 0.0:
+            raise ValueError('a division by zero')
+        if self._value(a) == 0.0:
+            return a
+        (c, a), (d, b) = self._factor(a), self._factor(b)
+        if a == b:
+            return self.number(c / d)
+        number = self._value(a)
+        if number is not None:
+            c, a = c * number, self.number(1.0)
+        return self.scaled(c / d, self._node('over', a, b))
+
+    def power(self, a: int, n: int) -> int:
+        """Return a to a whole power n >= 0."""
+        value = self._value(a)
+        if value is not None:
+            return self.raised(a, self.number(float(n)))
+        return (self.number(1.0), a)[n] if n < 2 else self._node('power', a, n)
+
+    def raised(self, a: int, b: int) -> int:
+        """Return a to the power b."""
+        base, exponent = self._value(a), self._value(b)
+        if exponent is None:
+            return self._node('raised', a, b)
+        if base is not None:
+            with np.errstate(all='ignore'):
+                return self.number(float(np.float_power(base, exponent)))
+        if exponent < 0.0:
+            return self.over(self.number(1.0), self.raised(a, self.number(-exponent)))
+        if exponent <= 64.0 and exponent == int(exponent):
+            return self.power(a, int(exponent))
+        if exponent in (0.5, 1.5, 2.5):
+            return self.product(self.power(a, int(exponent)), self.apply('sqrt', a))
+        return self._node('raised', a, b)
+
+    def apply(self, function: str, a: int) -> int:
+        """Return a function of a."""
+        value = self._value(a)
+        if value is not None:
+            with np.errstate(all='ignore'):
+                return self.number(float(_CALLS[function](value)))
+        return self._node(function, a)
+
+    def arguments(self, a: int) -> Sequence[int]:
+        """Return the nodes that a node is made of."""
+        kind, *rest = self.nodes[a]
+        if kind in ('number', 'name'):
+            return ()
+        return rest[1:] if kind == 'scaled' else rest[:1] if kind == 'power' else rest
+
+    def _slopes(self, a: int) -> list[tuple[int, int]]:
+        """Return each argument of a node, and the derivative of the node by it."""
+        kind, *rest = self.nodes[a]
+        one = self.number(1.0)
+        if kind == 'scaled':
+            return [(rest[1], self.number(rest[0]))]
+        if kind == 'sum':
+            return [(part, one) for part in rest]
+        if kind == 'product':
+            return [(rest[0], rest[1]), (rest[1], rest[0])]
+        if kind == 'over':
+            return [(rest[0], self.over(one, rest[1])),
+                    (rest[1], self.scaled(-1.0, self.over(a, rest[1])))]
+        if kind == 'power':
+            base, n = rest
+            return [(base, self.scaled(float(n), self.power(base, n - 1)))]
+        if kind == 'raised':
+            base, exponent = rest
+            less = self.plus(exponent, self.number(-1.0))
+            return [(base, self.product(exponent, self.raised(base, less))),
+                    (exponent, self.product(a, self.apply('log', base)))]
+        return [(rest[0], _SLOPES[kind](self, rest[0], a))]
+
+    def needed(self, roots: Iterable[int]) -> list[int]:
+        """Return all nodes that some are made of, arguments first."""
+        found, rest = set(), list(roots)
+        while rest:
+            if (a := rest.pop()) not in found:
+                found.add(a)
+                rest.extend(self.arguments(a))
+        return sorted(found)
+
+    def depending(self, roots: Iterable[int], names: Iterable[str]) -> set[int]:
+        """Return which of the nodes that some are made of depend on names."""
+        names = frozenset(names)
+        found: set[int] = set()
+        for a in self.needed(roots):
+            kind, *rest = self.nodes[a]
+            if (kind == 'name' and rest[0] in names) or found.intersection(self.arguments(a)):
+                found.add(a)
+        return found
+
+    def gradient(self, root: int, names: Sequence[str]) -> list[int]:
+        """Return the derivatives by names, by reverse accumulation."""
+        own = self.depending([root], names)
+        adjoints = {root: self.number(1.0)}
+        for a in sorted(own, reverse=True):
+            if a in adjoints and self.nodes[a][0] != 'name':
+                for part, slope in self._slopes(a):
+                    if part in own:
+                        more = self.product(adjoints[a], slope)
+                        adjoints[part] = self.plus(adjoints[part], more) \
+                            if part in adjoints else more
+        return [adjoints.get(self.name(name), self.number(0.0)) for name in names]
+
+    def tangents(self, roots: Sequence[int], changes: Mapping[str, str]) -> list[int]:
+        """Return how nodes change where names change by what has other names."""
+        found = {self.name(name): self.name(change) for name, change in changes.items()}
+        for a in self.needed(roots):
+            if a not in found and (parts := found.keys() & self.arguments(a)):
+                total = self.number(0.0)
+                for part, slope in self._slopes(a):
+                    if part in parts:
+                        total = self.plus(total, self.product(slope, found[part]))
+                found[a] = total
+        return [found.get(root, self.number(0.0)) for root in roots]
+
+    def values(self, roots: Sequence[int], known: Mapping[str, Any]) -> dict[int, Any]:
+        """Return the value of each node that some are made of, from those of names."""
+        found: dict[int, Any] = {}
+        with np.errstate(all='ignore'):
+            for a in self.needed(roots):
+                kind, *rest = self.nodes[a]
+                parts = [found[part] for part in self.arguments(a)]
+                if kind == 'number':
+                    found[a] = np.float64(rest[0])
+                elif kind == 'name':
+                    # A float of Python would raise where one of numpy becomes infinite.
+                    found[a] = np.asarray(known[rest[0]])[()]
+                elif kind == 'scaled':
+                    found[a] = rest[0] * parts[0]
+                elif kind == 'power':
+                    found[a] = parts[0] ** rest[1]
+                else:
+                    found[a] = {**_CALLS, **_OPERATIONS}[kind](*parts)
+        return found
+
+    def code(self, roots: Sequence[int], texts: Mapping[int, str]) -> tuple[list[str], list[str]]:
+        """
+        Return lines of Python that compute nodes, and an expression for each of them.
+
+        Parameters
+        ----------
+        roots : sequence of int
+            The nodes.
+        texts : mapping of int to str
+            Expressions for the nodes that are known.
+
+        """
+        # What is known is not computed: its arguments are not needed for its sake.
+        order: set[int] = set()
+        rest: list[Any] = list(roots)
+        uses: dict[int, int] = dict.fromkeys(roots, 1)
+        divisors: dict[int, int] = {}
+        while rest:
+            if (a := rest.pop()) not in order and a not in texts:
+                order.add(a)
+                for part in self.arguments(a):
+                    # A power names its base several times.
+                    uses[part] = uses.get(part, 0) + 1 + (self.nodes[a][0] == 'power')
+                    rest.append(part)
+                if self.nodes[a][0] == 'over':
+                    divisor = self.nodes[a][2]
+                    divisors[divisor] = divisors.get(divisor, 0) + 1
+        lines: list[str] = []
+        text = dict(texts)
+        inverses: dict[int, str] = {}
+        for a in sorted(order):
+            kind, *rest = self.nodes[a]
+            own = [text[part] for part in self.arguments(a)]
+            if kind == 'number':
+                text[a] = repr(rest[0]) if rest[0] >= 0.0 else f'({rest[0]!r})'
+                continue
+            if kind == 'over' and divisors[rest[1]] > 1:
+                # One division by what is divided by more than once: a product takes a tenth.
+                if rest[1] not in inverses:
+                    inverses[rest[1]] = f'i{rest[1]}'
+                    lines.append(f'i{rest[1]} = 1.0 / {own[1]}')
+                inverse = inverses[rest[1]]
+                made = inverse if self._value(rest[0]) == 1.0 else f'{own[0]} * {inverse}'
+            else:
+                made = self._text(kind, rest, own)
+            if uses[a] > 1 or len(made) > 200:
+                lines.append(f't{a} = {made}')
+                text[a] = f't{a}'
+            else:
+                text[a] = f'({made})'
+        return lines, [text[root] for root in roots]
+
+    def _text(self, kind: str, rest: Sequence[Any], own: Sequence[str]) -> str:
+        if kind == 'scaled':
+            return f'-{own[0]}' if rest[0] == -1.0 else f'{rest[0]!r} * {own[0]}'
+        if kind == 'power':
+            return ' * '.join(own * rest[1]) if rest[1] <= 4 else f'{own[0]} ** {rest[1]}'
+        if kind == 'raised':
+            return f'np.power({", ".join(own)})'
+        if kind in _SIGNS:
+            return f' {_SIGNS[kind]} '.join(own)
+        return f'np.{_CALLS[kind].__name__}({own[0]})'
+
+
+def _root_of_rest(graph: Graph, x: int) -> int:
+    """Return 1 / sqrt(1 - x^2)."""
+    rest = graph.plus(graph.number(1.0), graph.scaled(-1.0, graph.power(x, 2)))
+    return graph.over(graph.number(1.0), graph.apply('sqrt', rest))
+
+
+_SIGNS = {'sum': '+', 'product': '*', 'over': '/'}
+_OPERATIONS: dict[str, Callable[..., Any]] = {
+    'sum': np.add, 'product': np.multiply, 'over': np.divide, 'raised': np.float_power}
+_TOKEN = re.compile(r'\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)'
+                    r'|(?P<name>[^\W\d]\w*)|(?P<sign>\*\*|[-+*/^()]))')
+
+
+class Reader:
+    """
+    Read a formula into a graph.
+
+    Parameters
+    ----------
+    graph : Graph
+        Where it is put.
+    text : str
+        The formula.
+    start : int, optional
+        Column of its first character in what the user wrote.
+    called : mapping of str to str, optional
+        Other names for some of the names.
+
+    Attributes
+    ----------
+    root : int
+        The formula.
+    names : dict of str to int
+        The names in it, and the column in which each stands first.
+    parts : dict of int to (int, int)
+        Where the text of nodes begins and ends.
+
+    Raises
+    ------
+    ValueError
+        It cannot be read; names the column, and what is expected.
+
+    """
+
+    def __init__(self, graph: Graph, text: str, start: int = 1,
+                 called: Mapping[str, str] = MappingProxyType({})):
+        self._graph, self._text, self._start, self._called = graph, text, start, called
+        if len(text) > LONGEST:
+            raise ValueError(f'{len(text)} characters, of which at most {LONGEST} are read')
+        self.names: dict[str, int] = {}
+        self.parts: dict[int, tuple[int, int]] = {}
+        self._depth = self._end = self._at = 0
+        self._kind, self._token = '', ''
+        self._next()
+        self.root = self._sum()
+        if self._kind:
+            raise self._wrong('an operator')
+
+    def column(self, place: int) -> int:
+        """Return the column of a place in the text."""
+        return self._start + place
+
+    def _next(self) -> None:
+        """Go to the next token."""
+        self._end = self._at + len(self._token)
+        match = _TOKEN.match(self._text, self._end)
+        if match is None:
+            self._at = len(self._text) - len(self._text[self._end:].lstrip())
+            self._kind, self._token = '', ''
+            if self._at < len(self._text):
+                self._token = self._text[self._at]
+                raise self._wrong('')
+            return
+        self._kind = match.lastgroup or ''
+        self._token, self._at = match[self._kind], match.start(self._kind)
+
+    def _wrong(self, expected: str) -> ValueError:
+        where = f'column {self.column(self._at)}'
+        found = f'found {self._token!r}' if self._token else 'the formula ends'
+        hint = f', expected {expected}' if expected else ''
+        return ValueError(f'{where}: {found}{hint}; a formula has {GRAMMAR}')
+
+    def _takes(self, *signs: str) -> str:
+        """Go on after one of these signs, and return it; else return ''."""
+        if self._kind != 'sign' or self._token not in signs:
+            return ''
+        sign = self._token
+        self._next()
+        return sign
+
+    def _made(self, begin: int, make: Callable[..., int], *parts: Any) -> int:
+        """Return the node of what begins at a place, or say there what is wrong with it."""
+        try:
+            node = make(*parts)
+        except ValueError as problem:
+            raise ValueError(f'column {self.column(begin)}: '
+                             f'{self._text[begin:self._end]!r:.60}: {problem}') from problem
+        self.parts.setdefault(node, (begin, self._end))
+        return node
+
+    def _deeper(self, read: Callable[[], int]) -> int:
+        self._depth += 1
+        if self._depth > DEEPEST:
+            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, signs '
+                             'or powers inside each other; a formula has at most these')
+        node = read()
+        self._depth -= 1
+        return node
+
+    def _sum(self) -> int:
+        begin, graph = self._at, self._graph
+        node = self._product()
+        while sign := self._takes('+', '-'):
+            other = self._product()
+            node = self._made(begin, graph.plus, node,
+                              other if sign == '+' else graph.scaled(-1.0, other))
+        return node
+
+    def _product(self) -> int:
+        begin, graph = self._at, self._graph
+        node = self._signed()
+        while sign := self._takes('*', '/'):
+            make = graph.product if sign == '*' else graph.over
+            node = self._made(begin, make, node, self._signed())
+        return node
+
+    def _signed(self) -> int:
+        begin = self._at
+        if sign := self._takes('+', '-'):
+            node = self._deeper(self._signed)
+            return self._made(begin, self._graph.scaled, -1.0, node) if sign == '-' else node
+        return self._power()
+
+    def _power(self) -> int:
+        begin = self._at
+        base = self._atom()
+        if not self._takes('^', '**'):
+            return base
+        # To the right first, as in mathematics: 2^3^2 is 2^9.
+        return self._made(begin, self._graph.raised, base, self._deeper(self._signed))
+
+    def _atom(self) -> int:
+        begin, kind, token = self._at, self._kind, self._token
+        if self._takes('('):
+            return self._closed(begin)
+        if kind == 'number':
+            self._next()
+            return self._made(begin, self._graph.number, float(token))
+        if kind != 'name':
+            raise self._wrong('a number, a name or a bracket')
+        self._next()
+        if self._takes('('):
+            if token not in FUNCTIONS:
+                raise ValueError(f'column {self.column(begin)}: no function {token!r}; a formula '
+                                 f'has {GRAMMAR}')
+            return self._made(begin, self._graph.apply, token, self._closed(begin))
+        if token == 'pi':
+            return self._graph.number(math.pi)
+        self.names.setdefault(token, self.column(begin))
+        return self._graph.name(self._called.get(token, token))
+
+    def _closed(self, begin: int) -> int:
+        """Return what stands up to the bracket that closes."""
+        node = self._deeper(self._sum)
+        if not self._takes(')'):
+            raise self._wrong(f'an operator, or a bracket that closes that in column '
+                              f'{self.column(begin)}')
+        return node
+
+
+class Symbol:
+    """A node that computes like a number: functions of such numbers build formulas."""
+
+    def __init__(self, graph: Graph, node: int):
+        self._graph, self.node = graph, node
+
+    def _made(self, make: Callable[[int, int], int], other: Any) -> 'Symbol':
+        node = other.node if isinstance(other, Symbol) else self._graph.number(other)
+        return Symbol(self._graph, make(self.node, node))
+
+    def __add__(self, other: Any) -> 'Symbol':
+        """Return the sum."""
+        return self._made(self._graph.plus, other)
+
+    def __mul__(self, other: Any) -> 'Symbol':
+        """Return the product."""
+        return self._made(self._graph.product, other)
+
+    def __truediv__(self, other: Any) -> 'Symbol':
+        """Return the quotient."""
+        return self._made(self._graph.over, other)
+
+    def __neg__(self) -> 'Symbol':
+        """Return the negative."""
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> 'Symbol':
+        """Return the difference."""
+        return self + -other
+
+    def __rsub__(self, other: Any) -> 'Symbol':
+        """Return the difference."""
+        return -self + other
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def cos(self) -> 'Symbol':
+        """Return the cosine, as numpy asks for it."""
+        return Symbol(self._graph, self._graph.apply('cos', self.node))
+
+    def sin(self) -> 'Symbol':
+        """Return the sine, as numpy asks for it."""
+        return Symbol(self._graph, self._graph.apply('sin', self.node))

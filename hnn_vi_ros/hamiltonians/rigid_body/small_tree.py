@@ -1,0 +1,108 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+H of a tree of few bodies as a formula, which becomes code without loops.
+
+The composite bodies of ``sweeps`` are taken here in the frame of each body: so a joint turns only
+what is behind it, and M depends on no more angles than it must. What is zero or one by the
+robot's shape, such as most entries of rotations between its axes, leaves no operation behind. With
+M = L D L^T and y = L^-1 p,
+
+    H = sum of y_i^2 / (2 D_i) + V(q).
+"""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
+from hnn_vi_ros.hamiltonians.formula import graph_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
+from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+from hnn_vi_ros.kernels.kernel import Kernel
+import numpy as np
+
+# Joints up to which straight code takes a fourth of the time of sweeps or less; it grows with the
+# cube of their number, and so does the time to compile it.
+MOST_STRAIGHT = 3
+# Entries of rotations closer to -1, 0 and 1 than this are these numbers.
+_ROUNDING = 1e-15
+
+
+def small_tree_kernel(bodies: Bodies) -> Kernel:
+    """Return the functions of H of some bodies as straight code; see sweeps."""
+    graph, d = Graph(), bodies.parent.size - 1
+    names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
+    q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
+    values: dict[str, float] = {}
+
+    def symbols(array: np.ndarray) -> np.ndarray:
+        made = np.zeros(array.shape, dtype=object)
+        for place in zip(*np.nonzero(array), strict=True):
+            name = f'constant {len(values)}'
+            values[name] = float(array[place])
+            made[place] = Symbol(graph, graph.name(name))
+        return made
+
+    turns = bodies.placement[:, :9]
+    whole = np.abs(turns - np.round(turns)) < _ROUNDING
+    turns = np.where(whole, np.round(turns), symbols(np.where(whole, 0.0, turns)))
+    placement = np.hstack([turns, symbols(bodies.placement[:, 9:])])
+    mass, first = _composed(bodies._replace(
+        placement=placement, inertia=symbols(bodies.inertia),
+        armature=symbols(bodies.armature)), [q[at] for at in bodies.coordinate[1:]])
+    energy = symbols(bodies.load[1:]) @ [q[at] for at in bodies.coordinate[1:]] \
+        - first @ symbols(bodies.gravity)
+    y = [p[at] for at in bodies.coordinate[1:]]
+    for j in range(d):
+        inverse = Symbol(graph, graph.number(1.0)) / mass[j, j]
+        for i in range(j + 1, d):
+            factor = mass[i, j] * inverse
+            y[i] = y[i] - factor * y[j]
+            for k in range(j + 1, i + 1):
+                mass[i, k] = mass[i, k] - factor * mass[k, j]
+        energy = energy + 0.5 * y[j] * y[j] * inverse
+    return graph_kernel(graph, energy.node, names, momenta, values)
+
+
+def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:
+    """Return M, its lower triangle, and the first moment of all; of the values of the joints."""
+    n = bodies.parent.size
+    axis, force = (np.zeros((n, 6), dtype=object) for _ in range(2))
+    mass, inertia = np.zeros((n - 1, n - 1), dtype=object), bodies.inertia.copy()
+    turns, offset = bodies.placement[:, :9].reshape(n, 3, 3), bodies.placement[:, 9:].copy()
+    slides = bodies.prismatic == 1
+    for i in range(1, n):
+        axis[i, 5 if slides[i] else 2] = 1.0
+        if slides[i]:
+            offset[i] = offset[i] + turns[i, :, 2] * values[i - 1]
+    inertia[0] = 0.0
+    for i in range(n - 1, 0, -1):
+        momentum(inertia, axis, i, force)
+        mass[i - 1, i - 1] = power(axis, force, i) + bodies.armature[i]
+        at, parent = i, bodies.parent[i]
+        while parent > 0:
+            for half in (slice(0, 3), slice(3, 6)):
+                force[at, half] = turns[at] @ _turned(force[at, half], slides[at], values[at - 1])
+            force[parent] = 0.0
+            hand_down(offset, parent, at, force)
+            mass[i - 1, parent - 1] = power(axis, force, parent)
+            at, parent = parent, bodies.parent[parent]
+        inertia[i, 1:4] = turns[i] @ _turned(inertia[i, 1:4], slides[i], values[i - 1])
+        if bodies.parent[i] > 0:
+            xx, xy, yy, xz, yz, zz = inertia[i, 4:]
+            if not slides[i]:
+                c, s = np.cos(values[i - 1]), np.sin(values[i - 1])
+                change = s * (xx - yy) + 2.0 * (c * xy)
+                xx, yy, xy = xx - s * change, yy + s * change, c * change - xy
+                xz, yz = c * xz - s * yz, s * xz + c * yz
+            moments = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=object)
+            inertia[i, 4:] = (turns[i] @ moments @ turns[i].T)[np.tril_indices(3)]
+        join(offset, bodies.parent[i], i, inertia)
+    return mass, inertia[0, 1:4]
+
+
+def _turned(vector: np.ndarray, slides: bool, angle: Symbol) -> np.ndarray:
+    """Return a vector of a body in the axes that it has where its joint is at zero."""
+    if slides:
+        return vector
+    (x, y, z), c, s = vector, np.cos(angle), np.sin(angle)
+    return np.array([c * x - s * y, s * x + c * y, z], dtype=object)
