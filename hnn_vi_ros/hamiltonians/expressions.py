@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 # Characters of a formula, brackets inside each other, and nodes of a graph with all derivatives.
-LONGEST, DEEPEST, MOST_NODES = 4000, 60, 20_000
+LONGEST, DEEPEST, MOST_NODES = 4000, 60, 10_000
 # How a formula may be written, for errors.
 GRAMMAR = ('numbers, names, + - * / ^ or **, brackets, pi, and the functions abs, acos, asin, '
            'atan, cos, cosh, exp, log, sin, sinh, sqrt, tan and tanh')
@@ -445,8 +445,8 @@ class Reader:
     def _deeper(self, read: Callable[[], int]) -> int:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, signs '
-                             'or powers inside each other; a formula has at most these')
+            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, '
+                             'signs or powers inside each other; a formula has at most these')
         node = read()
         self._depth -= 1
         return node

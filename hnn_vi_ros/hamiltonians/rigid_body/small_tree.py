@@ -14,9 +14,9 @@ M = L D L^T and y = L^-1 p,
 from collections.abc import Sequence
 
 from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
-from hnn_vi_ros.hamiltonians.formula import graph_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+from hnn_vi_ros.hamiltonians.straight_code import graph_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
