@@ -549,9 +549,9 @@ class Symbol:
     __radd__, __rmul__ = __add__, __mul__
 
     def cos(self) -> 'Symbol':
-        """Return the cosine, as numpy asks for it."""
+        """Return the cosine."""
         return Symbol(self._graph, self._graph.apply('cos', self.node))
 
     def sin(self) -> 'Symbol':
-        """Return the sine, as numpy asks for it."""
+        """Return the sine."""
         return Symbol(self._graph, self._graph.apply('sin', self.node))
