@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of the site that are written from the code: parameters, scenes, errors, commands."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 import json
 from pathlib import Path
@@ -60,8 +60,19 @@ def parameter_page() -> str:
         changes = ' can be set |' if node == 'simulator' else ''
         text += [f'## {node}', '', f'| parameter | default | unit |{changes} meaning |',
                  '|---|---|---|---|' + '---|' * bool(changes),
-                 parameters.markdown_table(table), '']
+                 markdown_table(table), '']
     return '\n'.join(text)
+
+
+def markdown_table(table: Sequence[parameters.Specification]) -> str:
+    """Return parameters as rows of a table, with when they change if that differs."""
+    rows, differs = [], len({item.changes for item in table}) > 1
+    for item in table:
+        choices = f' ({", ".join(item.choices)})' if item.choices else ''
+        changes = f'{item.changes} | ' if differs else ''
+        rows.append(f'| `{item.name}` | {parameters.shown(item.default)} | {item.unit} | {changes}'
+                    f'{item.description}{choices} |')
+    return '\n'.join(rows)
 
 
 def command_page() -> str:

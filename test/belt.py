@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 # has the norm that the network gives it.
 MASS, WEIGHTS, RUB = np.array([[1.5, 0.4], [0.4, 0.8]]), np.array([5.0, 3.0]), 0.3
 MAP = np.array([[0.8], [-0.6]])
-FAMILY = {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 0},
+FAMILY = {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', 'friction': {'coulomb': 0},
           'input_map': 'learned'}
 BELT = {'coordinates': [{'name': 'a', 'q_unit': 'rad'}, {'name': 'b', 'q_unit': 'rad'}],
         'data': {'kind': 'arrays'}, 'hidden': [8], 'family': FAMILY}

@@ -123,7 +123,7 @@ def test_parameters_of_all_nodes_are_listed(generate):
     page = generate.parameter_page()
     for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS,
                   parameters.BRIDGE_PARAMETERS):
-        assert parameters.markdown_table(table) in page
+        assert generate.markdown_table(table) in page
 
 
 def test_every_command_is_listed(generate):

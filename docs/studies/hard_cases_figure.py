@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.commands.cost import FAINT, INK, STYLES
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, STYLES
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure

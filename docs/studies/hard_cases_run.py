@@ -5,9 +5,7 @@
 from collections.abc import Iterator
 import math
 
-from hnn_vi_ros.accuracy.diagnostics import (
-    block_maxima, energy_band, reversal_defect, rounding_scale, rounding_walk, secular_change,
-    stationary_energy, symplectic_defect)
+from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk, secular_change
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
@@ -18,10 +16,11 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job
+from studies.structure import (
+    block_maxima, BLOCKS, reversal_defect, rounding_scale, stationary_energy, symplectic_defect)
 
 # Steps at the start that are taken, and looked at, one by one.
 FIRST = 1000
-BLOCKS = 100
 # States of a run that are recorded at most, and states of a block that the guards see.
 _STATES, _WATCHED = 1_000_000, 50
 # States at which single steps are judged; each costs a hundred uncompiled steps.

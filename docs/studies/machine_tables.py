@@ -302,10 +302,8 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
                              config.hidden, scales_of(motions.train), seed)
         MachineProblem(plain, config, motions.train).fit()
         return case.measure(predicted_by(plain), motions.test, data)
-    if rigid:
-        family = config.family.model_copy(update={
-            'prior': case.prior, 'residual': model == WITH_PRIOR})
-        config = config.model_copy(update={'family': family})
+    config = config.model_copy(update={'family': config.family.model_copy(update={
+        'prior': case.prior if rigid else None, 'residual': model != RIGID_BODY})})
     network, losses = learn(config, motions.train)
     if not any(motion.tau.any() for motion in motions.train):
         fix_scale(network, motions.train)

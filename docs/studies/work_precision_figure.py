@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.commands.cost import FAINT, INK, Label, place_labels, STYLES
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, Label, place_labels, STYLES
 from hnn_vi_ros.models.energy_error import EnergyError
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -7,12 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.commands.cost import INK
+from hnn_vi_ros.commands.cost_figure import INK
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.viewer.rerun_diagram import Curve, Diagram, record_diagrams
 from studies.measuring import StudyRow
 from studies.pages import render
 from studies.results import CSV, Results, ResultsFolder
+from studies.work_precision_diagram import Curve, Diagram, record_diagrams
 from studies.work_precision_figure import color_of, draw, PANELS, series_of
 
 MARKDOWN, RECORDING = 'work_precision.md', 'work_precision.rrd'

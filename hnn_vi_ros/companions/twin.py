@@ -10,6 +10,7 @@ from hnn_vi_ros.effects.commands import Command, Observation, select
 from hnn_vi_ros.effects.splitting import largest_gain
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
@@ -85,6 +86,10 @@ class Twin:
         Of the last observation.
     failed : int
         Predictions that could not begin or go on.
+    outside : float
+        Share of the observations outside of what the model has seen; NaN where that is not known.
+    beyond : str
+        What went furthest beyond.
 
     Raises
     ------
@@ -115,7 +120,7 @@ class Twin:
         self._every = _LONGEST / observer.predictions
         self.newest: Report | None = None
         self.failed = 0
-        self._simulation = simulation
+        self._simulation, self._domain = simulation, domain_of(simulation.hamiltonian)
         with scene.placed('effects', place):
             if problem := self.unstable:
                 raise ValueError(f'{problem}; lower it, or step_size')
@@ -127,6 +132,9 @@ class Twin:
         self._before: tuple[float, np.ndarray] | None = None
         self._ended: deque[float] = deque(maxlen=_KEPT)
         self._due = -np.inf
+        self._outside, self._last_outside, self._furthest, self.beyond = 0, -np.inf, 0.0, ''
+        self._times: dict[bool, deque[float]] = {
+            out: deque(maxlen=_KEPT) for out in (False, True)}
         self._count, self._mean, self._square = 0, np.zeros(len(self.names)), np.zeros(
             len(self.names))
         for prediction in self._predictions:
@@ -190,6 +198,28 @@ class Twin:
         return float(np.median(self._ended)) if self._ended else np.nan
 
     @property
+    def outside(self) -> float:
+        """Return the share of the observations outside of what the model has seen."""
+        return self._outside / self._count if self._domain is not None and self._count else np.nan
+
+    def valid_time(self, outside: bool) -> float:
+        """Return the median of predictions along which the machine stayed inside, or not [s]."""
+        return float(np.median(self._times[outside])) if self._times[outside] else np.nan
+
+    def _look(self, position: np.ndarray, velocity: np.ndarray, now: float) -> None:
+        """Compare an observation with what the model has seen."""
+        if self._domain is None:
+            return
+        q, v = self._simulation.q.copy(), self._simulation.dH_dp.copy()
+        q[self._places] = position
+        v[self._places] = np.where(np.isfinite(velocity), velocity, v[self._places])
+        excess = float(self._domain.excess(q[None], v[None]).max())
+        if excess > 0.0:
+            self._outside, self._last_outside = self._outside + 1, now
+        if excess > self._furthest:
+            self._furthest, self.beyond = excess, self._domain.beyond(q[None], v[None])[0]
+
+    @property
     def _now(self) -> float:
         return float(self._simulation.steps * self._simulation.step_size)
 
@@ -206,6 +236,7 @@ class Twin:
         change = position - self._mean
         self._mean = self._mean + change / self._count
         self._square = self._square + change * (position - self._mean)
+        self._look(position, velocity, self._now + seen.delay)
         found = [(error, *self._judge(one, error, seen.delay)) for one in self._active()
                  for error in (position - self._at(one.simulation, seen.delay),)]
         error, normalised, age = found[0] if found else (
@@ -229,6 +260,7 @@ class Twin:
             normalised = float(np.where(error == 0.0, 0.0, error**2 / self._variance).sum())
         if not normalised < VALID or age >= _LONGEST - _SAME:
             self._ended.append(min(age, _LONGEST))
+            self._times[self._last_outside >= prediction.began].append(min(age, _LONGEST))
             prediction.began = None
         return normalised, age
 

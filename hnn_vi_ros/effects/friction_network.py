@@ -30,10 +30,12 @@ class LearnedFrictionParameters(NamedTuple):
 
     Parameters
     ----------
-    viscous : np.ndarray, shape (d,)
-        b.
-    coulomb : np.ndarray, shape (k, 2, d)
-        c and 1/w of each term.
+    switch, offset : np.ndarray, shape (d,)
+        1 over the speed of the switch from v < 0 to v > 0, and a constant force.
+    viscous : np.ndarray, shape (2, d)
+        b where v > 0 and where v < 0.
+    coulomb : np.ndarray, shape (k, 3, d)
+        c where v > 0, where v < 0, and 1/w of each term.
     stribeck : np.ndarray, shape (l, 3, d)
         c, 1/w and 1/s of each term.
     add : callable
@@ -43,6 +45,8 @@ class LearnedFrictionParameters(NamedTuple):
 
     """
 
+    switch: np.ndarray
+    offset: np.ndarray
     viscous: np.ndarray
     coulomb: np.ndarray
     stribeck: np.ndarray
@@ -54,22 +58,25 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
     """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
     d, card = len(columns(coordinates)[0]), model.card
     if card.mechanical is None:
-        nothing = np.zeros(d), np.zeros((0, 2, d)), np.zeros((0, 3, d))
+        nothing = [np.zeros(shape) for shape in (d, d, (2, d), (0, 3, d), (0, 3, d))]
         return LearnedFrictionParameters(
             *nothing, add_body_drag, body_network(model, 'dissipation', coordinates))
     friction = card.mechanical.friction
-    viscous = np.array(friction.viscous)
-    if viscous.size != d or rotations(coordinates):
+    if len(friction.viscous) != d or rotations(coordinates):
         kinds = ' and '.join(sorted({coordinate.kind for coordinate in coordinates}))
-        raise ValueError(f'the model has {viscous.size} scalar coordinates, H has '
+        raise ValueError(f'the model has {len(friction.viscous)} scalar coordinates, H has '
                          f'{len(coordinates)} ({kinds})')
-    coulomb: list[Any] = [(term.force, np.reciprocal(term.width)) for term in friction.coulomb]
+    coulomb: list[Any] = [
+        (term.force, term.back or term.force, np.reciprocal(term.width))
+        for term in friction.coulomb]
     stribeck: list[Any] = [
         (term.force, np.reciprocal(term.width), np.reciprocal(term.speed))
         for term in friction.stribeck]
     return LearnedFrictionParameters(
-        viscous, np.reshape(coulomb, (-1, 2, d)), np.reshape(stribeck, (-1, 3, d)),
-        *network_of(model))
+        np.zeros(d) if friction.switch is None else np.reciprocal(friction.switch),
+        np.array(friction.offset or np.zeros(d)),
+        np.array([friction.viscous, friction.viscous_back or friction.viscous]),
+        np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 3, d)), *network_of(model))
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:

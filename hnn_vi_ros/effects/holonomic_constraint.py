@@ -6,183 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.effects.base import Constraint, ConstraintSet, EffectError, EffectState
+from hnn_vi_ros.effects.base import Constraint, ConstraintSet, EffectState
 from hnn_vi_ros.effects.points import resolve_pair
-from hnn_vi_ros.effects.rattle import ConstraintEquation, Constraints, evaluator, rattle_kind
+from hnn_vi_ros.effects.rattle import ConstraintEquation
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
 from hnn_vi_ros.phase_space import Coordinate
-import numba
 import numpy as np
-
-# Relative error that an initial state may have. The first step removes it; a larger one is taken
-# for a mistake instead of being projected silently.
-_TOLERANCE = 1e-9
-# Spacing of a central difference, and the relative error that is accepted of it, 1000 times its
-# rounding. Constraints with a larger share than _SHARE are named where another depends on them.
-_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
-_SLOPE, _SHARE = 1e-6, 1e-6
-
-
-class Manifold:
-    """
-    The holonomic constraints that a scene lists, solved together.
-
-    Parameters
-    ----------
-    listed : sequence of (int, str, tuple of ConstraintEquation)
-        For each constraint its index in the scene, its name and its equations.
-    kernel : Kernel
-        H with the forces, for d coordinates and their channels.
-    effects : int
-        Number of effects in the scene.
-
-    Attributes
-    ----------
-    constraints : Constraints
-        The parameters and the space of steps.
-    kind : type
-        The layer that Wrapped puts around a step.
-
-    Raises
-    ------
-    EffectError
-        There are more equations than coordinates, or a function cannot be compiled.
-
-    """
-
-    def __init__(self, listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]],
-                 kernel: Kernel, effects: int):
-        ordered = [(part, index, name) for index, name, parts in listed for part in parts]
-        ordered.sort(key=lambda entry: entry[0].function is not None)
-        self._listed = [part for part, _, _ in ordered]
-        self._indices = [index for _, index, _ in ordered]
-        self._names = [name for _, _, name in ordered]
-        self._kernel, self._d = kernel, kernel.dimension - kernel.channels
-        if len(self._listed) > self._d:
-            raise EffectError(
-                self._indices[-1], f'{len(self._listed)} constraints leave {self._d} coordinates '
-                                   'no freedom; leave some out')
-        functions = tuple(part.function for part in self._listed if part.function is not None)
-        for function, index in zip(functions, self._indices[-len(functions):], strict=False):
-            if kernel.compiled:
-                _check_compiles(function, index)
-        self.constraints = Constraints.of(self._listed, kernel.dimension, effects)
-        self.kind, self._evaluate = rattle_kind(functions), evaluator(functions)
-
-    @property
-    def settings(self) -> Constraints:
-        """Return the options of the steps; see ConstraintSet."""
-        return self.constraints
-
-    @property
-    def dependent(self) -> str:
-        """Return the name of the constraint that made a step fail as REDUNDANT."""
-        return self._names[self.constraints.dependent[0]]
-
-    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
-        """
-        Raise ValueError if a state, of shape (d,), does not move on the manifold.
-
-        Raises
-        ------
-        EffectError
-            A constraint depends on others there, or its gradient is wrong.
-        ValueError
-            q violates a constraint, or the velocity leads off it.
-
-        """
-        state, (velocity, force) = np.zeros((2, 2, self._kernel.dimension))
-        state[0, :self._d], state[1, :self._d] = q, p
-        gradient = np.zeros((len(self._listed), self._kernel.dimension))
-        self._evaluate(self.constraints, state[0], gradient)
-        defect = self.constraints.defect.copy()
-        for k, part in enumerate(self._listed):
-            if part.function is not None:
-                self._check_gradient(k, part.function, q, gradient[k])
-            self._check_position(k, q, float(defect[k]), float(np.abs(gradient[k]).max()))
-        self._kernel.gradient(self._kernel.parameters, state[0], state[1], force, velocity)
-        for k, slope in enumerate(gradient):
-            self._check_velocity(k, float(slope @ velocity), np.abs(slope).max() *
-                                 np.abs(velocity[:self._d]).max())
-        self._check_independence(state, gradient)
-
-    def _check_gradient(self, k: int, function: Callable[[np.ndarray, np.ndarray], float],
-                        q: np.ndarray, gradient: np.ndarray) -> None:
-        scale = float(np.abs(gradient).max())
-        for i in range(self._d):
-            sides, spacing = [], _SPACING * (1.0 + abs(q[i]))
-            for sign in (1.0, -1.0):
-                beside = q.copy()
-                beside[i] += sign * spacing
-                sides.append(function(beside, np.zeros(self._d)))
-            slope = (sides[0] - sides[1]) / (2.0 * spacing)
-            if not abs(slope - gradient[i]) <= _SLOPE * max(scale, abs(slope)) or scale == 0.0:
-                raise EffectError(self._indices[k], (
-                    f'factory: the gradient is not that of g: at the initial q its component {i} '
-                    f'is {gradient[i]:.9g}, but differences of g give {slope:.9g}'))
-
-    def _check_position(self, k: int, q: np.ndarray, g: float, slope: float) -> None:
-        part = self._listed[k]
-        if part.length > 0.0:
-            if not abs(g) <= _TOLERANCE * part.length:
-                raise ValueError(
-                    f'{self._names[k]} asks for a distance of {part.length!r} m, but the initial '
-                    f'q has {part.length + g!r} m, {abs(g):.3g} m off')
-        elif not abs(g) <= _TOLERANCE * slope * (1.0 + np.abs(q).max()):
-            raise ValueError(f'{self._names[k]} asks for g(q) = 0, but the initial q has '
-                             f'g = {g:.9g}')
-
-    def _check_velocity(self, k: int, rate: float, scale: float) -> None:
-        if not abs(rate) <= _TOLERANCE * scale:
-            distance = self._listed[k].length > 0.0
-            what, unit = ('a distance', 'm/s') if distance else ('g(q) = 0', '1/s')
-            raise ValueError(f'{self._names[k]} keeps {what}, but the initial p changes it by '
-                             f'{rate:.3g} {unit}; choose p whose velocity is along the constraint')
-
-    def _check_independence(self, state: np.ndarray, gradient: np.ndarray) -> None:
-        """Find the first constraint whose gradient, measured by H_pp, depends on earlier ones."""
-        response = np.zeros_like(gradient)
-        zero, rest = np.zeros((2, gradient.shape[1]))
-        for along, answer in zip(gradient, response, strict=True):
-            self._kernel.hessian_vector(
-                self._kernel.parameters, state[0], state[1], zero, along, rest, answer)
-        gram = gradient @ response.T
-        for k in range(len(gram)):
-            if not gram[k, k] > 0.0:
-                raise EffectError(self._indices[k], (
-                    'H_pp is not positive across the constraint, so that no impulse can keep it; '
-                    'leave it out, or start elsewhere'))
-            shares = np.linalg.solve(gram[:k, :k], gram[:k, k])
-            if gram[k, k] - shares @ gram[:k, k] <= DEPENDENT * gram[k, k]:
-                sizes = np.abs(shares) * np.sqrt(np.diag(gram)[:k])
-                others = dict.fromkeys(name for name, size in zip(self._names, sizes, strict=False)
-                                       if size > _SHARE * np.sqrt(gram[k, k]))
-                raise EffectError(self._indices[k], (
-                    f'{self._names[k]} is redundant at the initial q: what it keeps, '
-                    f'{", ".join(others)} {"keeps" if len(others) == 1 else "keep"} already; '
-                    'leave one of them out, or start elsewhere'))
-
-
-@cache
-def _compiles(function: object) -> str:
-    """Return the reason why numba cannot compile a user's function; empty if it can."""
-    try:
-        numba.njit(function).compile((numba.float64[::1], numba.float64[::1]))
-    except numba.core.errors.NumbaError as problem:
-        return ' '.join(str(problem).split())[:200]
-    return ''
-
-
-def _check_compiles(function: object, index: int) -> None:
-    problem = _compiles(function)
-    if problem:
-        raise EffectError(index, f'factory: numba cannot compile the function: {problem}; use '
-                                 'plain Python and numpy in it')
-
 
 # The options that each form requires, and those that it accepts as well.
 _OPTIONS = {
@@ -264,7 +96,7 @@ class HolonomicConstraint(Constraint):
                 effects: int) -> ConstraintSet:
         """Return the manifold on which all constraints hold."""
         # Imported here, since it loads the compiler, which reading a scene does not need.
-        from hnn_vi_ros.effects.holonomic_constraint import Manifold
+        from hnn_vi_ros.effects.manifold import Manifold
         return Manifold(listed, kernel, effects)
 
 

@@ -75,9 +75,10 @@ class InputMap(NamedTuple):
 
 
 class InputMatrix(NamedTuple):
-    """A constant input map, shape (d, m)."""
+    """A constant input map, shape (d, m), and by how much the gain of each motor falls, (m,)."""
 
     matrix: np.ndarray
+    fade: np.ndarray
 
 
 class InputParameters(NamedTuple):
@@ -163,7 +164,8 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
             raise ValueError(f'the model maps {matrix.shape[1]} numbers to {len(matrix)} '
                              f'coordinates; H has {d} coordinates')
         return InputParameters(state.command, state.clock, np.arange(matrix.shape[1]),
-                               add_by_matrix, InputMatrix(matrix))
+                               add_by_matrix, InputMatrix(
+                                   matrix, np.array(mechanical.fade or np.zeros(matrix.shape[1]))))
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
@@ -213,11 +215,11 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 @kept(error_model='numpy')
 def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                   f_p: np.ndarray) -> None:
-    """Add A u, where u is the beginning of the command."""
-    matrix = own.matrix
+    """Add A u / (1 + g abs(u)), where u is the beginning of the command."""
+    matrix, fade = own
     for i in range(f_p.size):
         for k in range(matrix.shape[1]):
-            f_p[i] += matrix[i, k] * command[k]
+            f_p[i] += matrix[i, k] * command[k] / (1.0 + fade[k] * abs(command[k]))
 
 
 for _function in (add_by_column, add_by_axis, add_by_map, add_by_matrix):

@@ -25,8 +25,9 @@ class LearnedFriction(Force):
 
     The terms are viscous, Coulomb (smoothed where v changes its sign), Stribeck, and a network
     B(q), if the model has it. All b, c >= 0 and w > 0, and D = B B^T, so that friction can only
-    dissipate. A body that rotates has D alone, in its own frame. Energy account: the power
-    f . H_p <= 0.
+    dissipate. Of a model with directed friction b and c are those of the sign of v, and go over
+    into each other by tanh; the constant offset of its motors is added. A body that rotates has D
+    alone, in its own frame. Energy account: the power f . H_p, of friction <= 0.
 
     Parameters
     ----------
@@ -73,15 +74,18 @@ class LearnedFriction(Force):
     def add_force(parameters: 'LearnedFrictionParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the friction at each coordinate, and that of the network."""
-        viscous, coulomb, stribeck, add, own = parameters
+        switch, offset, viscous, coulomb, stribeck, add, own = parameters
         for i in range(q.size):
             v = velocity[i]
-            friction = viscous[i] * v
+            # Of friction that is the same in both directions the differences are exactly zero.
+            ahead = 0.5 + 0.5 * math.tanh(v * switch[i])
+            friction = (viscous[1, i] + ahead * (viscous[0, i] - viscous[1, i])) * v
             for k in range(coulomb.shape[0]):
-                friction += coulomb[k, 0, i] * math.tanh(v * coulomb[k, 1, i])
+                force = coulomb[k, 1, i] + ahead * (coulomb[k, 0, i] - coulomb[k, 1, i])
+                friction += force * math.tanh(v * coulomb[k, 2, i])
             for k in range(stribeck.shape[0]):
                 ratio = v * stribeck[k, 2, i]
                 friction += (stribeck[k, 0, i] * math.tanh(v * stribeck[k, 1, i])
                              * math.exp(-ratio * ratio))
-            f_p[i] -= friction
+            f_p[i] += offset[i] - friction
         add(own, q, velocity, f_p)

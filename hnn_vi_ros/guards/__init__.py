@@ -9,6 +9,7 @@ from hnn_vi_ros.guards.base import Guard, Observed
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
 
 # Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
@@ -34,7 +35,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     """
     hamiltonian, method = simulation.hamiltonian, simulation.integrator
     if hamiltonian.box is not None:
-        yield BoxGuard(hamiltonian.box, hamiltonian.gauge)
+        yield BoxGuard(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
     if simulation.conservative:
         yield ResolutionGuard(band_limit, scale, simulation.modification is not None)
     yield EnergyGuard(change_limit, scale)

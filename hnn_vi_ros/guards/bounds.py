@@ -5,6 +5,7 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.models.seen import Domain
 import numpy as np
 
 
@@ -18,6 +19,8 @@ class BoxGuard(Guard):
         Bounds of q and of p, each (d, 2), as ``Hamiltonian.box``.
     gauge : np.ndarray, shape (d, d), optional
         Of magnetic fields, c A(q) = gauge q: the model was trained in P = p - c A(q).
+    domain : Domain, optional
+        Of a machine, in place of the box: what was seen of q and v.
 
     Attributes
     ----------
@@ -25,6 +28,8 @@ class BoxGuard(Guard):
         How far the last sample is outside, in half-widths of the box; 0 inside.
     largest : float
         The largest of these so far.
+    share : float
+        Of the samples so far that are outside.
 
     """
 
@@ -32,33 +37,54 @@ class BoxGuard(Guard):
     remedy = ('start inside of the training domain, or train on a larger box; `confine: '
               'true` closes it with walls, and `stop_outside_box` ends such a run')
 
-    def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None):
-        self._gauge = gauge
+    def __init__(self, box: tuple[np.ndarray, np.ndarray], gauge: np.ndarray | None = None,
+                 domain: Domain | None = None):
+        self._gauge, self._domain = gauge, domain
         self.excess = self.largest = 0.0
+        self._samples = self._outside = 0
+        self._what = ''
         bounds = np.concatenate(box)
         # Plain floats: for the few coordinates of a model they are faster than arrays.
         self._low, self._high = bounds.T.tolist()
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""
+        self._samples += 1
+        if self._domain is not None:
+            return self._update_of_machine(sample, self._domain)
         p = sample.p if self._gauge is None else sample.p - self._gauge @ sample.q
         values, low, high = sample.q.tolist() + p.tolist(), self._low, self._high
         for i, x in enumerate(values):
             if not low[i] <= x <= high[i]:
                 before, self.excess = self.excess, self._excess(values)
                 self.largest = max(self.largest, self.excess)
+                self._outside += 1
                 return None if before > 0.0 else self.renew(sample)
         self.excess = 0.0
         return None
 
+    def _update_of_machine(self, sample: Observed, domain: Domain) -> Alarm | None:
+        q, v = sample.q[None], sample.dH_dp[None]
+        before, self.excess = self.excess, float(domain.excess(q, v).max())
+        if self.excess > self.largest:
+            self.largest, self._what = self.excess, f' ({domain.beyond(q, v)[0]} at most)'
+        self._outside += self.excess > 0.0
+        return self.renew(sample) if self.excess > 0.0 >= before else None
+
+    @property
+    def share(self) -> float:
+        """Return the share of the samples so far that are outside."""
+        return self._outside / max(1, self._samples)
+
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
+        after = (f'{self._what}, {100.0 * self.share:.3g} % of the samples so far: H is a guess '
+                 'there; train a model on a larger box')
         what = (f'outside of the box that the model was trained in, by {self.excess:.2g} of its '
-                'half-width: H is a guess there; train a model on a larger box')
+                f'half-width{after}')
         if self.excess == 0.0:
             what = (f'inside again, but was up to {self.largest:.2g} of its half-width outside of '
-                    'the box that the model was trained in: H is a guess there; train a model on '
-                    'a larger box')
+                    f'the box that the model was trained in{after}')
         return Alarm(self.kind, sample.step, self.excess, 0.0, what, 'half-widths')
 
     def _excess(self, values: list[float]) -> float:

@@ -14,6 +14,7 @@ from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
@@ -94,7 +95,12 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     if not hamiltonian.canonical or hamiltonian.invariants or len(steps) < 2:
         return np.ones(m, bool)
     found = np.zeros(m, bool)
-    if hamiltonian.box is not None:
+    domain = domain_of(hamiltonian)
+    if domain is not None:
+        velocities = hamiltonian.gradient(q, p)[1]
+        for k in range(m):
+            found[k] = domain.excess(q[:, k], velocities[:, k]).any()
+    elif hamiltonian.box is not None:
         low, high = np.concatenate(hamiltonian.box).T
         x = p if hamiltonian.gauge is None else p - q @ hamiltonian.gauge.T
         z = np.concatenate([q, x], axis=2)

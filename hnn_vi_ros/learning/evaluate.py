@@ -18,7 +18,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bag_signals import BagMotions
-from hnn_vi_ros.learning.data.runs import Run, RunData
+from hnn_vi_ros.learning.data.runs import delayed, Run, RunData
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
@@ -26,10 +26,11 @@ from hnn_vi_ros.learning.fit.config import (
     BodyConfig, ExcitationData, excited_motions, FieldConfig, find_config, load_config)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, judge, linear_model, names_of, parts_of, predicted_by, score, Scores,
-    simulation_of, table, unaccounted, verdict)
+    as_json, Fan, judge, linear_model, names_of, Outside, outside, parts_of, predicted_by, score,
+    Scores, simulation_of, table, unaccounted, verdict)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
 
 _KEYS = 't', 'q', 'v', 'tau'
@@ -56,6 +57,11 @@ def main(argv: Sequence[str]) -> None:
         # An input map would want its own number of them.
         effects = [effect for effect in effects
                    if not isinstance(effect, ExternalForce) or effect.names]
+    checkpoint = getattr(hamiltonian, 'checkpoint', None)
+    if checkpoint is not None and checkpoint.card.mechanical is not None \
+            and (delay := checkpoint.card.mechanical.delay):
+        motions = [delayed(motion, delay / motion.spacing) for motion in motions]
+        description += f'; forces act {delay:.3g} s later, as in the data of the model'
     known = None if arguments.baselines is None else \
         _motions(arguments, arguments.baselines, names)[0]
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
@@ -66,17 +72,20 @@ def main(argv: Sequence[str]) -> None:
         if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
             # Fitted by the default windows of training.
             rigid = best_rigid_body(Trajectory(), known)
-            others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
         scores |= {name: score(other, *asked) for name, other in others.items()}
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
             'median of the valid prediction time,\nand what the energy changes by over each '
             f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
+    domain = domain_of(hamiltonian)
+    found = None if domain is None else outside(domain, fans, arguments.horizons)
+    text += '' if found is None else f'\n{found.text}'
     print(text)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
     try:
-        _write(arguments, scores, f'{text}\n\n`{command}`', fans, hamiltonian)
+        _write(arguments, scores, found, f'{text}\n\n`{command}`', fans, hamiltonian)
     except OSError as problem:
         raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
                              ) from problem
@@ -101,12 +110,13 @@ def _check_options(arguments: Namespace) -> None:
             check_new(f'--{option}', path)
 
 
-def _write(arguments: Namespace, scores: dict[str, Scores], text: str, fans: Sequence[Fan],
-           hamiltonian: Hamiltonian) -> None:
+def _write(arguments: Namespace, scores: dict[str, Scores], found: Outside | None, text: str,
+           fans: Sequence[Fan], hamiltonian: Hamiltonian) -> None:
     """Write the files that the command line asks for."""
     if arguments.json is not None:
+        numbers = as_json(scores) | ({} if found is None else {'outside': found.numbers})
         arguments.json.write_text(
-            json.dumps(as_json(scores), indent=2, allow_nan=False) + '\n', encoding='utf-8')
+            json.dumps(numbers, indent=2, allow_nan=False) + '\n', encoding='utf-8')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
         from hnn_vi_ros.learning.judging.report import write_evaluation

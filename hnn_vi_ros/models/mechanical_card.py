@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.planar_chain import (
-    chain_terms, CHAINS, check_chain, no_terms, parameter_names, Terms)
+    chain_terms, CHAINS, couplings, is_chain, no_terms, parameter_names, PLANAR_CHAIN, Terms)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -23,7 +23,7 @@ Kind = Literal['revolute', 'continuous', 'prismatic']
 # An ensemble has at most this many members.
 MOST_MEMBERS = 64
 # The members of an ensemble agree in these fields.
-_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features'
+_SHARED = 'kinds', 'features', 'mass_features', 'diagonal_mass', 'friction_features', 'delay'
 
 
 class CoulombTerm(StrictModel):
@@ -31,6 +31,7 @@ class CoulombTerm(StrictModel):
 
     force: list[NotNegative] = Field(description='c, in the unit of the generalised force')
     width: list[Positive] = Field(description='w, in the unit of the velocity')
+    back: list[NotNegative] | None = Field(None, description='c where v < 0; null: the same')
 
 
 class StribeckTerm(StrictModel):
@@ -42,20 +43,35 @@ class StribeckTerm(StrictModel):
 
 
 class FrictionCard(StrictModel):
-    """Friction at each coordinate, whose power is never positive."""
+    """
+    Friction at each coordinate, whose power is never positive, and the offset of a motor.
+
+    Where it differs by the sign of v, b and c of Coulomb terms go over by
+    c_- + (c_+ - c_-) (1 + tanh(v / s)) / 2.
+    """
 
     viscous: list[NotNegative] = Field(description='b of the friction -b v')
+    viscous_back: list[NotNegative] | None = Field(None, description=(
+        'b where v < 0; null: the same'))
+    switch: list[Positive] | None = Field(None, description=(
+        's, the speed at which one direction goes over into the other; null: they are the same'))
+    offset: list[float] | None = Field(None, description=(
+        'a constant force, in the unit of the generalised force'))
     # The mean of an ensemble has the terms of all members.
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
     @model_validator(mode='after')
     def _check(self) -> 'FrictionCard':
-        for term in (*self.coulomb, *self.stribeck):
-            for name, values in term.model_dump().items():
-                if len(values) != len(self.viscous):
+        own = {name: getattr(self, name) for name in ('viscous_back', 'switch', 'offset')}
+        for part in (own, *(dict(term) for term in (*self.coulomb, *self.stribeck))):
+            for name, values in part.items():
+                if values is not None and len(values) != len(self.viscous):
                     raise ValueError(f'friction: {name} has {len(values)} entries, expected '
                                      f'{len(self.viscous)}, one for each coordinate')
+        if self.switch is None and any(back is not None for back in (
+                self.viscous_back, *(term.back for term in self.coulomb))):
+            raise ValueError('friction: numbers of v < 0 need switch')
         return self
 
 
@@ -70,9 +86,12 @@ class PriorCard(StrictModel):
     """A parametric system; M and V of the networks are added to its own."""
 
     kind: str = Field(description=(
-        'rigid links that turn by the angles that are the features, a rigid_body of its tree, or '
-        'an exact system of the coordinates as they are'))
+        'rigid links in a plane, a rigid_body of its tree, or an exact system of the coordinates '
+        'as they are'))
     parameters: dict[str, Quantity] = Field(description='as they were fitted')
+    angles: list[list[float]] | None = Field(None, description=(
+        'of a planar_chain the angles of its links from the vertical, rows of combinations of the '
+        'coordinates; zeros for a cart'))
     tree: TreeCard | None = Field(None, description='of a rigid_body')
     alone: bool = Field(False, description=(
         'whether a rigid_body is all of M and V, and the networks add nothing'))
@@ -82,6 +101,8 @@ class PriorCard(StrictModel):
     def _check(self) -> 'PriorCard':
         if (self.kind == RIGID_BODY) != (self.tree is not None):
             raise ValueError(f'prior: tree must be given for {RIGID_BODY}, and for no other')
+        if (self.kind == PLANAR_CHAIN) != (self.angles is not None):
+            raise ValueError(f'prior: angles must be given for {PLANAR_CHAIN}, and for no other')
         if self.tree is None:
             if self.alone or self.identification is not None:
                 raise ValueError(f'prior: alone and identification are of a {RIGID_BODY}')
@@ -126,13 +147,17 @@ def check_row(kinds: Sequence[Kind], row: Sequence[float]) -> None:
                          'continuous coordinates')
 
 
-def check_prior(kind: str, kinds: Sequence[Kind], features: Sequence[Sequence[float]]) -> None:
+def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[float]]) -> None:
     """Raise ValueError for a prior that there is not, or not of these coordinates."""
     d = len(kinds)
     if kind in CHAINS:
-        if 'prismatic' in kinds:
-            raise ValueError(f'prior: the links of a {kind} turn; a prismatic coordinate does not')
-        check_chain(kind, features, d)
+        if not is_chain(kind, angles, kinds):
+            least, most = CHAINS[kind]
+            count = f'{least}' if least == most else f'{least} to {most}'
+            raise ValueError(
+                f'prior: a {kind} has {count} coordinates, prismatic ones first; the features, or '
+                'angles, must be the angles of its links from the vertical: [a, a + b] for an '
+                'angle b from the first link, [a, b] for two from the vertical')
         return
     if kind not in HAMILTONIANS:
         raise ValueError(f'prior: no exact system {kind!r}; valid: {", ".join(HAMILTONIANS)}')
@@ -162,6 +187,10 @@ class MechanicalCard(StrictModel):
     input_map: list[list[float]] | None = Field(None, description=(
         'forces on the coordinates, one row each, that the motors make of commands of 1; null: '
         'each coordinate has a motor of its own'))
+    fade: list[NotNegative] | None = Field(None, description=(
+        'g of each motor, which makes of a command u the force of u / (1 + g abs(u)); null: 0'))
+    delay: float = Field(0.0, description=(
+        'by how much commands act later than the data said, to be shifted by in data alike [s]'))
 
     @model_validator(mode='after')
     def _check(self) -> 'MechanicalCard':
@@ -182,6 +211,8 @@ class MechanicalCard(StrictModel):
             if len(self.input_map) != d or len(columns) > 1 or not 1 <= max(columns) <= d:
                 raise ValueError(f'input_map must have {d} rows, one for each coordinate, of '
                                  f'1 to {d} motors')
+        if self.fade is not None and len(self.fade) != len((self.input_map or [[]])[0]):
+            raise ValueError('fade must have an entry for each motor of an input_map')
         return self
 
     def _check_prior(self, prior: PriorCard | None) -> None:
@@ -194,27 +225,31 @@ class MechanicalCard(StrictModel):
                 raise ValueError(f'prior: {len(prior.tree.bodies)} bodies, expected '
                                  f'{len(self.kinds)}, one for each coordinate')
             return
-        check_prior(prior.kind, self.kinds, self.features)
+        check_prior(prior.kind, self.kinds, self.angles)
         if prior.kind not in CHAINS:
             create(prior.kind, prior.values)
             return
-        names = parameter_names(self.features)
+        names = parameter_names(self.angles)
         if sorted(prior.parameters) != sorted(names):
             raise ValueError(f'prior: parameters {listed(prior.parameters)}, expected '
                              f'{", ".join(names)}')
-        rows, matrices = self.terms[:2]
-        # M of two links is smallest where they are in line.
-        for sign in (-1.0, 1.0):
-            mass = np.where(rows.any(axis=1), sign, 1.0) @ matrices.reshape(len(rows), -1)
-            if not np.linalg.eigvalsh(mass.reshape(2 * matrices.shape[1:2]))[0] > 0.0:
-                raise ValueError('prior: its mass matrix is not positive definite')
+        motors = [value for name, value in prior.values.items() if name.startswith('motor')]
+        if min(motors, default=0.0) < 0.0 or not (
+                np.linalg.eigvalsh(couplings(len(self.kinds), prior.values))[0] > 0.0):
+            raise ValueError('prior: its mass matrix is not positive definite')
+
+    @property
+    def angles(self) -> list[list[float]]:
+        """Return the angles of rigid links from the vertical."""
+        return self.features if self.prior is None or self.prior.angles is None else \
+            self.prior.angles
 
     @property
     def terms(self) -> Terms:
         """Return M and V of rigid links, which are zero if there is no prior."""
         if self.prior is None:
             return no_terms(len(self.kinds))
-        return chain_terms(self.features, self.prior.values)
+        return chain_terms(self.angles, self.prior.values)
 
     @property
     def networks(self) -> dict[str, tuple[list[list[float]], int]]:
@@ -242,7 +277,7 @@ def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:
     for name in _SHARED:
         if getattr(one, name) != getattr(other, name):
             raise ValueError(f'ensemble: {name} of a member are not those of the others')
-    kinds = [(None if card.prior is None else card.prior.kind,
+    kinds = [(None if card.prior is None else (card.prior.kind, card.prior.angles),
               None if card.input_map is None else len(card.input_map[0]))
              for card in (one, other)]
     if kinds[0] != kinds[1]:
@@ -260,13 +295,16 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     count, first = len(cards), cards[0]
 
     def shared(terms: list[Any]) -> list[Any]:
-        return [term.model_copy(update={'force': [force / count for force in term.force]})
-                for term in terms]
+        return [term.model_copy(update={
+            key: [force / count for force in forces]
+            for key in ('force', 'back') if (forces := getattr(term, key, None)) is not None})
+            for term in terms]
 
     def mean(values: list[Any]) -> Any:
-        return np.mean(values, axis=0).tolist()
+        return None if values[0] is None else np.mean(values, axis=0).tolist()
     friction = FrictionCard(
-        viscous=mean([card.friction.viscous for card in cards]),
+        **{name: mean([getattr(card.friction, name) for card in cards])
+           for name in ('viscous', 'viscous_back', 'switch', 'offset')},
         coulomb=[term for card in cards for term in shared(card.friction.coulomb)],
         stribeck=[term for card in cards for term in shared(card.friction.stribeck)])
     prior, priors = first.prior, [card.prior for card in cards if card.prior is not None]
@@ -277,4 +315,5 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
     return first.model_copy(update={
         'friction': friction, 'prior': prior,
         'mass_scale': mean([card.mass_scale for card in cards]),
-        'input_map': first.input_map and mean([card.input_map for card in cards])})
+        **{name: mean([getattr(card, name) for card in cards])
+           for name in ('input_map', 'fade')}})

@@ -9,6 +9,7 @@ from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS
+from hnn_vi_ros.models.seen import DomainCard, SelectionCard
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -120,6 +121,9 @@ class ModelCard(StrictModel):
     energy_error: EnergyError | None = Field(None, description='of H in the box, where known')
     prediction_error: PredictionError | None = Field(None, description=(
         'of a machine, simulated freely with the measured forces'))
+    domain: DomainCard | None = Field(None, description='of a machine, what it has seen')
+    selection: SelectionCard | None = Field(None, description=(
+        'of a machine, how it was chosen by motions that were held out'))
     training_command: str
     package_version: str
     confine: bool = Field(False, description=(

@@ -1,18 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Mass matrix and potential of a chain of rigid links that turn in a plane, by its parameters.
+Mass matrix and potential of a chain of rigid links in a plane, by its parameters.
 
-With the angles phi = F q of the links from the vertical, and F_i the rows of features,
+Links turn, and the first of them may hang on carts that move along straight rails. phi = A q are
+the angles of links from the vertical, zero for carts; F has the rows of A, and e_i for a cart:
 
     M = sum_i I_i F_i F_i^T + sum_(i<j) C_ij cos(phi_i - phi_j) (F_i F_j^T + F_j F_i^T)
         + sum_(i>1) R_i e_i e_i^T
-    V = sum_i G_i (1 - cos phi_i)
+    V = sum_i G_i (1 - cos phi_i),  G_i q_i for a cart
 
 I_i = J_i + m_i c_i^2 + l_i^2 sum_(k>i) m_k, C_ij = l_i (m_j c_j + l_j sum_(k>j) m_k) and
 G_i = g (m_i c_i + l_i sum_(k>i) m_k), for masses m, lengths l, centres of mass c and inertias J
 about them; R_i is the inertia of a motor that turns with joint i. No motion tells more of it.
-All of it is linear in these parameters. G_i < 0 where zero is upright.
+Of a cart I_i is all that it carries, C_ij = m_j c_j + l_j sum_(k>j) m_k, and G_i a weight along
+its rail. All of it is linear in these parameters. G_i < 0 where zero is upright.
+
+M is positive definite at all q if, and without motors only if, the matrix K of I_i and C_ij is:
+cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,13 +25,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-# How many links they have.
-CHAINS = {'pendulum': 1, 'double_pendulum': 2}
+# How many coordinates they have. The angles of the first two, of files and configurations from
+# before 0.4, are the features of V.
+PLANAR_CHAIN = 'planar_chain'
+CHAINS = {'pendulum': (1, 1), 'double_pendulum': (2, 2), PLANAR_CHAIN: (1, 4)}
 
 
 class Terms(NamedTuple):
     """
-    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)).
+    M = sum_k A_k cos(g_k . q), V = sum_l c_l (1 - cos(h_l . q)) + w . q.
 
     Parameters
     ----------
@@ -38,6 +45,8 @@ class Terms(NamedTuple):
         h_l.
     weights : np.ndarray, shape (l,)
         c_l.
+    pull : np.ndarray, shape (d,)
+        w.
 
     """
 
@@ -45,40 +54,72 @@ class Terms(NamedTuple):
     matrices: np.ndarray
     rows: np.ndarray
     weights: np.ndarray
+    pull: np.ndarray
 
 
 def no_terms(d: int) -> Terms:
     """Return M = 0 and V = 0."""
-    return Terms(np.zeros((0, d)), np.zeros((0, d, d)), np.zeros((0, d)), np.zeros(0))
+    return Terms(np.zeros((0, d)), np.zeros((0, d, d)), np.zeros((0, d)), np.zeros(0),
+                 np.zeros(d))
 
 
-def check_chain(kind: str, features: Sequence[Sequence[float]], d: int) -> None:
-    """Raise ValueError if these cannot be the angles of the links of a chain."""
-    links = CHAINS[kind]
-    if d != links:
-        raise ValueError(f'prior: {kind} has {links} coordinates, not {d}')
-    if len(features) != d or np.linalg.matrix_rank(np.array(features)) < d:
-        raise ValueError(f'prior: {kind}: features must be the angles of its {links} links from '
-                         'the vertical: [a, a + b] for an angle b from the first link, [a, b] for '
-                         'two from the vertical')
+def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
+                 ) -> list[list[list[float]]]:
+    """
+    Return the angles A that the links of a chain may have, the likelier first.
+
+    Those are the features, if they can be; each coordinate; and each with all before it.
+
+    Parameters
+    ----------
+    kinds : sequence of str
+        Of the coordinates.
+    features : sequence of sequence of float, optional
+        What is known of the angles.
+
+    """
+    turns = np.array([kind != 'prismatic' for kind in kinds])
+    d, own = len(kinds), np.diag(turns.astype(float))
+    found = []
+    rows = np.reshape([row for row in features if np.any(np.array(row)[turns])], (-1, d))
+    if len(rows) == turns.sum() and not rows[:, ~turns].any():
+        known = np.zeros((d, d))
+        known[turns] = rows
+        found.append(known)
+    found += [own, np.tril(np.ones((d, d))) @ own * turns[:, None]]
+    unique = [one for k, one in enumerate(found)
+              if not any(np.array_equal(one, other) for other in found[:k])]
+    return [one.tolist() for one in unique if is_chain(PLANAR_CHAIN, one, kinds)]
 
 
-def parameter_names(features: Sequence[Sequence[float]]) -> list[str]:
+def is_chain(kind: str, angles: Sequence[Sequence[float]] | np.ndarray, kinds: Sequence[str]
+             ) -> bool:
+    """Return whether these can be the angles of the links of a chain, its carts first."""
+    d, (least, most) = len(kinds), CHAINS[kind]
+    A, carts = np.array(angles), [*kinds].count('prismatic')
+    return bool(least <= d <= most and A.shape == (d, d)
+                and 'prismatic' not in kinds[carts:]
+                and not A[:carts].any() and not A[:, :carts].any()
+                and np.linalg.matrix_rank(A) == d - carts)
+
+
+def parameter_names(angles: Sequence[Sequence[float]]) -> list[str]:
     """Return the names of the parameters: inertia, coupling, gravity, motor_inertia."""
-    d = len(features)
+    d, carts = len(angles), sum(not any(row) for row in angles)
     own = [f'inertia{i + 1}' for i in range(d)]
     pairs = [f'coupling{i + 1}{j + 1}' for i in range(d) for j in range(i + 1, d)]
     gravity = [f'gravity{i + 1}' for i in range(d)]
     # For links whose coordinates are their own angles, it is a part of the inertia.
-    relative = bool((np.count_nonzero(features, axis=1) > 1).any())
-    motors = [f'motor_inertia{i + 1}' for i in range(1, d)] if relative else []
+    relative = bool((np.count_nonzero(angles, axis=1) > 1).any())
+    motors = [f'motor_inertia{i + 1}' for i in range(carts + 1, d)] if relative else []
     return own + pairs + gravity + motors
 
 
-def chain_terms(features: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
+def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Terms:
     """Return M and V of a chain of these parameters."""
-    F = np.array(features, dtype=np.float64)
-    d = len(F)
+    A = np.array(angles, dtype=np.float64)
+    d, slides = len(A), ~A.any(axis=1)
+    F = A + np.diag(slides)
     constant = np.einsum('i,ij,ik->jk', [parameters[f'inertia{i + 1}'] for i in range(d)], F, F)
     for i in range(1, d):
         constant[i, i] += parameters.get(f'motor_inertia{i + 1}', 0.0)
@@ -86,7 +127,16 @@ def chain_terms(features: Sequence[Sequence[float]], parameters: Mapping[str, fl
     for i in range(d):
         for j in range(i + 1, d):
             both = np.outer(F[i], F[j])
-            rows.append(F[i] - F[j])
+            rows.append(A[i] - A[j])
             matrices.append(parameters[f'coupling{i + 1}{j + 1}'] * (both + both.T))
-    return Terms(np.array(rows), np.array(matrices), F,
-                 np.array([parameters[f'gravity{i + 1}'] for i in range(d)]))
+    gravity = np.array([parameters[f'gravity{i + 1}'] for i in range(d)])
+    return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides)
+
+
+def couplings(d: int, parameters: Mapping[str, float]) -> np.ndarray:
+    """Return K, shape (d, d), of inertias and couplings."""
+    K = np.diag([parameters[f'inertia{i + 1}'] for i in range(d)])
+    for i in range(d):
+        for j in range(i + 1, d):
+            K[i, j] = K[j, i] = parameters[f'coupling{i + 1}{j + 1}']
+    return K

@@ -14,7 +14,7 @@ def prior_gradient(terms: Terms, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarr
     squares = np.einsum('mi,kij,mj->mk', v, terms.matrices, v)
     return (np.einsum('mk,kij->mij', np.cos(y), terms.matrices),
             0.5 * (np.sin(y) * squares) @ terms.mass_rows
-            + (terms.weights * np.sin(phi)) @ terms.rows)
+            + (terms.weights * np.sin(phi)) @ terms.rows + terms.pull)
 
 
 @part(error_model='numpy')
@@ -46,7 +46,7 @@ def prior_potential(prior: Terms, q: np.ndarray) -> float:
         # 1 - cos y = 2 sin(y / 2)^2 keeps its digits in small swings.
         half = np.sin(0.5 * angle(rows[k], q))
         energy += 2.0 * weights[k] * half * half
-    return energy
+    return energy + angle(prior.pull, q)
 
 
 @part(error_model='numpy')
@@ -72,6 +72,8 @@ def add_prior_slope(prior: Terms, q: np.ndarray, v: np.ndarray, covector: np.nda
         slope = weights[k] * np.sin(angle(rows[k], q))
         for i in range(q.size):
             covector[i] += slope * rows[k, i]
+    for i in range(q.size):
+        covector[i] += prior.pull[i]
 
 
 @part(error_model='numpy')

@@ -286,7 +286,7 @@ class SimulateSteps:
         return self._fill(self._kind.Result(), answer)
 
 
-_PACKAGE = 'simulation_interfaces'
+_INTERFACES = 'simulation_interfaces'
 # What each interface that is served here adds to the features that are reported.
 INTERFACES = {
     'GetSimulatorFeatures': (),
@@ -327,9 +327,9 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
     """
     try:
         messages, types, actions = (
-            import_module(f'{_PACKAGE}.{kind}') for kind in ('msg', 'srv', 'action'))
+            import_module(f'{_INTERFACES}.{kind}') for kind in ('msg', 'srv', 'action'))
     except ModuleNotFoundError as problem:
-        if not (problem.name or '').startswith(_PACKAGE):
+        if not (problem.name or '').startswith(_INTERFACES):
             raise
         # Not installed: std_srvs do the same under other names.
         return False

@@ -6,7 +6,6 @@ The parameters of the nodes: a class for each node declares, checks and document
 Imports nothing of ROS: help is written from it as well.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 import math
 from typing import Any
@@ -211,18 +210,8 @@ BRIDGE_PARAMETERS, REPLAY_PARAMETERS, HOVER_PARAMETERS = (
     for settings in (BridgeSettings, ReplaySettings, HoverSettings))
 
 
-def markdown_table(table: Sequence[Specification] = PARAMETERS) -> str:
-    """Return parameters as rows of a table, with when they change if that differs."""
-    rows, differs = [], len({item.changes for item in table}) > 1
-    for item in table:
-        choices = f' ({", ".join(item.choices)})' if item.choices else ''
-        changes = f'{item.changes} | ' if differs else ''
-        rows.append(f'| `{item.name}` | {_shown(item.default)} | {item.unit} | {changes}'
-                    f'{item.description}{choices} |')
-    return '\n'.join(rows)
-
-
-def _shown(value: Value) -> str:
+def shown(value: Value) -> str:
+    """Return a value as Markdown."""
     if isinstance(value, bool):
         return f'`{str(value).lower()}`'
     return f'`{value}`' if value != '' else 'empty'
@@ -231,7 +220,7 @@ def _shown(value: Value) -> str:
 def help_of(item: Specification) -> str:
     """Return what the help of an executable says of a parameter: meaning, values, default."""
     values = f' ({item.expected.removeprefix("expected ")})' if _is_limited(item) else ''
-    return f'{item.description}{values}; default: {_shown(item.default).strip("`")}'
+    return f'{item.description}{values}; default: {shown(item.default).strip("`")}'
 
 
 def _is_limited(item: Specification) -> bool:

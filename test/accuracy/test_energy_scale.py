@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
 
-from hnn_vi_ros.accuracy.diagnostics import energy_scale, EnergyScale
+from hnn_vi_ros.accuracy.diagnostics import (
+    energy_band, energy_scale, EnergyScale, rounding_walk, secular_change)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -159,3 +160,20 @@ def test_energy_scale_in_a_magnetic_field_does_not_depend_on_where_the_circle_is
 def test_energy_scale_at_rest_is_zero():
     rest = np.zeros((10, 1))
     assert energy_scale(HAMILTONIANS['pendulum'](), rest, rest) == 0.0
+
+
+def test_secular_change_is_the_slope_over_the_run():
+    t = np.linspace(0.0, 1.0, 101)
+    assert secular_change(3.0 - 2.0 * t) == pytest.approx(-2.0, rel=1e-12)
+    assert secular_change(np.cos(20.0 * np.pi * t)) == pytest.approx(0.0, abs=1e-2)
+    assert np.isnan(secular_change(np.array([1.0, np.nan, 2.0])))
+    assert secular_change(np.array([1.0])) == 0.0
+
+
+def test_energy_band_is_of_absolute_values():
+    assert energy_band(np.array([1.0, -3.0, 2.0])) == 3.0
+    assert energy_band(np.empty(0)) == 0.0
+
+
+def test_rounding_walk_grows_with_the_root_of_the_steps():
+    assert rounding_walk(2.0, 400) == pytest.approx(20.0 * rounding_walk(2.0, 1))

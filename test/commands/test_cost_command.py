@@ -11,7 +11,7 @@ import sys
 
 from hnn_vi_ros.accuracy import cost as core
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method
-from hnn_vi_ros.commands import cost
+from hnn_vi_ros.commands import cost, cost_figure
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.files import standard_streams
 from hnn_vi_ros.files.yaml_text import parse_yaml
@@ -147,17 +147,17 @@ def test_file_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
 
 
 def test_every_method_has_a_line_of_its_own():
-    assert cost.STYLES.keys() == INTEGRATORS.keys()
+    assert cost_figure.STYLES.keys() == INTEGRATORS.keys()
     # Those that are made for rotations are in no picture with the others.
     for turning in (True, False):
-        looks = [style for kind, style in cost.STYLES.items()
+        looks = [style for kind, style in cost_figure.STYLES.items()
                  if kind.startswith('lie_') == turning]
         assert len(set(looks)) == len(looks)
 
 
-def test_exact_scene_needs_no_torch():
+def test_exact_scene_needs_no_torch_and_without_a_picture_no_matplotlib():
     """As of a pip install without the extra of training, which lacks tqdm as well."""
-    code = ('import sys\nfor name in ("torch", "tqdm", "plotly", "rclpy"):\n'
+    code = ('import sys\nfor name in ("torch", "tqdm", "matplotlib", "rclpy"):\n'
             '    sys.modules[name] = None\n'
             'sys.argv = ["hnn", "cost", "exact_pendulum", "--duration", "1", "--seconds", "1"]\n'
             'from hnn_vi_ros.cli import main\nmain()')

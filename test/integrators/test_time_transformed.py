@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Close encounters at equal steps of a transformed time."""
 
-from hnn_vi_ros.accuracy.diagnostics import block_maxima, energy_band, secular_change
+from hnn_vi_ros.accuracy.diagnostics import energy_band, secular_change
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -16,6 +16,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trajectory.simulate import simulate_many
 import numpy as np
 import pytest
+from studies.structure import block_maxima
 
 # An orbit of semi-major axis 1 and eccentricity 0.9, from its apocentre: the force at the
 # pericentre is 361 times as strong.

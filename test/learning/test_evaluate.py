@@ -33,7 +33,7 @@ CONFIG = {
     'description': 'A simulated pendulum (Apache-2.0).',
     'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
     'data': {'kind': 'arrays', 'test_runs': ['c']},
-    'family': {'kind': 'mechanical', 'mass': 'constant'},
+    'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant'},
     'loss': {'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 0,
              'windows': [{'duration': 0.1, 'steps': 5}]}}
 
@@ -89,6 +89,9 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     said = capsys.readouterr().out
     assert '| linear model |' in said and '| rigid body |' not in said
     written = json.loads((tmp_path / 'machine.json').read_text())
+    outside = written.pop('outside')
+    assert 0.0 < outside['share'] < 1.0 and outside['errors'].keys() == {'inside', 'outside'}
+    assert f'outside of what the model has seen: {outside["beyond"][0]}' in said
     assert written | {'baselines': None} == found.model_dump() | {'baselines': None}
     (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)

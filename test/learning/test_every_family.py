@@ -27,7 +27,8 @@ LOG = {
     'data': {'kind': 'measured', 'delimiter': 'comma', 'columns': ['t', 'x', 'v'], 'time': 't',
              'q': ['x'], 'p': ['v'], 'derivatives': {'kind': 'savitzky_golay', 'window': 0.45}}}
 MACHINE = {
-    'coordinates': [{'name': 'x'}], 'hidden': [4], 'family': {'kind': 'mechanical'},
+    'coordinates': [{'name': 'x'}], 'hidden': [4],
+    'family': {'kind': 'mechanical', 'prior': 'none'},
     'data': {'kind': 'arrays', 'tau': None}, 'loss': {
         'kind': 'trajectory', 'forward_steps': 30, 'forward_lbfgs_steps': 40, 'batch': 8,
         'step_size': 0.05, 'windows': [{'duration': 0.1, 'steps': 25}]}}

@@ -83,7 +83,7 @@ def test_systems_that_are_not_mechanical_are_refused_in_one_line(monkeypatch):
     monkeypatch.setitem(HAMILTONIANS, 'quartic', Quartic)
     for name in ('quartic', 'nothing'):
         with pytest.raises(ValueError, match=f"prior: '{name}' is no system of the form p . M.*"
-                                             'valid: double_pendulum, fput_chain, .*, tao'):
+                                             'valid: auto, double_pendulum, .*, tao'):
             config(name)
     with pytest.raises(ValueError, match="no exact system 'nothing'; valid: .*double_pendulum"):
         check_prior('nothing', ['prismatic'], [[1.0]])

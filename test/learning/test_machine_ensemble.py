@@ -27,7 +27,7 @@ def swing(seconds: float, name: str = 'run') -> Run:
 def config(**changes) -> MachineConfig:
     return MachineConfig.model_validate({
         'coordinates': [{'name': 'a'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical'}, **changes})
+        'family': {'kind': 'mechanical', 'prior': 'none'}, **changes})
 
 
 def test_blocks_are_whole_parts_of_motions_a_fifth_of_which_is_held_out():

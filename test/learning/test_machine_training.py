@@ -31,7 +31,8 @@ import torch
 CONFIG = {
     'coordinates': [{'name': 'a', 'kind': 'continuous'}, {'name': 'b', 'kind': 'continuous'}],
     'data': {'kind': 'arrays'}, 'hidden': [8],
-    'family': {'kind': 'mechanical', 'features': ['a', 'a + b'], 'mass_depends_on': ['b'],
+    'family': {'kind': 'mechanical', 'prior': 'none', 'features': ['a', 'a + b'],
+               'mass_depends_on': ['b'],
                'friction': {'stribeck': 1}},
 }
 
@@ -51,11 +52,12 @@ def random_motions(d: int, seed: int = 0) -> list[Run]:
               [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], diagonal_mass=True),
     Structure(['revolute'], [[1.0]], [], coulomb=0),
     Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
-              prior='double_pendulum'),
+              prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]]),
     Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
-              prior='double_pendulum', residual=False),
-    Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
-              prior='double_pendulum', friction_features=[[1.0, 0.0], [0.0, 1.0]]),
+              prior='planar_chain', angles=[[1.0, 0.0], [1.0, 1.0]], residual=False),
+    Structure(['prismatic', 'revolute', 'continuous'], np.eye(3).tolist(), [[0.0, 1.0, 0.0]],
+              prior='planar_chain', angles=[[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]],
+              friction_features=[[0.0, 1.0, 0.0]]),
     Structure(['prismatic', 'prismatic'], [[1.0, 0.0], [1.0, -1.0]], [[0.0, 1.0]],
               prior='kepler'),
     Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
@@ -75,7 +77,7 @@ def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structu
     config = MachineConfig.model_validate({
         'coordinates': [{'name': f'x{i}', 'kind': kind}
                         for i, kind in enumerate(structure.kinds)],
-        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical'}})
+        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'prior': 'none'}})
     checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
     save_checkpoint(tmp_path / 'm.safetensors', checkpoint)
     hamiltonian = MechanicalHamiltonian(checkpoint)
@@ -157,7 +159,8 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
 def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {'coulomb': 1}},
+        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant',
+                   'friction': {'coulomb': 1}},
         'hidden': [12], 'loss': loss})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     scales = scales_of(train)
@@ -187,7 +190,8 @@ def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option,
     for steps in (0, 20, 100):
         config = MachineConfig.model_validate({
             'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
-            'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'mass': 'constant'},
+            'data': {'kind': 'arrays'},
+            'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant'},
             'loss': {'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50,
                      option: steps, **at_end}})
         network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
@@ -208,7 +212,7 @@ def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
                                       if isinstance(values, np.ndarray)})]
         config = MachineConfig.model_validate({
             'coordinates': [{'name': 'angle'}], 'data': {'kind': 'arrays'}, 'hidden': [4],
-            'family': {'kind': 'mechanical'}, 'loss': {
+            'family': {'kind': 'mechanical', 'prior': 'none'}, 'loss': {
                 'kind': 'trajectory', 'forward_steps': 20, 'forward_lbfgs_steps': 20, 'batch': 2,
                 'windows': [{'duration': 0.02, 'steps': 1}]}})
         network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
@@ -248,7 +252,7 @@ def motion_of_an_eccentric_pendulum(seed: int) -> Run:
 def test_friction_that_depends_on_the_angle_is_learned():
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'mass': 'constant', 'friction': {
+        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', 'friction': {
             'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']}},
         'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}})
     train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
@@ -321,9 +325,9 @@ def test_what_is_no_linear_combination_is_refused(text):
     ({'mass_depends_on': ['a - a']}, 'a row of zeros'),
     ({'mass_depends_on': ['c']}, 'mass_depends_on: .* no linear combination'),
     ({'mass': 'constant'}, 'depends on nothing'),
-    ({'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
-    ({'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, 'angles of its 2 links'),
-    ({'prior': 'pendulum'}, 'has 1 coordinates, not 2'),
+    ({'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'}, 'angles of its links'),
+    ({'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, 'angles of its links'),
+    ({'prior': 'pendulum'}, 'has 1 coordinates'),
     ({'residual': False}, 'nothing but the networks'),
     ({'friction': {'network_depends_on': ['a']}}, 'there is no network'),
     ({'friction': {'network': True, 'network_depends_on': ['c']}}, 'no linear combination'),
@@ -445,7 +449,7 @@ def test_plain_network_learns_what_it_is_compared_by():
     """Of the same motions, and angles that have turned over are the same ones to it."""
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical'}, 'loss': {
+        'family': {'kind': 'mechanical', 'prior': 'none'}, 'loss': {
             'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0,
             'step_size': 0.02, 'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]}})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]

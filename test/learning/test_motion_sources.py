@@ -201,5 +201,5 @@ def test_files_say_by_themselves_how_they_are_read(tmp_path):
 def test_configuration_takes_bags_and_logs(data):
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'a'}, {'name': 'b'}], 'data': data,
-        'family': {'kind': 'mechanical'}})
+        'family': {'kind': 'mechanical', 'prior': 'none'}})
     assert config.data.kind == data['kind']

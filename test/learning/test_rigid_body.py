@@ -84,7 +84,7 @@ def test_parameters_of_a_double_pendulum_are_found(noise):
     quick = network.friction(torch.zeros_like(v), v).detach()
     assert quick.numpy() == pytest.approx(np.array([[0.2, -0.2]]), rel=0.1)
     # Nothing of the networks is left but rounding.
-    assert float(network.residual_size(states(network)).detach()) < 1e-30
+    assert float(network.residual_sizes(states(network)).mean().detach()) < 1e-30
 
 
 def test_free_motions_tell_all_but_one_common_factor():
@@ -100,7 +100,7 @@ def test_networks_beside_a_prior_that_is_right_stay_small():
     assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1', 'windows_0.1'}
     assert parameters(network) == pytest.approx(EXPECTED, rel=2 * SHARE)
     # In units of a twentieth of the inertias, and of the forces that they make.
-    assert float(network.residual_size(states(network)).detach()) < 1.0
+    assert float(network.residual_sizes(states(network)).mean().detach()) < 1.0
     prior = network.card().prior
     assert prior is not None and prior.parameters['gravity1'].unit == 'N m'
 
@@ -122,15 +122,15 @@ def test_friction_that_accelerations_do_not_show_is_found_by_windows():
 def test_best_rigid_body_takes_the_angles_that_fit():
     loss = Trajectory.model_validate({
         'kind': 'trajectory', 'windows': [{'duration': 0.05, 'steps': 1}]})
-    network = best_rigid_body(loss, motions())
-    assert network is not None and network.structure.features == [[1.0, 0.0], [0.0, 1.0]]
+    network, _ = best_rigid_body(loss, motions())
+    assert network.structure.angles == [[1.0, 0.0], [0.0, 1.0]]
     assert parameters(network) == pytest.approx(EXPECTED, rel=SHARE)
     # The same pendulum by the angle of the second link from the first.
     relative = [smoothed('run', motion.t, *(
         part @ np.array([[1.0, -1.0], [0.0, 1.0]]) for part in (motion.q, motion.v)),
         motion.tau @ np.array([[1.0, 0.0], [1.0, 1.0]]), 40.0) for motion in motions()]
-    network = best_rigid_body(loss, relative)
-    assert network is not None and network.structure.features == [[1.0, 0.0], [1.0, 1.0]]
+    network, _ = best_rigid_body(loss, relative)
+    assert network.structure.angles == [[1.0, 0.0], [1.0, 1.0]]
     found = parameters(network)
     assert found.pop('motor_inertia2') < SHARE * EXPECTED['inertia2']
     assert found == pytest.approx(EXPECTED, rel=2 * SHARE)

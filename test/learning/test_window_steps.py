@@ -59,7 +59,7 @@ def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, stru
     config = MachineConfig.model_validate({
         'coordinates': [{'name': f'x{i}', 'kind': kind}
                         for i, kind in enumerate(network.structure.kinds)],
-        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical'}})
+        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'prior': 'none'}})
     checkpoint = describe(network, config, [motion_of(d)], 'none', {}, 'random', '')
     save_checkpoint(model, checkpoint)
     simulation = Simulation(

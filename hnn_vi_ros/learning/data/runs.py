@@ -61,6 +61,9 @@ class RunData(StrictModel):
     inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
         'what forces do between samples: go over into each other, or each is held until the '
         'next; default: held for topics of commands, else interpolated'))
+    delay: float | Literal['estimate'] = Field(0.0, description=(
+        'how many samples, and parts of one, forces act after the one that they stand beside; or '
+        'it is estimated from the data to learn from'))
     test_runs: list[str] = TEST_RUNS
 
 
@@ -457,6 +460,12 @@ def _share(x: np.ndarray, rest: np.ndarray) -> float:
 def steps_between(spacing: float, step_size: float) -> int:
     """Return how many steps of about a size [s], or less, make the interval of samples [s]."""
     return max(1, math.ceil(spacing / step_size - _CLOCK))
+
+
+def delayed(run: Run, samples: float) -> Run:
+    """Return a run whose forces act so many samples later; the first and last ones last."""
+    at = np.arange(len(run.t), dtype=np.float64)
+    return replace(run, tau=_linear(at - samples, at, run.tau))
 
 
 def run_of(run: Run) -> str:

@@ -15,7 +15,7 @@ from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, is_periodic, Kind
 from hnn_vi_ros.models.model_card import Scheme
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, TreeCard, values_of
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -53,6 +53,10 @@ class Structure:
         Their parameters to begin with.
     left_out : tuple of str
         Which of the networks, ``mass`` and ``potential``, add nothing.
+    angles : list of list of float, optional
+        Of the links of a prior that is a chain, from the vertical; None: those that fit best.
+    directed, offset, fade : bool
+        See FrictionChoice.
 
     """
 
@@ -69,6 +73,10 @@ class Structure:
     tree: TreeCard | None = None
     values: np.ndarray | None = None
     left_out: tuple[str, ...] = ()
+    angles: list[list[float]] | None = None
+    directed: bool = False
+    offset: bool = False
+    fade: bool = False
 
 
 @dataclass(frozen=True)
@@ -161,6 +169,8 @@ RetractionName = Literal['cayley', 'exponential']
 # Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
 BODY_FLOOR = 1e-3
 ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
+# A prior that is chosen by held-out motions.
+AUTO = 'auto'
 # A term of a linear combination: sign, number, name.
 _TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
 
@@ -304,11 +314,22 @@ class FrictionChoice(StrictModel):
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
     stribeck: int = Field(0, ge=0, le=8, description=(
         'how many terms -c tanh(v / w) exp(-(v / s)^2)'))
+    directed: bool = Field(False, description=(
+        'whether b and the c of Coulomb terms depend on the sign of v'))
+    offset: bool = Field(False, description='whether the motors add a constant force')
+    fade: bool = Field(False, description=(
+        'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
     network: bool = Field(False, description=(
         '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
         'are'))
     network_depends_on: list[str] | None = Field(None, description=(
         'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
+
+
+# What ``friction: auto`` begins with, and what of it is then dropped where it does not help.
+ALL_FRICTION = FrictionChoice(coulomb=1, stribeck=1, directed=True, offset=True, fade=True)
+DROPPED: dict[str, int | bool] = {
+    'stribeck': 0, 'fade': False, 'offset': False, 'directed': False}
 
 
 class MechanicalChoice(FamilyChoice):
@@ -324,17 +345,36 @@ class MechanicalChoice(FamilyChoice):
         'M(q), a diagonal one, or a matrix that depends on nothing'))
     mass_depends_on: list[str] | None = Field(None, description=(
         'the inputs of M, in the same way; default: each coordinate'))
-    friction: FrictionChoice = Field(default_factory=FrictionChoice)
+    friction: FrictionChoice | Literal['auto'] = Field(
+        default_factory=FrictionChoice, description=(
+            'terms; or auto, of a prior: all terms that drives have, less those without which '
+            'parts of the training data that were left out are predicted as well'))
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of their effect on the joints is learned'))
-    prior: str | None = Field(None, description=(
-        'a system whose parameters are fitted, and that the networks are added to: pendulum or '
-        'double_pendulum, rigid links that turn by the angles that are the features; or another '
-        'exact system, by its name in scenes, of the coordinates in their order'))
-    residual: bool = Field(True, description='whether there are networks in addition to a prior')
-    residual_weight: float = Field(1e-3, ge=0.0, description=(
-        'of the size of the networks added to a prior, at random states, in the loss'))
+    prior: str | None = Field('auto', description=(
+        'a system whose parameters are fitted, and that the networks are added to: planar_chain, '
+        'one to four rigid links in a plane, on carts or not; pendulum or double_pendulum, the '
+        'same with the features for angles; or another exact system, by its name in scenes, of '
+        'the coordinates in their order; none: networks alone; auto: what predicts held-out '
+        'motions best, a planar_chain with networks or without, or networks alone'))
+    angles: list[str] | None = Field(None, description=(
+        'of a planar_chain: the angles of its links from the vertical, linear combinations of the '
+        'coordinates that turn; default: those that fit best, of the features, the coordinates '
+        'and their sums'))
+    residual: bool | list[Literal['potential', 'mass']] = Field(True, description=(
+        'whether there are networks in addition to a prior, or which'))
+    residual_weight: float = Field(1e-6, ge=0.0, description=(
+        'of the size of the networks added to a prior, at states like those of the data, in the '
+        'loss'))
+    fade_weight: float = Field(0.1, ge=0.0, description=(
+        'the same at all other states, where networks fade, and of the forces that they make at '
+        'twice the speeds of the data'))
+
+    @field_validator('prior', mode='before')
+    @classmethod
+    def _named(cls, value: object) -> object:
+        return None if value == 'none' else value
 
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
         """Return the structure of the networks; ValueError for a name of no coordinate."""
@@ -344,7 +384,9 @@ class MechanicalChoice(FamilyChoice):
                 raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
                                  'out')
             seen = []
-        friction = self.friction
+        friction = ALL_FRICTION if self.friction == 'auto' else self.friction
+        if self.friction == 'auto' and self.prior is None:
+            raise ValueError('friction: auto is chosen by fits of a prior; name one, or terms')
         if not friction.network and friction.network_depends_on is not None:
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
@@ -355,27 +397,51 @@ class MechanicalChoice(FamilyChoice):
                 check_row(kinds, row)
             return found
         features = rows(self.features or names, 'features')
-        self._check_prior(kinds, features)
+        angles = None if self.angles is None else self._angles(names, kinds, self.angles)
+        if self.prior in CHAINS and self.prior != PLANAR_CHAIN:
+            angles = features
+        self._check_prior(kinds, angles)
+        parts = 'mass', 'potential'
         mass_features = rows(seen, 'mass_depends_on')
         rubbing = seen if friction.network_depends_on is None else friction.network_depends_on
         return Structure(
             kinds, features, mass_features, self.mass == 'diagonal', friction.viscous,
-            friction.coulomb, friction.stribeck, self.prior, self.residual,
-            rows(rubbing, 'friction.network_depends_on') if friction.network else None)
+            friction.coulomb, friction.stribeck,
+            PLANAR_CHAIN if self.prior in CHAINS else None if self.prior == AUTO else self.prior,
+            bool(self.residual),
+            rows(rubbing, 'friction.network_depends_on') if friction.network else None,
+            left_out=() if self.residual is True else tuple(
+                name for name in parts if name not in (self.residual or parts)), angles=angles,
+            directed=friction.directed, offset=friction.offset, fade=friction.fade)
 
-    def _check_prior(self, kinds: list[Kind], features: list[list[float]]) -> None:
-        if self.prior is None:
-            if not self.residual:
-                raise ValueError('residual: without a prior there is nothing but the networks')
+    def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
+                ) -> list[list[float]]:
+        """Return the angles of a chain's links, and zeros for its carts."""
+        found = iter([combination(text, names, 'angles') for text in texts])
+        turning = [kind != 'prismatic' for kind in kinds]
+        if len(texts) != sum(turning):
+            raise ValueError(f'angles: {len(texts)} for {sum(turning)} coordinates that turn; '
+                             'name one for each')
+        return [next(found) if turns else [0.0] * len(kinds) for turns in turning]
+
+    def _check_prior(self, kinds: list[Kind], angles: list[list[float]] | None) -> None:
+        if self.angles is not None and self.prior not in (AUTO, PLANAR_CHAIN):
+            raise ValueError('angles: of a planar_chain, and of prior: auto, alone')
+        if self.prior in (None, AUTO):
+            if self.residual is not True:
+                raise ValueError('residual: needs a prior, without which there is nothing but the '
+                                 'networks; name it')
             return
+        assert self.prior is not None, 'just looked'
         if self.prior not in CHAINS and self.prior not in exact_systems():
+            valid = sorted({AUTO, 'none', *CHAINS, *exact_systems()})
             raise ValueError(f'prior: {self.prior!r} is no system of the form p . M(q)^-1 p / 2 '
-                             f'+ V(q); valid: {", ".join(sorted({*CHAINS, *exact_systems()}))}')
-        check_prior(self.prior, kinds, features)
+                             f'+ V(q); valid: {", ".join(valid)}')
+        check_prior(self.prior, kinds, angles or [*chain_angles(kinds), []][0])
         if self.prior not in CHAINS and self.input_map != 'identity':
             raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
                              'norm of the map would fix again; take input_map: identity')
-        if self.friction.network and not self.residual:
+        if self.friction != 'auto' and self.friction.network and not self.residual:
             raise ValueError('friction.network: residual: false leaves out all networks; leave '
                              'out one of the two')
 
@@ -403,7 +469,9 @@ class RigidBodyChoice(FamilyChoice):
     residual: list[Literal['potential', 'friction', 'mass']] = Field([], description=(
         'networks that are added: V(q), the friction -D(q) v, M(q); one, or a list'))
     residual_weight: float = Field(1e-3, ge=0.0, description=(
-        'of the size of those networks, at random states, in the loss'))
+        'of the size of those networks, at states like those of the data, in the loss'))
+    fade_weight: float = Field(0.1, ge=0.0, description=(
+        'the same at all other states, where networks fade'))
     # It is a prior of the family mechanical, whose joints have a force each.
     prior: ClassVar[str] = RIGID_BODY
     input_map: ClassVar[str] = 'identity'
@@ -418,6 +486,9 @@ class RigidBodyChoice(FamilyChoice):
         if self.friction.network or self.friction.network_depends_on is not None:
             raise ValueError('friction.network: take residual: friction, a network in addition '
                              'to the friction of joints')
+        if self.friction.offset or self.friction.fade:
+            raise ValueError('friction: a rigid_body has offsets of its own, and no fade; take '
+                             'offsets: true, or the family mechanical')
         return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
@@ -435,7 +506,7 @@ class RigidBodyChoice(FamilyChoice):
             kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
             self.friction.stribeck, self.prior, bool(self.residual),
             rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
-            left_out)
+            left_out, directed=self.friction.directed)
 
 
 def combination(text: str, names: Sequence[str], key: str) -> list[float]:
@@ -551,6 +622,9 @@ class Trajectory(StrictModel):
     method: WindowMethod = Field('implicit_midpoint', description=(
         'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
         'nothing'))
+    records: bool = Field(False, description=(
+        'whether a prior with its friction is fitted to the positions of whole motions in the '
+        'end, each simulated from its first state'))
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))

@@ -18,8 +18,6 @@ import torch
 
 # Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# The least friction next to networks, as log(exp(x) - 1) of its share of the usual force, 0.7 %.
-_LEAST = -5.0
 # The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
 _FIRST_ROOT = 0.2
 
@@ -29,7 +27,8 @@ class JointFriction(torch.nn.Module):
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
-    semidefinite for any outputs, and all friction dissipates energy.
+    semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
+    each b and of each c of the first terms, and the offset of a motor is a friction that does not depend on v.
 
     Parameters
     ----------
@@ -47,7 +46,7 @@ class JointFriction(torch.nn.Module):
     def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
                  seed: int):
         super().__init__()
-        d = len(structure.kinds)
+        d, sides = len(structure.kinds), 1 + structure.directed
         self.structure = structure
         terms = structure.coulomb + structure.stribeck
         force = scales.inertia * scales.a
@@ -56,10 +55,17 @@ class JointFriction(torch.nn.Module):
                 ('speed_unit', scales.v)):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         # log(1 + exp(-3)) is 0.05: little friction at first.
-        self.raw_viscous = torch.nn.Parameter(torch.full((d,), -3.0, dtype=torch.float64))
-        self.raw_force = torch.nn.Parameter(torch.full((terms, d), -3.0, dtype=torch.float64))
+        self.raw_viscous = torch.nn.Parameter(
+            torch.full((sides, d), -3.0, dtype=torch.float64))
+        self.raw_force = torch.nn.Parameter(
+            torch.full((structure.coulomb * sides + structure.stribeck, d), -3.0,
+                       dtype=torch.float64))
+        self.raw_offset = torch.nn.Parameter(
+            torch.zeros((int(structure.offset), d), dtype=torch.float64))
         # Widths at first spread over their bounds.
-        spread = torch.linspace(-1.0, 1.0, terms + 2, dtype=torch.float64)[1:-1, None]
+        spread = torch.cat([
+            torch.linspace(-1.0, 1.0, count + 2, dtype=torch.float64)[1:-1, None]
+            for count in (structure.coulomb, structure.stribeck)])
         self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
         self.raw_speed = torch.nn.Parameter(
             torch.zeros((structure.stribeck, d), dtype=torch.float64))
@@ -79,13 +85,34 @@ class JointFriction(torch.nn.Module):
             torch.tensor(_FIRST_ROOT * (rows == columns)))
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
-        """Return b (d,), c and w of all terms (k, d), and s (l, d) of the last l."""
+        """
+        Return b, c, w and s.
+
+        b is of shape (n, d) for n signs of v; c has a row for each of them of each Coulomb term,
+        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l.
+        """
         positive = torch.nn.functional.softplus
         span = math.log(_WIDEST / _NARROWEST)
         width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
         return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
                 self.force_unit * positive(self.raw_force), width,
                 self.speed_unit * torch.sigmoid(self.raw_speed))
+
+    @property
+    def switch(self) -> torch.Tensor:
+        """Return the speeds at which directions go over into each other, shape (d,)."""
+        return self.speed_unit * math.sqrt(_NARROWEST * _WIDEST)
+
+    def shares(self, v: torch.Tensor) -> torch.Tensor:
+        """Return how much the numbers of each sign count at v, shape (N, n, d)."""
+        if not self.structure.directed:
+            return torch.ones_like(v)[:, None]
+        ahead = torch.sigmoid(2.0 * v / self.switch)
+        return torch.stack([ahead, 1.0 - ahead], dim=1)
+
+    def offset(self) -> torch.Tensor:
+        """Return the constant force, shape (1, d), or (0, d) without one."""
+        return self.force_unit * self.raw_offset
 
     def roots(self, q: torch.Tensor) -> torch.Tensor:
         """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
@@ -95,9 +122,14 @@ class JointFriction(torch.nn.Module):
     def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return the friction that is taken from tau, all of shape (N, d)."""
         b, c, w, s = self.coefficients()
-        total = b * v
+        shares = self.shares(v)
+        total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
         if len(c):
-            terms, n = c * torch.tanh(v[:, None, :] / w), self.structure.coulomb
+            n, (sided, rest) = self.structure.coulomb, c.split([len(c) - len(s), len(s)])
+            sided = (shares[:, None] * sided.unflatten(0, (n, -1))).sum(dim=2) if n else \
+                v[:, None, :][:, :0]
+            c = torch.cat([sided, rest.expand(len(v), -1, -1)], dim=1)
+            terms = c * torch.tanh(v[:, None, :] / w)
             if len(s):
                 ends = torch.exp(-(v[:, None, :] / s).square())
                 terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
@@ -108,27 +140,24 @@ class JointFriction(torch.nn.Module):
         return total
 
     def values(self) -> torch.Tensor:
-        """Return all b and c, shape (k,), in the order of ``columns``."""
+        """Return all b, c and offsets, shape (k,), in the order of ``columns``."""
         b, c, *_ = self.coefficients()
-        return torch.cat([b[:self.structure.viscous * len(b)], c.flatten()])
+        return torch.cat([b[:self.structure.viscous * len(b)].flatten(), c.flatten(),
+                          self.offset().flatten()])
 
     def columns(self, v: torch.Tensor) -> torch.Tensor:
-        """Return the friction of each b and c where it alone is one, shape (N, d, k), at v."""
+        """Return the friction of each of ``values`` where it alone is one, (N, d, k), at v."""
         _, _, widths, speeds = (part.detach() for part in self.coefficients())
-        found = [v] * self.structure.viscous
-        for k, width in enumerate(widths):
-            slower = k - self.structure.coulomb
-            ends = torch.exp(-(v / speeds[slower]).square()) if slower >= 0 else 1.0
-            found.append(torch.tanh(v / width) * ends)
+        n = self.structure.coulomb
+        found = [one * share
+                 for one in (*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n]))
+                 for share in self.shares(v).unbind(dim=1)]
+        found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
+                  for w, s in zip(widths[n:], speeds, strict=True)]
+        found += [-torch.ones_like(v)] * self.structure.offset
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
-
-    def raise_to_least(self) -> None:
-        """Clamp coefficients away from zero, where the gradient vanishes."""
-        with torch.no_grad():
-            for raw in (self.raw_viscous, self.raw_force):
-                raw.clamp_(min=_LEAST)
 
     def scale(self, factor: float) -> None:
         """Multiply all of it by a factor."""
@@ -140,12 +169,16 @@ class JointFriction(torch.nn.Module):
     def card(self) -> FrictionCard:
         """Return the coefficients for the model card."""
         b, c, w, s = (part.detach().tolist() for part in self.coefficients())
-        n = self.structure.coulomb
+        n, directed = self.structure.coulomb, self.structure.directed
+        sides = 1 + directed
         return FrictionCard(
-            viscous=b, coulomb=[CoulombTerm(force=force, width=width)
-                                for force, width in zip(c[:n], w[:n], strict=True)],
+            viscous=b[0], viscous_back=b[1] if directed else None,
+            switch=self.switch.tolist() if directed else None,
+            offset=self.offset().detach().tolist()[0] if self.structure.offset else None,
+            coulomb=[CoulombTerm(force=c[sides * k], width=w[k],
+                                 back=c[sides * k + 1] if directed else None) for k in range(n)],
             stribeck=[StribeckTerm(force=force, width=width, speed=speed)
-                      for force, width, speed in zip(c[n:], w[n:], s, strict=True)])
+                      for force, width, speed in zip(c[sides * n:], w[n:], s, strict=True)])
 
 
 class Linearised(NamedTuple):
@@ -215,7 +248,8 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
     """Return a function, (N, d), and its derivatives by q and v, by one backward pass."""
     with torch.enable_grad():
         at = q.detach().requires_grad_(), v.detach().requires_grad_()
-        value = function(*at)
+        # Rates of a system without forces are constants, which have no derivatives.
+        value = function(*at) + torch.zeros_like(at[0]) * at[0]
         units = torch.eye(q.shape[1], dtype=q.dtype)[:, None, :].expand(-1, len(q), -1)
         rows = torch.autograd.grad(value, at, units, is_grads_batched=True, allow_unused=True)
     none = torch.zeros_like(units)
@@ -385,16 +419,19 @@ class MechanicalNetwork(torch.nn.Module):
         self.friction = JointFriction(structure, hidden, scales, seed + 2)
         if scales.input_map is not None:
             self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
+        if structure.fade:
+            self.register_buffer('command_unit', torch.tensor(scales.command), persistent=False)
+            self.raw_fade = torch.nn.Parameter(torch.full_like(self.command_unit, -3.0))
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = _prior(structure, float(scales.inertia.mean()))
+        self.register_buffer('identity', torch.eye(d, dtype=torch.float64), persistent=False)
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
         for name, values in (
                 ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns),
-                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia)),
-                ('identity', np.eye(d))):
+                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)
@@ -421,14 +458,14 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of a network without residual; begin with small networks."""
+        """Take prior and friction of a network without residual, which stay; add small networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
-                if name.startswith(('prior.', 'friction.raw_', 'raw_map')):
-                    parameter.copy_(known[name])
-            self.friction.raise_to_least()
+                if name.startswith(('prior.', 'friction.raw_', 'raw_map', 'raw_fade')):
+                    # What is left where networks fade is what least squares have found.
+                    parameter.copy_(known[name]).requires_grad_(False)
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
@@ -436,29 +473,35 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.01)
         if isinstance(self.prior, RigidTree):
-            # The identified parameters stay fixed, with their errors.
-            self.prior.requires_grad_(False)
             self.prior.identification = rigid.prior.identification
 
-    def random_states(self, count: int, generator: torch.Generator) -> torch.Tensor:
-        """Return coordinates, shape (count, d), of all turns, or of the range of the data."""
+    def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
+                      ) -> torch.Tensor:
+        """Return coordinates, (count, d), of all turns, or so many times the data's range."""
         turns = torch.tensor([kind == 'continuous' for kind in self.structure.kinds])
         centre, half = torch.tensor(self.scales.q_centre), torch.tensor(self.scales.q_half)
         share = 2.0 * torch.rand(count, self.d, generator=generator, dtype=torch.float64) - 1.0
-        return torch.where(turns, math.pi * share, centre + half * share)
+        return torch.where(turns, math.pi * share, centre + reach * half * share)
 
-    def residual_size(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the mean square of the networks' parts of M, V_q and D, at q of shape (N, d)."""
+    def residual_sizes(self, q: torch.Tensor) -> torch.Tensor:
+        """Return the square of the networks' parts of M, V_q and D, shape (N,), at q (N, d)."""
         L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
         force = self._potential_slope(q)
         unit = _LARGE * inertia * torch.tensor(self.scales.a)
-        size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean()
-                + (force / unit).square().mean())
+        size = ((_ADDED / _LARGE * (L @ L.transpose(1, 2))).square().mean(dim=(1, 2))
+                + (force / unit).square().mean(dim=1))
         if self.structure.friction_features is None:
             return size
         B = self.friction.roots(q) / self.friction.viscous_unit.sqrt()[:, None]
-        return size + (B @ B.transpose(1, 2) / _LARGE).square().mean()
+        return size + (B @ B.transpose(1, 2) / _LARGE).square().mean(dim=(1, 2))
+
+    def speed_sizes(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return the square of the networks' forces that grow with v^2, shape (N,)."""
+        L, slopes, u, w, inertial = self._kinetic(q, v)
+        forces = self.root_inertia * self._turned(L, slopes, u, w, v) - inertial
+        unit = _LARGE * self.root_inertia.square() / _ADDED * torch.tensor(self.scales.a)
+        return (forces / unit).square().mean(dim=1)
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
@@ -501,9 +544,15 @@ class MechanicalNetwork(torch.nn.Module):
             return None
         return self.raw_map * (math.sqrt(self.raw_map.shape[1]) / self.raw_map.norm())
 
+    def fade(self) -> torch.Tensor:
+        """Return g, shape (m,), of motors that make u / (1 + g abs(u)) of a command u."""
+        return torch.nn.functional.softplus(self.raw_fade) / self.command_unit
+
     def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
         """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
         input_map = self.input_map()
+        if self.structure.fade:
+            tau = tau / (1.0 + self.fade() * tau.abs())
         return tau if input_map is None else tau @ input_map.T
 
     def accelerations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
@@ -562,10 +611,7 @@ class MechanicalNetwork(torch.nn.Module):
     def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
         L, slopes, u, w, rest = self._parts(q, v)
-        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
-        L_dot = self.matrix(by_time)
-        inertial = (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
-        needed, values = inertial - rest / self.root_inertia, None
+        needed, values = self._turned(L, slopes, u, w, v) - rest / self.root_inertia, None
         if self.prior is not None:
             values = self.prior.values()
             needed = needed + self.prior.forces(q, v, values) / self.root_inertia
@@ -580,15 +626,27 @@ class MechanicalNetwork(torch.nn.Module):
         values = self.prior.values() if values is None else values
         return gram + self.prior.mass(q, values) / (S[:, None] * S)
 
+    def _turned(self, L: torch.Tensor, slopes: torch.Tensor, u: torch.Tensor, w: torch.Tensor,
+                v: torch.Tensor) -> torch.Tensor:
+        """Return S^-1 (M v)' at held v, of the networks' M, shape (N, d)."""
+        by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
+        L_dot = self.matrix(by_time)
+        return (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
+
     def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
+        *parts, inertial = self._kinetic(q, v)
+        return *parts, inertial - self._potential_slope(q) - self.friction(q, v)
+
+    def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""
         entries, slopes = self._roots(q)
         L, u = self.matrix(entries), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
         inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_features.features
-        return L, slopes, u, w, inertial - self._potential_slope(q) - self.friction(q, v)
+        return L, slopes, u, w, inertial
 
     def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
         """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
@@ -621,12 +679,16 @@ class MechanicalNetwork(torch.nn.Module):
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
         structure, input_map = self.structure, self.input_map()
+        if input_map is None and structure.fade:
+            input_map = self.identity
         motors = None if input_map is None else input_map.tolist()
+        fade = self.fade().tolist() if structure.fade else None
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction,
             floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
             diagonal_mass=structure.diagonal_mass, prior=prior,
-            friction_features=structure.friction_features, input_map=motors)
+            friction_features=structure.friction_features, input_map=motors,
+            fade=fade)
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
         """Return the entry of the model card, for momenta in this unit."""
@@ -638,7 +700,8 @@ class MechanicalNetwork(torch.nn.Module):
             return None
         if isinstance(self.prior, RigidTree):
             return self.prior.card(alone=not self.structure.residual)
-        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit))
+        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit),
+                         angles=self.structure.angles)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:
@@ -646,8 +709,10 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | R
         return None
     if structure.tree is not None and structure.values is not None:
         return RigidTree(structure.tree, structure.values)
-    return PlanarChain(structure.features, inertia) if structure.prior in CHAINS else \
-        ExactPrior(structure.prior)
+    if structure.prior in CHAINS:
+        assert structure.angles is not None, 'a chain has them'
+        return PlanarChain(structure.angles, inertia)
+    return ExactPrior(structure.prior)
 
 
 def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor

@@ -63,12 +63,12 @@ class PlanarChain(Prior):
     """
     The parameters of models/planar_chain.py, by unknowns for which M is always positive definite.
 
-    Inertias are u exp(x); the coupling of two links is sqrt(I_1 I_2) tanh(x), all that M > 0
-    demands; gravities are u x; with the unit u.
+    The matrix K of inertias and couplings is u L L^T, with exp(x) on the diagonal of the lower
+    triangular L; gravities are u x, inertias of motors u exp(x); with the unit u.
 
     Parameters
     ----------
-    features : sequence of sequence of float
+    angles : sequence of sequence of float
         Rows of the angles of the links from the vertical.
     inertia : float
         The unit of inertias, and of gravities.
@@ -77,31 +77,41 @@ class PlanarChain(Prior):
 
     linear = True
 
-    def __init__(self, features: Sequence[Sequence[float]], inertia: float):
+    def __init__(self, angles: Sequence[Sequence[float]], inertia: float):
         super().__init__()
-        self.names = parameter_names(features)
+        self.names, self.angles = parameter_names(angles), [[*row] for row in angles]
+        d = len(self.angles)
         # The numbers of inertias, couplings, gravities and inertias of motors.
         self._sizes = [sum(name.startswith(kind) for name in self.names)
                        for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
         # M and V are linear in the parameters; these are the terms of each.
-        units = [chain_terms(features, dict(zip(self.names, row, strict=True)))
+        units = [chain_terms(angles, dict(zip(self.names, row, strict=True)))
                  for row in np.eye(len(self.names))]
         for name, values in (
                 ('mass_rows', units[0].mass_rows),
                 ('matrices', np.stack([unit.matrices for unit in units])),
                 ('rows', units[0].rows),
                 ('weights', np.stack([unit.weights for unit in units])),
+                ('pulls', np.stack([unit.pull for unit in units])),
+                ('lower', np.stack(np.triu_indices(d, 1)[::-1])),
                 ('unit', np.array(inertia))):
             self.register_buffer(name, torch.tensor(values), persistent=False)
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
     def values(self) -> torch.Tensor:
         """Return the parameters, shape (k,), in the order of their names."""
-        inertias, couplings, gravities, motors = self.raw.split(self._sizes)
-        # sqrt(I_1 I_2) is u exp((x_1 + x_2) / 2).
-        size = torch.exp(0.5 * inertias.sum())
+        diagonal, below, gravities, motors = self.raw.split(self._sizes)
+        L = self._matrix(torch.exp(diagonal), below, 0.0)
+        K = L @ L.T
         return self.unit * torch.cat([
-            torch.exp(inertias), torch.tanh(couplings) * size, gravities, torch.exp(motors)])
+            torch.diagonal(K), K[self.lower[0], self.lower[1]], gravities, torch.exp(motors)])
+
+    def _matrix(self, diagonal: torch.Tensor, below: torch.Tensor, mirrored: float
+                ) -> torch.Tensor:
+        """Return a matrix of its diagonal and what is below, and a share of that above."""
+        zero = torch.zeros((len(diagonal), len(diagonal)), dtype=diagonal.dtype)
+        lower = zero.index_put((self.lower[0], self.lower[1]), below)
+        return torch.diag(diagonal) + lower + mirrored * lower.T
 
     def scale(self) -> torch.Tensor:
         """Return the usual sizes of the parameters, shape (k,)."""
@@ -116,19 +126,23 @@ class PlanarChain(Prior):
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
         """Return the raw parameters of values; not a number where M would not be positive."""
-        inertias, couplings, gravities, motors = values.split(self._sizes)
-        return torch.cat([
-            torch.log(inertias / self.unit), torch.atanh(couplings / inertias.prod().sqrt()),
-            gravities / self.unit, torch.log(motors / self.unit)])
+        inertias, couplings, gravities, motors = (values / self.unit).split(self._sizes)
+        L, failed = torch.linalg.cholesky_ex(self._matrix(inertias, couplings, 1.0))
+        found = torch.cat([torch.log(torch.diagonal(L)), L[self.lower[0], self.lower[1]],
+                           gravities, torch.log(motors)])
+        return torch.where(failed > 0, torch.nan, found)
 
     def possible(self, values: torch.Tensor) -> torch.Tensor:
         """Return the next values with a positive definite M, by some margin."""
         inertias, couplings, gravities, motors = values.split(self._sizes)
         least = _LEAST * float(self.unit)
         inertias = inertias.clamp(min=least)
-        most = _MOST * inertias.prod().sqrt()
-        return torch.cat([inertias, torch.clamp(couplings, -most, most), gravities,
-                          motors.clamp(min=least)])
+        root = inertias.sqrt()
+        # Couplings are shrunk until the correlations they make are those of a matrix K > 0.
+        shares = couplings / (root[self.lower[0]] * root[self.lower[1]])
+        depth = -torch.linalg.eigvalsh(self._matrix(torch.zeros_like(root), shares, 1.0))[0]
+        couplings = couplings * min(1.0, _MOST / max(float(depth), _MOST))
+        return torch.cat([inertias, couplings, gravities, motors.clamp(min=least)])
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
@@ -147,7 +161,8 @@ class PlanarChain(Prior):
         squares = (products @ v[:, :, None])[:, :, 0]
         weights = values @ self.weights
         return turned, (0.5 * (slope * squares) @ self.mass_rows
-                        - (weights * torch.sin(q @ self.rows.T)) @ self.rows)
+                        - (weights * torch.sin(q @ self.rows.T)) @ self.rows
+                        - values @ self.pulls)
 
 
 class ExactPrior(Prior):

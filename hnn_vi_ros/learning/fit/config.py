@@ -17,7 +17,7 @@ from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.sources import dimension, Source
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
-    BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
+    AUTO, BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
     LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,
     RigidBodyChoice, Structure, Trajectory, VectorField)
 from hnn_vi_ros.learning.families.priors import RigidTree
@@ -215,6 +215,8 @@ class MachineConfig(TrainingConfig):
         family, loss = self.family, self.loss
         if loss is not None:
             self.check_loss(family, loss.kind)
+        if self.windows.records and (isinstance(family, RigidBodyChoice) or not family.prior):
+            raise ValueError('loss.records: fits a prior of the family mechanical; leave it out')
         if isinstance(family, RigidBodyChoice):
             return self
         if isinstance(self.data, ExcitationData):
@@ -222,7 +224,7 @@ class MachineConfig(TrainingConfig):
                              'or log')
         if not self.coordinates:
             raise ValueError('coordinates: expected at least one')
-        if family.prior is not None and isinstance(loss, Regression):
+        if family.prior not in (None, AUTO) and isinstance(loss, Regression):
             raise ValueError(f'loss: {loss.kind} fits no prior; take trajectory')
         if family.input_map == 'learned' and isinstance(loss, Inverse):
             raise ValueError('input_map: the loss inverse would make the forces on a joint small '
@@ -239,7 +241,8 @@ class MachineConfig(TrainingConfig):
         """Return the loss, for data whose accelerations were measured or not."""
         if self.loss is not None:
             return self.loss
-        return Forward(kind='forward') if measured and self.family.prior is None else Trajectory()
+        alone = self.family.prior in (None, AUTO)
+        return Forward(kind='forward') if measured and alone else Trajectory()
 
     def structure(self) -> Structure:
         """Return the structure of the networks; ValueError for a name of no coordinate."""

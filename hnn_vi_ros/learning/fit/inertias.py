@@ -162,6 +162,8 @@ class Unknowns(RigidUnknowns):
 
     """
 
+    all = False
+
     def __init__(self, network: MechanicalNetwork, rotors: bool, offsets: bool):
         tree, d = network.prior, network.d
         assert isinstance(tree, RigidTree)

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.runs import delayed, low_pass, Run
 from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
+from scipy.optimize import minimize_scalar
 import torch
 
 # Errors beyond this share of the usual size count by their size, no longer by their square.
@@ -25,6 +26,9 @@ _STEP = 0.01
 # L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
 # so many times; and it takes no more than so many samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
+
+# The largest delay that is looked for, in samples.
+_MOST_DELAY = 20
 
 Network = MechanicalNetwork | PlainNetwork
 # Returns the loss of some rows of samples.
@@ -269,15 +273,41 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
         raise DataError(f'input_map: of the commands of {motors} motors only {rank} are '
                         'independent, which does not tell what each of them does; leave out '
                         'motors that are not used, or record while each moves by itself')
-    # What else there is: gravity, springs and friction.
-    others = np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
-                        np.ones((len(q), 1))])
-    rates = np.linalg.lstsq(np.hstack([u, others]), a, rcond=None)[0][:motors].T
+    rates = np.linalg.lstsq(np.hstack([u, _others(q, v)]), a, rcond=None)[0][:motors].T
     # The inertias are those for the same force on each joint, in the norm of the network.
     inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
     input_map = inertia[:, None] * rates
     factor = math.sqrt(motors) / float(np.linalg.norm(input_map))
     return factor * input_map, factor * inertia
+
+
+def _others(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return what accelerations are about linear in beside commands: gravity, friction, ..."""
+    return np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
+                      np.ones((len(q), 1))])
+
+
+def estimated_delay(motions: Sequence[Run], cutoff: float) -> float:
+    """
+    Return how many samples forces act after those that they stand beside, parts included.
+
+    With that delay they leave the least of the accelerations unexplained, linearly and beside
+    what depends on the state, all through the zero-phase filter of this cut-off [Hz].
+    """
+    q, v, a = (np.concatenate([getattr(motion, name) for motion in motions])
+               for name in ('q_smooth', 'v_smooth', 'a_smooth'))
+    basis = np.linalg.qr(_others(q, v))[0]
+    rest = a - basis @ (basis.T @ a)
+
+    def unexplained(delay: float) -> float:
+        u = np.concatenate([low_pass(motion.name, delayed(motion, delay).tau, motion.spacing,
+                                     cutoff) for motion in motions])
+        u -= basis @ (basis.T @ u)
+        left = rest - u @ np.linalg.lstsq(u, rest, rcond=None)[0]
+        return float(np.sum((left / rest.std(axis=0))**2))
+    delays = np.arange(-_MOST_DELAY, _MOST_DELAY + 1)
+    best = delays[np.argmin([unexplained(delay) for delay in delays])]
+    return float(minimize_scalar(unexplained, bounds=(best - 1, best + 1), method='bounded').x)
 
 
 def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
@@ -289,6 +319,61 @@ def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
         raise DataError(f'windows: {stage.duration:g} s is less than step_size, or more than '
                         'every motion lasts')
     return Windows(count, loss.method, loss.time_scale), starts
+
+
+# Networks fade beyond about this distance from all that was seen: of coordinates that turn over
+# [rad], and of others as a share of half their range.
+_NEAR_ANGLE, _NEAR_SHARE = 0.3, 0.2
+# So many samples stand for what was seen; networks fade at this multiple of its speeds, and at so
+# many random states in each step.
+_SEEN, _FASTER, _STATES = 500, 2.0, 64
+
+
+class Fading:
+    """
+    A penalty by which networks beside a prior fade outside of what was seen.
+
+    It is the size of the networks, as forces, at random states: with a small weight at those
+    like the data, with a large one at all others, and, as an error of M' grows with v^2, with
+    the large one for the forces that M' makes at up to twice the speeds of the data.
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior.
+    motions : sequence of Run
+        What was seen.
+    seen_weight, fade_weight : float
+        The two weights.
+
+    """
+
+    def __init__(self, network: MechanicalNetwork, motions: Sequence[Run], seen_weight: float,
+                 fade_weight: float):
+        self._network = network
+        self._weights = seen_weight, fade_weight
+        q, v = (np.concatenate([getattr(motion, name) for motion in motions])
+                for name in ('q_smooth', 'v_smooth'))
+        self._turns = torch.tensor([kind == 'continuous' for kind in network.structure.kinds])
+        self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
+            np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))
+        self._seen = torch.tensor(q[::max(1, len(q) // _SEEN)])
+        self._fastest = torch.tensor(np.abs(v).max(axis=0))
+
+    def __call__(self, generator: torch.Generator) -> torch.Tensor:
+        """Return it, at states drawn anew."""
+        network, (usual, large) = self._network, self._weights
+        q = network.random_states(_STATES, generator, reach=2.0)
+        away = q[:, None] - self._seen
+        away = torch.where(self._turns, torch.remainder(away + math.pi, 2.0 * math.pi) - math.pi,
+                           away)
+        nearest = (away / self._unit).square().sum(dim=2).min(dim=1).values
+        weights = large + (usual - large) * torch.exp(-0.5 * nearest)
+        rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
+        share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
+                                 dtype=torch.float64) - 1.0
+        return (weights * network.residual_sizes(q) + large * network.speed_sizes(
+            self._seen[rows], _FASTER * self._fastest * share)).mean()
 
 
 class MachineProblem(Problem):

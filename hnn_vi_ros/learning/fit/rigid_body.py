@@ -10,16 +10,16 @@ form of the Levenberg-Marquardt method.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.runs import part_of, Run
 from hnn_vi_ros.learning.families.choices import Structure, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine import (
-    acceleration_errors, Samples, samples_of, scales_of, window_errors, windows_of)
+    acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.models.mechanical_card import Kind
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
@@ -30,6 +30,12 @@ _SAMPLES, _WINDOWS = 4000, 500
 _EVALUATIONS = 60
 # Least inertia and friction that a fit begins with, in units of the usual ones.
 LEAST = 1e-4
+# Differences of numbers by which whole motions are differentiated, far above their rounding.
+_DIFFERENCE = 1e-5
+# Stribeck friction ends between this share of the usual speed and the rest of it.
+_SHARE = 0.01
+# Windows begin at most so many times in the time that one lasts.
+_OVERLAP = 20
 # How far above its bound a number begins, in the same units.
 _ABOVE = 10.0 * LEAST
 
@@ -68,28 +74,93 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     return losses
 
 
-def best_rigid_body(loss: Trajectory, motions: Sequence[Run]) -> MechanicalNetwork | None:
-    """
-    Return a chain of as many links as there are coordinates, by the angles that fit better.
+def held_out(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]) -> float:
+    """Return the loss on the longest windows of motions that a network was not fitted to."""
+    *_, (_, _, errors) = window_fits(network, loss, samples_of(motions, loss.step_size), _WINDOWS)
+    return float(2.0 * ((1.0 + errors(Solutions()).square()).sqrt() - 1.0).mean())
 
-    None if no chain has so many links, if none follows the motions through the first windows, or
-    if the forces are not those on the joints.
+
+def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run],
+                simulate: Callable[[Run], np.ndarray]) -> float:
     """
-    d = motions[0].q.shape[1]
-    if motions[0].tau.shape[1] != d:
+    Fit prior and friction of a network to the positions of whole motions (output error).
+
+    Parameters
+    ----------
+    network : MechanicalNetwork
+        With a prior and without networks; changed in place, never for the worse.
+    loss : Trajectory
+        Its step size, by which motions are thinned out, forces averaged.
+    motions : sequence of Run
+        What to learn from.
+    simulate : callable
+        ``simulate(motion)`` returns the positions, shape (N, d), of the network as it is, from
+        the first smoothed state of a motion.
+
+    Returns
+    -------
+    float
+        The root mean square error, in units of the spread of each coordinate.
+
+    """
+    every, physical = samples_of(motions, loss.step_size).every, _Physical(network)
+    scale = physical.scale
+    records = [replace(part_of(motion, slice(None, None, every)), held=True,
+                       tau=mean_forces(motion, every)[::every]) for motion in motions]
+    size = np.concatenate([motion.q for motion in motions]).std(axis=0)
+
+    def errors(x: np.ndarray) -> np.ndarray:
+        physical.give((x - 1.0) * scale)
+        return np.concatenate([(simulate(motion) - motion.q) / size for motion in records]).ravel()
+    # All numbers are one more than they are, so that differences are of one size.
+    least, most, start = (1.0 + part for part in (
+        physical.least, physical.most, physical.now() / scale))
+    fit = least_squares(errors, np.maximum(start, least + _ABOVE), diff_step=_DIFFERENCE,
+                        bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
+    return float(np.sqrt(np.mean(errors(fit.x)**2)))
+
+
+def best_rigid_body(loss: Trajectory, motions: Sequence[Run], structure: Structure | None = None,
+                    learns_map: bool = False
+                    ) -> tuple[MechanicalNetwork, dict[str, float]] | None:
+    """
+    Return a chain of as many links as there are coordinates, and its losses after each fit.
+
+    Parameters
+    ----------
+    loss : Trajectory
+        Its windows are simulated.
+    motions : sequence of Run
+        What to learn from.
+    structure : Structure, optional
+        Joints and friction. The links have its angles, or those that fit best if it names none.
+        Default: joints that turn, with viscous friction and two Coulomb terms.
+    learns_map : bool
+        Whether an input map is fitted as well.
+
+    Returns
+    -------
+    tuple or None
+        None if no chain has so many links, if none follows the motions through the last windows,
+        or if the forces are not those on the joints.
+
+    """
+    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    known = structure or Structure(['revolute'] * d, [], [])
+    if motors != d and not learns_map:
         return None
-    scales = scales_of(motions)
-    kinds: list[Kind] = ['revolute'] * d
-    fitted: list[tuple[float, int, MechanicalNetwork]] = []
-    for kind, links in CHAINS.items():
-        # Angles from the vertical, and from the link before.
-        for features in (np.eye(d), np.tril(np.ones((d, d))))[:d if links == d else 0]:
-            network = MechanicalNetwork(Structure(
-                kinds, features.tolist(), [], prior=kind, residual=False), [1], scales, 0)
-            *_, last = fit_rigid_body(network, loss, motions).values()
-            if np.isfinite(last):
-                fitted.append((last, len(fitted), network))
-    return min(fitted)[2] if fitted else None
+    scales = scales_of(motions, learns_map)
+    fitted: list[tuple[float, int, MechanicalNetwork, dict[str, float]]] = []
+    for angles in chain_angles(known.kinds, known.features) \
+            if known.angles is None else [known.angles]:
+        network = MechanicalNetwork(replace(
+            known, features=known.features or np.eye(d).tolist(), mass_features=[],
+            prior=PLANAR_CHAIN, angles=angles, left_out=(), residual=False,
+            friction_features=None), [1], scales, 0)
+        losses = fit_rigid_body(network, loss, motions)
+        if np.isfinite([*losses.values()]).all():
+            fitted.append(([*losses.values()][-1], len(fitted), network, losses))
+    return min(fitted)[2:] if fitted else None
 
 
 def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, most: int
@@ -97,7 +168,9 @@ def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, 
     """Yield the name of each stage, at most about so many starts of windows, and their errors."""
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
-        chosen = spread(starts, most)
+        # Windows that are nearly as long as their motion are nearly the same.
+        length = windows.steps * samples.every
+        chosen = spread(starts, min(most, 1 + _OVERLAP * len(starts) // length))
         yield f'rigid_body_{stage.duration:g}', chosen, partial(
             window_errors, network, samples, chosen, windows)
 
@@ -109,7 +182,7 @@ def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
 
 class RigidUnknowns(ABC):
     """
-    Numbers that give the parameters of a prior, of friction and of an input map, in that order.
+    Numbers that give the parameters of a prior, of friction and of motors, in that order.
 
     Parameters
     ----------
@@ -121,23 +194,36 @@ class RigidUnknowns(ABC):
     Attributes
     ----------
     sizes : list of int
-        How many there are of the prior, of viscous and of other friction, and of the input map.
-    scale, least : np.ndarray, shape (k,)
-        The same of all numbers. Friction has no slope below its least.
+        How many there are of the prior, of viscous and of other friction, of offsets, of the
+        input map, of fades, and of the speeds of Stribeck friction.
+    scale, least, most : np.ndarray, shape (k,)
+        The same of all numbers, and upper bounds. Friction has no slope below its least.
 
     """
 
+    # Whether numbers by which forces are not linear are among them: fades and those speeds.
+    all = True
+
     def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
-        structure, friction = network.structure, network.friction
-        d, terms = network.d, structure.coulomb + structure.stribeck
+        friction = network.friction
+        sides, terms = len(friction.raw_viscous), len(friction.raw_force)
         motors = network.raw_map.numel() if network.scales.input_map is not None else 0
         self.network = network
-        self.sizes = [len(scale), structure.viscous * d, terms * d, motors]
+        fades = network.scales.command[:None if network.structure.fade and self.all else 0]
+        speeds = friction.raw_speed.numel() * self.all
+        offsets = friction.raw_offset.numel()
+        sides *= network.structure.viscous
+        self.sizes = [len(scale), sides * network.d, terms * network.d, offsets, motors,
+                      len(fades), speeds]
         self.scale = np.concatenate([
-            scale, friction.viscous_unit.numpy()[:self.sizes[1]],
-            np.tile(friction.force_unit.numpy(), terms), np.ones(motors)])
+            scale, np.tile(friction.viscous_unit.numpy(), sides),
+            np.tile(friction.force_unit.numpy(), terms),
+            friction.force_unit.numpy()[:offsets], np.ones(motors), 1.0 / fades,
+            np.tile(friction.speed_unit.numpy(), speeds // network.d)])
         self.least = np.concatenate([
-            least, np.full(sum(self.sizes[1:3]), LEAST), np.full(motors, -np.inf)])
+            least, np.full(sum(self.sizes[1:3]), LEAST), np.full(offsets + motors, -np.inf),
+            np.full(len(fades), LEAST), np.full(speeds, _SHARE)])
+        self.most = np.append(np.full(sum(self.sizes[:6]), np.inf), np.full(speeds, 1.0 - _SHARE))
 
     @abstractmethod
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -146,15 +232,23 @@ class RigidUnknowns(ABC):
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network, of all numbers in SI units."""
         friction, d = self.network.friction, self.network.d
-        prior, viscous, forces, input_map = values.split(self.sizes)
+        prior, viscous, forces, offsets, input_map, fades, speeds = values.split(self.sizes)
         found = self.raw_prior(prior)
         if len(viscous):
-            found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
+            found['friction.raw_viscous'] = _inverse_softplus(
+                viscous.reshape(-1, d) / friction.viscous_unit)
         if len(forces):
             found['friction.raw_force'] = _inverse_softplus(
                 forces.reshape(-1, d) / friction.force_unit)
+        if len(offsets):
+            found['friction.raw_offset'] = offsets.reshape(-1, d) / friction.force_unit
         if len(input_map):
             found['raw_map'] = input_map.reshape(d, -1)
+        if len(fades):
+            found['raw_fade'] = _inverse_softplus(fades * self.network.command_unit)
+        if len(speeds):
+            found['friction.raw_speed'] = torch.logit(
+                speeds.reshape(-1, d) / friction.speed_unit)
         return found
 
     def give(self, values: np.ndarray) -> None:
@@ -182,8 +276,11 @@ class _Physical(RigidUnknowns):
         """Return the numbers that the network has, in SI units."""
         network = self.network
         parts = [self.prior.values(), network.friction.values()]
-        if self.sizes[3]:
+        if self.sizes[4]:
             parts.append(network.raw_map.flatten())
+        if self.sizes[5]:
+            parts.append(network.fade())
+        parts.append(network.friction.coefficients()[3].flatten())
         return torch.cat(parts).detach().numpy()
 
 
@@ -212,9 +309,9 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
             matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
-    end = n + sum(physical.sizes[1:3])
+    end = n + sum(physical.sizes[1:4])
     # Accelerations may show no friction, where windows do: it begins above its least.
-    friction = np.maximum(found[n:], 10.0 * LEAST * physical.scale[n:end])
+    friction = np.maximum(found[n:], 10.0 * physical.least[n:end] * physical.scale[n:end])
     return np.concatenate([values, friction, physical.now()[end:]])
 
 
@@ -223,7 +320,7 @@ def _least_squares(physical: _Physical, start: np.ndarray,
     """Return the parameters of the least soft size of errors, and that size."""
     scale = torch.tensor(physical.scale)
     found = fit_errors(physical.network, lambda x: physical.raw(x * scale),
-                       start / physical.scale, physical.least, errors)
+                       start / physical.scale, physical.least, errors, physical.most)
     return (start if found is None else found.x * physical.scale), loss_of(found)
 
 
@@ -235,8 +332,8 @@ def loss_of(found: OptimizeResult | None) -> float:
 
 def fit_errors(network: MechanicalNetwork,
                raw: Callable[[torch.Tensor], dict[str, torch.Tensor]], start: np.ndarray,
-               least: np.ndarray, errors: Callable[[Solutions], torch.Tensor]
-               ) -> OptimizeResult | None:
+               least: np.ndarray, errors: Callable[[Solutions], torch.Tensor],
+               most: np.ndarray | float = np.inf) -> OptimizeResult | None:
     """
     Fit numbers by the soft size of errors.
 
@@ -251,6 +348,8 @@ def fit_errors(network: MechanicalNetwork,
         step ends where it meets a bound, so that one number there would hold all the others.
     errors : callable
         Errors of the network; takes the solver of its steps, which keeps solutions.
+    most : np.ndarray, shape (k,), optional
+        Upper bounds.
 
     Returns
     -------
@@ -278,7 +377,7 @@ def fit_errors(network: MechanicalNetwork,
     start = np.maximum(start, least + _ABOVE)
     if not np.isfinite(values(start)).all():
         return None
-    return least_squares(values, start, jacobian, (least, np.inf), loss='soft_l1', x_scale='jac',
+    return least_squares(values, start, jacobian, (least, most), loss='soft_l1', x_scale='jac',
                          ftol=1e-5, max_nfev=_EVALUATIONS)
 
 

@@ -32,6 +32,8 @@ import torch
 # Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
 # first guesses are worse, and more memory is taken. And steps after which each is taken alone.
 _AT_ONCE, _PATIENCE = 4096, 12
+# So many steps are solved at once at most: over more, dry friction leads Newton's method astray.
+_MOST_STEPS = 100
 # Share of the states to which equations are solved before a last step of Newton's method. Losses
 # fall to 1e-10 of the squared rates, where an error of 1e-6 in their gradients would show.
 _ENOUGH = 1e-9
@@ -282,7 +284,7 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
     guess = v.detach().expand_as(forces) if guess is None else guess
     x, c, missed = q + before * h * v, machine.momenta(q, v)[0], torch.zeros_like(q)
     ends = []
-    parts = -(-forces.numel() * len(nodes) // _AT_ONCE)
+    parts = max(-(-forces.numel() * len(nodes) // _AT_ONCE), -(-len(forces) // _MOST_STEPS))
     for force, about in zip(forces.tensor_split(min(parts, len(forces))),
                             guess.tensor_split(min(parts, len(forces))), strict=True):
         numbers = h * torch.tensor(nodes, dtype=q.dtype).repeat(len(force), 1)

@@ -29,6 +29,7 @@ from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.energy_error import rows_of_each
+from hnn_vi_ros.models.seen import Domain
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -512,6 +513,70 @@ def numbers(scores: Scores) -> dict[str, Any]:
             'energy_mismatch': scores.energy_mismatch and {
                 f'{horizon:.15g}': known(value)
                 for horizon, value in scores.energy_mismatch.items()}}
+
+
+class Outside(NamedTuple):
+    """
+    Motions and predictions outside of what a model has seen, in q, v or forces.
+
+    Parameters
+    ----------
+    share : float
+        Of the samples that are outside.
+    beyond : list of str
+        What goes beyond, the furthest first.
+    errors : dict of str to dict of float to np.ndarray, shape (d,)
+        Root mean square of the errors at the end of each horizon, of predictions along which the
+        machine stayed ``inside``, and of all others, ``outside``; without those that are none.
+
+    """
+
+    share: float
+    beyond: list[str]
+    errors: dict[str, dict[float, np.ndarray]]
+
+    @property
+    def text(self) -> str:
+        """Return all of it, as plain sentences."""
+        if not self.share:
+            return 'All samples are inside of what the model has seen.'
+        errors = '; '.join(f'{where} ' + ', '.join(
+            f'{" ".join(f"{x:.3g}" for x in rms)} after {horizon:g} s'
+            for horizon, rms in found.items()) for where, found in self.errors.items() if found)
+        return (f'{100.0 * self.share:.3g} % of the samples are outside of what the model has '
+                f'seen: {"; ".join(self.beyond)}. Errors {errors}.')
+
+    @property
+    def numbers(self) -> dict[str, Any]:
+        """Return all of it for JSON."""
+        return {'share': self.share, 'beyond': self.beyond, 'errors': {
+            where: {f'{horizon:.15g}': [x if math.isfinite(x) else None for x in rms.tolist()]
+                    for horizon, rms in found.items()} for where, found in self.errors.items()}}
+
+
+def outside(domain: Domain, fans: Sequence[Fan], horizons: Sequence[float]) -> Outside:
+    """Compare motions, and predictions of them, with what a model has seen."""
+    motions = [fan.motion for fan in fans]
+    parts = [np.concatenate([getattr(motion, name) for motion in motions])
+             for name in ('q_smooth', 'v_smooth', 'tau')]
+    errors: dict[str, dict[float, np.ndarray]] = {'inside': {}, 'outside': {}}
+    for horizon in horizons:
+        found, out = list[np.ndarray](), list[np.ndarray]()
+        for motion, starts, q in fans:
+            k = samples_in(horizon, motion)
+            starts = starts[starts + k < len(motion.t)]
+            if k >= q.shape[1] or not len(starts):
+                continue
+            found.append(q[:len(starts), k] - motion.q[starts + k])
+            count = np.cumsum(np.append(0, domain.excess(
+                motion.q_smooth, motion.v_smooth, motion.tau).any(axis=1)))
+            out.append(count[starts + k + 1] > count[starts])
+        error, beyond = np.concatenate(found), np.concatenate(out)
+        error = np.where(np.isfinite(error), error, np.inf)
+        for where, rows in (('inside', ~beyond), ('outside', beyond)):
+            if rows.any():
+                errors[where][horizon] = np.sqrt(np.mean(error[rows]**2, axis=0))
+    return Outside(float(domain.excess(*parts).any(axis=1).mean()), domain.beyond(*parts), errors)
 
 
 def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Effect]]:

@@ -10,35 +10,41 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.runs import Run, run_of, train_and_test
+from hnn_vi_ros.learning.data.runs import delayed, part_of, Run, run_of, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
-from hnn_vi_ros.learning.families.choices import Forward, RigidBodyChoice, Trajectory
+from hnn_vi_ros.learning.families.choices import (
+    ALL_FRICTION, AUTO, DROPPED, Forward, FrictionChoice, RigidBodyChoice, Structure, Trajectory)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
 from hnn_vi_ros.learning.fit.loop import Problem
-from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
-from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_rigid_body
+from hnn_vi_ros.learning.fit.machine import estimated_delay, Fading, MachineProblem, scales_of
+from hnn_vi_ros.learning.fit.rigid_body import (
+    best_rigid_body, fit_records, fit_rigid_body, held_out)
 from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
 from hnn_vi_ros.learning.judging.evaluation import (
-    balance, judge, linear_model, numbers, own_effects, predicted_by, score, simulation_of, table,
-    verdict)
+    balance, judge, linear_model, numbers, outside, own_effects, predicted_by, score, simulated,
+    simulation_of, table, variance_of, verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.tasks.selection import selected
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
+from hnn_vi_ros.models.seen import domain_of, DomainCard, SelectionCard
 import numpy as np
 import torch
 
 # A model is judged by errors after these horizons, from starts at this distance, and by valid
 # prediction times up to this limit [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
+# Friction is dropped that lowers the loss on what was held out by less than this share.
+_NO_WORSE = 1.01
 
 
 class MachineTask(Task):
@@ -62,11 +68,20 @@ class MachineTask(Task):
 
     def __init__(self, source: Path, config: MachineConfig, given: Sequence[str],
                  ensemble: bool):
-        self._config, self._ensemble = config, ensemble
+        self._ensemble = ensemble
         self._train, self._test, description = _read(source, config, given)
+        self._delay = _delay(config, self._train)
+        if self._delay:
+            self._train, self._test = ([delayed(motion, self._delay) for motion in part]
+                                       for part in (self._train, self._test))
+            description += f'; forces act {self._delay:.3g} samples later than they are stamped'
+        if not isinstance(config.family, RigidBodyChoice) and config.family.friction == 'auto':
+            config, friction = pruned(config, self._train)
+            description += f'; {friction}'
+        print(f'data: {description}', flush=True)
+        self._config, self._selection = selected(config, self._train, problem_of)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
-        print(f'data: {description}', flush=True)
         # Where data come from, and by which licence, goes with the model.
         self._description = f'{config.description} {description}'.lstrip() + _scale(
             config, self._train)
@@ -78,16 +93,21 @@ class MachineTask(Task):
 
     def problem(self, config: MachineConfig, device: str) -> Problem:
         """Return a fresh network, its prior fitted, with the stages that follow; see Task."""
-        return problem_of(config, resampled_blocks(self._known, config.seed) if self._ensemble
-                          else self._known)
+        return problem_of(self._chosen(config), resampled_blocks(self._known, config.seed)
+                          if self._ensemble else self._known)
+
+    def _chosen(self, config: MachineConfig) -> MachineConfig:
+        """Return a configuration of another seed with the family that was chosen."""
+        return config.model_copy(update={'family': self._config.family})
 
     def describe(self, problem: Problem, config: MachineConfig, name: str, command: str
                  ) -> Checkpoint:
         """Return a trained network with its card; see Task."""
+        config = self._chosen(config)
         if _opens_scale(config, self._train):
             fix_scale(problem.module, self._train)
         return describe(problem.module, config, self._train, self._description, problem.losses,
-                        name, command)
+                        name, command, self._selection, self._delay * self._train[0].spacing)
 
     def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
         """Return members as one model; see Task."""
@@ -108,6 +128,7 @@ class MachineTask(Task):
         asked = test, horizons, _EVERY, _LONGEST
         scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
                              effects, *asked)
+        domain = domain_of(hamiltonian)
         prediction = PredictionError.model_validate(numbers(scores['model']))
         card = checkpoint.card.model_copy(update={'prediction_error': prediction})
         print('for comparison, a plain network of (q, v, tau):', flush=True)
@@ -117,11 +138,12 @@ class MachineTask(Task):
         others = {'linear model': linear_model(self._train), 'plain network': predicted_by(plain)}
         if 'prismatic' not in network.structure.kinds:
             rigid = best_rigid_body(config.windows, self._train)
-            others |= {} if rigid is None else {'rigid body': predicted_by(rigid)}
+            others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
         scores |= {name: score(other, *asked) for name, other in others.items()}
         text = '\n\n'.join(filter(None, (
             table(scores, [coordinate.name for coordinate in config.coordinates]),
-            verdict(scores), ensemble_text(card))))
+            verdict(scores), '' if domain is None else outside(domain, fans, horizons).text,
+            '' if card.selection is None else card.selection.text, ensemble_text(card))))
         return Judged(
             replace(checkpoint, card=card), text,
             f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
@@ -129,9 +151,10 @@ class MachineTask(Task):
                                           shown(fans, max(horizons))))
 
 
-def problem_of(config: MachineConfig, motions: Sequence[Run]) -> Problem:
+def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | None = None
+               ) -> Problem:
     """
-    Return a network, its prior fitted if it has one, with the stages that follow.
+    Return a network, its prior fitted unless that is given, with the stages that follow.
 
     Raises
     ------
@@ -148,34 +171,111 @@ def problem_of(config: MachineConfig, motions: Sequence[Run]) -> Problem:
         raise DataError(f'the data have {motors} forces for {d} coordinates: of motors, not of '
                         'joints; take input_map: learned')
     structure, scales = config.structure(), scales_of(motions, learns_map)
-    network = MechanicalNetwork(structure, config.hidden, scales, config.seed)
     if structure.prior is None:
-        return MachineProblem(network, config, motions)
-    rigid = MechanicalNetwork(replace(structure, residual=False, friction_features=None),
-                              config.hidden, scales, config.seed)
-    losses = identify(rigid, config, motions, family.rotor_inertia == 'identified',
-                      family.offsets) if isinstance(family, RigidBodyChoice) else \
-        fit_rigid_body(rigid, config.windows, motions)
-    if not np.isfinite([*losses.values()]).all():
-        looked = 'URDF' if isinstance(family, RigidBodyChoice) else \
-            'features, which must be the angles of its links from the vertical,' \
-            if structure.prior in CHAINS else 'coordinates, which must be those of the system,'
-        raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
-                        'and for outliers in the data')
+        return MachineProblem(MechanicalNetwork(structure, config.hidden, scales, config.seed),
+                              config, motions)
+    if rigid is None:
+        rigid = _rigid(config, structure, motions)
     if not structure.residual:
-        return Problem(rigid, losses=losses)
-    network.begin_with(rigid)
+        return Problem(rigid.module, losses=rigid.losses)
+    network = MechanicalNetwork(replace(structure, angles=rigid.module.structure.angles),
+                                config.hidden, scales, config.seed)
+    network.begin_with(rigid.module)
+    return MachineProblem(network, config, motions, Fading(
+        network, motions, family.residual_weight, family.fade_weight), rigid.losses)
 
-    def penalty(generator: torch.Generator) -> torch.Tensor:
-        return family.residual_weight * network.residual_size(
-            network.random_states(config.windows.batch, generator))
-    return MachineProblem(network, config, motions, penalty, losses)
+
+def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[Run]) -> Problem:
+    """Return a prior that was fitted, with its friction and without networks, or DataError."""
+    family = config.family
+    if structure.prior == PLANAR_CHAIN:
+        found = best_rigid_body(config.windows, motions, structure, family.input_map == 'learned')
+        rigid, losses = found or (None, {'none': np.inf})
+        looked = 'angles of its links from the vertical,'
+    else:
+        rigid = MechanicalNetwork(
+            replace(structure, residual=False, friction_features=None), config.hidden,
+            scales_of(motions), config.seed)
+        robot = isinstance(family, RigidBodyChoice)
+        losses = identify(rigid, config, motions, family.rotor_inertia == 'identified',
+                          family.offsets) if isinstance(family, RigidBodyChoice) else \
+            fit_rigid_body(rigid, config.windows, motions)
+        looked = 'URDF' if robot else 'coordinates, which must be those of the system,'
+    if rigid is not None and np.isfinite([*losses.values()]).all():
+        if config.windows.records:
+            losses['records'] = fit_records(
+                rigid, config.windows, motions, lambda motion: whole(rigid, config, motion))
+        return Problem(rigid, losses=losses)
+    raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
+                    'and for outliers in the data')
+
+
+def whole(network: MechanicalNetwork, config: MachineConfig, motion: Run) -> np.ndarray:
+    """Return positions, shape (N, d), of a network from the first state of a motion."""
+    hamiltonian, effects = _parts_of(describe(network, config, [motion], '', {}, 'draft', ''))
+    simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion])
+    found: np.ndarray = simulated(simulation, motion.spacing, np.inf, variance_of([motion]))(
+        motion, np.zeros(1, dtype=int), len(motion.t) - 1)[0]
+    return found
+
+
+def pruned(config: MachineConfig, motions: Sequence[Run]) -> tuple[MachineConfig, str]:
+    """
+    Return a configuration with the friction that is needed, and which that is.
+
+    It begins with all terms; one after another is dropped whose absence makes the prediction of
+    each half of the motions, by a fit of the other, the least worse, if by no more than _NO_WORSE.
+    """
+    halves = [[part_of(motion, slice(*rows)) for motion, rows in zip(motions, ends, strict=True)]
+              for ends in zip(*(((0, len(motion.t) // 2), (len(motion.t) // 2, None))
+                                for motion in motions), strict=True)]
+    longest = 0.9 * max(motion.t[-1] - motion.t[0] for motion in halves[0])
+    loss = config.windows.model_copy(update={'records': False, 'windows': [
+        stage for stage in config.windows.windows if stage.duration <= longest]})
+
+    family = config.family
+    if family.prior == AUTO:
+        if not chain_angles([coordinate.kind for coordinate in config.coordinates]):
+            raise DataError('friction: auto is chosen by fits of a prior, which these joints do not '
+                            'have; name one, or list the terms')
+        family = family.model_copy(update={'prior': PLANAR_CHAIN, 'residual': False})
+
+    def using(friction: FrictionChoice, **changes: object) -> MachineConfig:
+        return config.model_copy(update={
+            'family': family.model_copy(update={'friction': friction}), **changes})
+
+    def error(friction: FrictionChoice) -> float:
+        try:
+            fits = [problem_of(using(friction, loss=loss), half).module
+                    for half in halves]
+        except DataError:
+            return np.inf
+        with torch.no_grad():
+            return float(np.mean([held_out(network, loss, other)
+                                  for network, other in zip(fits, halves[::-1], strict=True)]))
+    friction, dropped = ALL_FRICTION, list[str]()
+    best = error(friction)
+    while left := [name for name in DROPPED if name not in dropped]:
+        without = {name: friction.model_copy(update={name: DROPPED[name]}) for name in left}
+        errors = {name: error(one) for name, one in without.items()}
+        name = min(errors, key=errors.__getitem__)
+        print('friction: held-out loss ' + f'{best:.4g}; without ' + ', '.join(
+            f'{one} {value:.4g}' for one, value in errors.items()), flush=True)
+        if not errors[name] <= best * _NO_WORSE:
+            break
+        friction, best = without[name], min(best, errors[name])
+        dropped.append(name)
+    kept = [name for name in DROPPED if name not in dropped]
+    return config.model_copy(update={
+        'family': config.family.model_copy(update={'friction': friction})}), (
+        f'friction by held-out halves: kept {listed(kept) or "none"}, '
+        f'dropped {listed(dropped) or "none"} of {listed(DROPPED)}')
 
 
 def learn(config: MachineConfig, motions: Sequence[Run]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
-    problem = problem_of(config, motions)
+    problem = problem_of(selected(config, motions, problem_of)[0], motions)
     return problem.module, problem.fit()
 
 
@@ -187,15 +287,18 @@ def fix_scale(network: MechanicalNetwork, motions: Sequence[Run]) -> None:
 
 
 def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
-             description: str, losses: dict[str, float], name: str, command: str) -> Checkpoint:
-    """Return a trained network with its card."""
-    q, v = (np.concatenate([getattr(motion, key) for motion in motions])
-            for key in ('q_smooth', 'v_smooth'))
+             description: str, losses: dict[str, float], name: str, command: str,
+             selection: SelectionCard | None = None, delay: float = 0.0) -> Checkpoint:
+    """Return a trained network with its card, which tells the delay of the forces [s]."""
+    q, v, tau = (np.concatenate([getattr(motion, key) for motion in motions])
+                 for key in ('q_smooth', 'v_smooth', 'tau'))
     with torch.no_grad():
         p = (network.masses(torch.tensor(q)) @ torch.tensor(v)[:, :, None])[:, :, 0].numpy()
     return described(
         config, network.networks(), name, command, family='mechanical', box=Box.of(q, p),
-        mechanical=network.card(config.coordinates[0].p_unit), dataset=description, losses=losses)
+        mechanical=network.card(config.coordinates[0].p_unit).model_copy(
+            update={'delay': delay}), dataset=description, losses=losses,
+        domain=DomainCard.of(q, v, tau), selection=selection)
 
 
 def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Run]) -> Checkpoint:
@@ -215,6 +318,16 @@ def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
     hamiltonian = load_member(checkpoint, None)
     with drafted(checkpoint) as draft:
         return hamiltonian, own_effects(draft, hamiltonian)
+
+
+def _delay(config: MachineConfig, motions: Sequence[Run]) -> float:
+    """Return the samples by which forces are to be delayed."""
+    delay = config.data.delay
+    if delay == 'estimate':
+        if not any(motion.tau.any() for motion in motions):
+            raise DataError('data.delay: the data hold no forces to estimate it by; leave it out')
+        delay = estimated_delay(motions, config.data.smoothing)
+    return delay
 
 
 def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:

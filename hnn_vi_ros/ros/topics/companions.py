@@ -145,6 +145,10 @@ class TwinTopic:
             median = twin.valid_prediction_time
             message = 'follows the machine' if math.isnan(median) else (
                 f'predicts the machine for {median:.3g} s')
+        if twin.outside > 0.0:
+            level = WARN
+            message += (f'; {100.0 * twin.outside:.3g} % of the observations are outside of what '
+                        f'the model has seen: {twin.beyond}')
         if ignored or twin.failed:
             level = WARN
             message += f'; {ignored} observations ignored, {twin.failed} predictions failed'
@@ -153,7 +157,10 @@ class TwinTopic:
                 twin.names, report.error, strict=True)},
             'normalised_error [1]': report.normalised,
             'running_prediction_time [s]': report.running,
-            'valid_prediction_time [s]': twin.valid_prediction_time}
+            'valid_prediction_time [s]': twin.valid_prediction_time,
+            'valid_prediction_time inside [s]': twin.valid_time(False),
+            'valid_prediction_time outside [s]': twin.valid_time(True),
+            'share outside [1]': twin.outside}
         return Status('twin', level, message, {
             **figures, 'predictions [1]': len(twin.times), 'failed predictions [1]': twin.failed,
             'ignored observations [1]': ignored, 'last ignored': why})

@@ -1,0 +1,134 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a model of a machine has seen, and how it was chosen: entries of its card."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from hnn_vi_ros.files.yaml_file import StrictModel
+import numpy as np
+from pydantic import Field
+
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Errors = dict[str, list[float | None]]
+
+
+class DomainCard(StrictModel):
+    """The ranges [low, high] of the motions that a model was learned from."""
+
+    q: list[Range] = Field(min_length=1, description='of each coordinate')
+    v: list[Range] = Field(min_length=1, description='of each velocity')
+    forces: list[Range] = Field(description='of each motor; empty where no forces were measured')
+
+    @classmethod
+    def of(cls, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> 'DomainCard':
+        """Return the ranges of motions, each of shape (N, d), and of forces (N, m)."""
+        parts = {'q': q, 'v': v, 'forces': tau if tau.any() else tau[:, :0]}
+        return cls(**{name: np.stack([part.min(axis=0), part.max(axis=0)], axis=-1).tolist()
+                      for name, part in parts.items()})
+
+
+class Domain:
+    """
+    The domain of a machine's model, for whoever looks at its motions.
+
+    Parameters
+    ----------
+    card : DomainCard
+        Its ranges.
+    kinds : sequence of str
+        Of the coordinates; the range of a continuous one is on its circle.
+    names : sequence of (str, str, str)
+        Of each coordinate its name, its unit and that of its momentum.
+
+    """
+
+    def __init__(self, card: DomainCard, kinds: Sequence[str],
+                 names: Sequence[tuple[str, str, str]]):
+        self._names = names
+        self._motors = len(card.forces)
+        self._low, self._high = np.array([*card.q, *card.v, *card.forces]).T
+        self._turns = np.flatnonzero([kind == 'continuous' for kind in kinds])
+        # Round-off of a coordinate that hardly moves is nothing to be outside by.
+        self._half = np.maximum(0.5 * (self._high - self._low), 1e-9)
+
+    def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
+        """
+        Return how far samples are outside, in half-widths, shape (N, k); 0 inside.
+
+        Parameters
+        ----------
+        q, v : np.ndarray, shape (N, d)
+            Coordinates and velocities.
+        tau : np.ndarray, shape (N, m), optional
+            Forces; they count if there were as many in the data.
+
+        """
+        x = np.hstack([q, v] if tau is None or tau.shape[1] != self._motors else [q, v, tau])
+        low, high, half = (part[:x.shape[1]] for part in (self._low, self._high, self._half))
+        # The turn of an angle that is least beyond.
+        turns = self._turns
+        middle = 0.5 * (low + high)[turns]
+        x[:, turns] = middle + np.remainder(x[:, turns] - middle + np.pi, 2.0 * np.pi) - np.pi
+        return np.maximum(np.maximum(low - x, x - high), 0.0) / half
+
+    def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:
+        """Say what goes beyond, the furthest first, as "elbow to 30 rad/s, seen 15"."""
+        excess, d = self.excess(q, v, tau), len(self._names)
+        values = np.hstack([q, v] if tau is None else [q, v, tau])
+        found = []
+        for i in np.argsort(-excess.max(axis=0)):
+            if not excess[:, i].any():
+                break
+            name, unit, p_unit = self._names[i % d]
+            if i >= 2 * d:
+                name, unit = f'force {i - 2 * d + 1}', p_unit.removesuffix(' s')
+            elif i >= d:
+                unit += '/s'
+            at = values[excess[:, i].argmax(), i]
+            seen = self._high[i] if at > self._high[i] else self._low[i]
+            found.append(f'{name} to {at:.3g} {unit}, seen {seen:.3g}')
+        return found
+
+
+def domain_of(model: Any) -> Domain | None:
+    """Return the domain of a Hamiltonian, None unless it is of a machine whose card has one."""
+    card = getattr(getattr(getattr(model, 'base', model), 'checkpoint', None), 'card', None)
+    if card is None or card.domain is None or card.mechanical is None:
+        return None
+    return Domain(card.domain, card.mechanical.kinds,
+                  [(one.name, one.q_unit, one.p_unit) for one in card.coordinates])
+
+
+class CandidateCard(StrictModel):
+    """A candidate, and its errors on motions that were held out when it was tried."""
+
+    name: str
+    furthest: Errors = Field({}, description=(
+        'root mean square of the error of each coordinate at the end of each horizon [s], on the '
+        'pieces that go furthest; null where it is not finite'))
+    ordinary: Errors = Field({}, description='the same on other pieces')
+    failed: str = Field('', max_length=1000, description='why it could not be tried')
+
+
+class SelectionCard(StrictModel):
+    """How a model was chosen among candidates."""
+
+    held_out: str = Field(max_length=1000)
+    candidates: list[CandidateCard] = Field(min_length=1)
+    chosen: str
+    trust: str = Field(max_length=1000, description='what to trust the model for')
+
+    @property
+    def text(self) -> str:
+        """Return the whole table, as Markdown, and what to trust the model for."""
+        first = next(one for one in self.candidates if not one.failed)
+        heads = [f'{part}, {horizon} s' for part in ('ordinary', 'furthest')
+                 for horizon in getattr(first, part)]
+        lines = [f'| candidate | {" | ".join(heads)} |', f'|---|{len(heads) * "---|"}']
+        for one in self.candidates:
+            cells = [' '.join('inf' if x is None else f'{x:.3g}' for x in errors)
+                     for part in (one.ordinary, one.furthest) for errors in part.values()]
+            name = f'**{one.name}**' if one.name == self.chosen else one.name
+            lines.append(f'| {name} | {" | ".join(cells) or one.failed} |')
+        return '\n'.join([f'Chosen by {self.held_out}:', '', *lines, '', self.trust])

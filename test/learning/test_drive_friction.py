@@ -1,0 +1,139 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Friction of drives: by direction, with offsets and fading gains; delays; what is dropped."""
+
+from pathlib import Path
+
+from hnn_vi_ros.learning.data.runs import delayed, Run, smoothed
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.machine import estimated_delay
+from hnn_vi_ros.learning.fit.steps import simulated
+from hnn_vi_ros.learning.tasks.machine import MachineTask, problem_of, pruned, whole
+from hnn_vi_ros.models.mechanical_card import FrictionCard
+import numpy as np
+from pydantic import ValidationError
+import pytest
+import torch
+
+MASS, VISCOUS, COULOMB, OFFSET, FADE = 2.0, (1.5, 2.5), (0.5, 0.8), 0.3, 0.04
+SPACING, SPEED = 0.01, 0.05
+WINDOWS = [{'duration': 0.2, 'steps': 1}, {'duration': 1.0, 'steps': 1}]
+
+
+def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE) -> Run:
+    """Return 20 s of a drive on a rail, by the classical method with 10 steps a sample."""
+    rng, t = np.random.default_rng(seed), SPACING * np.arange(2001)
+    rates, phases = rng.uniform(0.5, 6.0, 6), rng.uniform(0.0, 6.0, 6)
+    tau = 3.0 * np.sin(t[:, None] * rates + phases).sum(axis=1)
+
+    def rate(z: np.ndarray, force: float) -> np.ndarray:
+        ahead = 0.5 + 0.5 * np.tanh(z[1] / SPEED)
+        b, c = (back + ahead * (front - back) for front, back in (VISCOUS, COULOMB))
+        force = force / (1.0 + fade * abs(force)) + offset
+        return np.array([z[1], (force - b * z[1] - c * np.tanh(z[1] / SPEED)) / MASS])
+    states, h = [np.zeros(2)], SPACING / 10
+    for force in tau[:-1]:
+        z = states[-1]
+        for _ in range(10):
+            k1 = rate(z, force)
+            k2 = rate(z + 0.5 * h * k1, force)
+            k3 = rate(z + 0.5 * h * k2, force)
+            z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + h * k3, force))
+        states.append(z)
+    q, v = np.array(states).T[..., None]
+    run = smoothed('drive', t, q, v, tau[:, None], 40.0)
+    return Run(**(vars(run) | {'held': True}))
+
+
+def config(friction: object, data: object = None, **loss: object) -> MachineConfig:
+    return MachineConfig.model_validate({
+        'coordinates': [{'name': 'x', 'q_unit': 'm', 'p_unit': 'kg m/s', 'kind': 'prismatic'}],
+        'data': {'kind': 'arrays', **(data or {})},
+        'family': {'kind': 'mechanical', 'prior': 'free_particle', 'residual': False,
+                   'friction': friction},
+        'loss': {'kind': 'trajectory', 'windows': WINDOWS, **loss}})
+
+
+ALL = {'coulomb': 1, 'directed': True, 'offset': True, 'fade': True}
+
+
+@pytest.fixture(scope='module')
+def fitted():
+    setting, motion = config(ALL, records=True), drive()
+    return setting, motion, problem_of(setting, [motion])
+
+
+def test_fit_finds_directions_offset_and_fade(fitted):
+    setting, motion, problem = fitted
+    card = problem.module.card('kg m/s')
+    # Widths of dry friction are not fitted, which moves the other numbers by some percent.
+    assert card.friction.viscous == pytest.approx([VISCOUS[0]], rel=0.1)
+    assert card.friction.viscous_back == pytest.approx([VISCOUS[1]], rel=0.1)
+    assert card.friction.coulomb[0].force == pytest.approx([COULOMB[0]], rel=0.2)
+    assert card.friction.coulomb[0].back == pytest.approx([COULOMB[1]], rel=0.2)
+    assert card.friction.offset == pytest.approx([OFFSET], rel=0.2)
+    assert card.fade == pytest.approx([FADE], rel=0.2)
+    # Whole motions, in units of their spread.
+    assert problem.losses['records'] <= 0.01
+
+
+def test_compiled_model_moves_as_the_network(fitted):
+    setting, motion, problem = fitted
+    network = problem.module
+    with torch.no_grad():
+        forces = network.joint_forces(torch.tensor(motion.forces))[:, None]
+        q = simulated(network, 'implicit_midpoint', torch.tensor(motion.q_smooth[:1]),
+                      torch.tensor(motion.v_smooth[:1]), forces, SPACING).q[:, 0].numpy()
+    # The same method and the same H; equations are solved to 1e-9 and better.
+    assert np.abs(whole(network, setting, motion)[1:] - q).max() <= 1e-7
+
+
+def test_directed_friction_dissipates_at_every_velocity(fitted):
+    friction = fitted[2].module.friction
+    v = torch.linspace(-3.0, 3.0, 601, dtype=torch.float64)[:, None]
+    with torch.no_grad():
+        power = (friction(v, v) + friction.offset()) * v
+        assert (power >= 0.0).all()
+        # Linear in its numbers, which the first fit uses.
+        assert torch.allclose(friction.columns(v) @ friction.values(), friction(v, v))
+
+
+def test_terms_without_use_are_dropped_and_others_kept():
+    chosen, text = pruned(config('auto'), [drive(offset=0.0, fade=0.0)])
+    friction = chosen.family.friction
+    assert friction.directed and not friction.offset and not friction.fade
+    assert 'kept directed' in text and 'dropped' in text
+
+
+@pytest.mark.parametrize('delay', [0.0, 2.3])
+def test_delay_is_estimated_in_samples_and_parts(delay: float):
+    motion = delayed(drive(), -delay)
+    # A held force acts half a sample late; smoothing takes the edges of dry friction away.
+    assert estimated_delay([motion], 40.0) == pytest.approx(delay + 0.5, abs=0.3)
+
+
+def test_delay_is_told_by_the_model(tmp_path: Path):
+    motion = delayed(drive(), -2.0)
+    np.savez(tmp_path / 'log.npz', t=motion.t, q=motion.q, dq=motion.v, tau=motion.tau)
+    setting = config({'coulomb': 1}, {'delay': 2.0})
+    task = MachineTask(tmp_path / 'x.yaml', setting, [str(tmp_path / 'log.npz')], False)
+    problem = task.problem(setting, 'cpu')
+    card = task.describe(problem, setting, 'x', 'train').card
+    assert card.mechanical.delay == pytest.approx(0.02)
+    assert 'forces act 2 samples later' in card.dataset
+
+
+@pytest.mark.parametrize(('friction', 'family', 'message'), [
+    ('auto', {'prior': None, 'residual': True}, 'auto is chosen by fits of a prior'),
+    (ALL, {'kind': 'rigid_body', 'file': 'x.urdf'}, 'a rigid_body has offsets of its own')])
+def test_friction_that_cannot_be_fitted_is_refused(friction: object, family: dict, message: str):
+    given = config('auto').model_dump()
+    own = {'kind': 'rigid_body'} if 'file' in family else given['family']
+    given['family'] = own | family | {'friction': friction}
+    with pytest.raises(ValidationError, match=message):
+        MachineConfig.model_validate(given | {'loss': None})
+
+
+def test_card_of_two_directions_needs_the_speed_between():
+    with pytest.raises(ValidationError, match='need switch'):
+        FrictionCard(viscous=[1.0], viscous_back=[2.0])

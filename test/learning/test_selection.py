@@ -1,0 +1,109 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Models of machines that are chosen by what goes furthest, and what they have seen."""
+
+from hnn_vi_ros.guards.base import Look
+from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.tasks.machine import problem_of
+from hnn_vi_ros.learning.tasks.selection import held_out, RIGID, selected
+from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
+from hnn_vi_ros.models.seen import Domain, DomainCard
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+CART, POLE, LENGTH, GRAVITY, VISCOUS = 1.3, 0.4, 0.6, 9.81, 0.2
+
+
+def cart_and_pole(seed: int) -> Run:
+    """Return a cart with a pole that is driven, by (x, angle from hanging), every 10 ms."""
+    t = 0.01 * np.arange(600)
+    force = np.interp(np.arange(600), np.arange(0, 600, 20),
+                      np.random.default_rng(seed).normal(size=30) * 4.0)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        (_, angle), v = np.split(z, 2)
+        mixed = POLE * LENGTH * np.cos(angle)
+        mass = np.array([[CART + POLE, mixed], [mixed, POLE * LENGTH**2]])
+        forces = np.array([np.interp(time, t, force) - VISCOUS * v[0]
+                           + POLE * LENGTH * np.sin(angle) * v[1]**2,
+                           -POLE * GRAVITY * LENGTH * np.sin(angle)])
+        return [*v, *np.linalg.solve(mass, forces)]
+    z = solve_ivp(rates, (0.0, t[-1]), np.zeros(4), t_eval=t, rtol=1e-9, atol=1e-9).y.T
+    return smoothed(f'run{seed}', t, z[:, :2], z[:, 2:], np.stack([force, 0.0 * t], axis=1), 40.0)
+
+
+def test_chain_has_the_mass_matrix_of_its_links():
+    """A cart, and two links by the angles of their joints: M of their points, J^T J."""
+    (_, angles) = chain_angles(['prismatic', 'revolute', 'continuous'])
+    lengths, masses, cart = np.array([0.5, 0.3]), np.array([0.7, 0.2]), 1.1
+    moments = lengths * np.array([masses.sum(), masses[1]])
+    terms = chain_terms(angles, {
+        'inertia1': cart + masses.sum(), 'inertia2': lengths[0] * moments[0],
+        'inertia3': lengths[1] * moments[1], 'coupling12': moments[0], 'coupling13': moments[1],
+        'coupling23': lengths[0] * moments[1], 'gravity1': 0.3, 'gravity2': 1.0, 'gravity3': 2.0})
+    q = np.array([0.4, 0.9, -1.7])
+    mass = (np.cos(terms.mass_rows @ q)[:, None, None] * terms.matrices).sum(axis=0)
+    expected = cart * np.outer(*2 * [np.array([1.0, 0.0, 0.0])])
+    phi = np.array([q[1], q[1] + q[2]])
+    J = np.zeros((2, 3))
+    J[0, 0] = 1.0
+    for link in (0, 1):
+        # Angles of both joints turn the second link.
+        J[:, 1:2 + link] += lengths[link] * np.array([[np.cos(phi[link])], [np.sin(phi[link])]])
+        expected += masses[link] * J.T @ J
+    assert mass == pytest.approx(expected, rel=1e-14)
+    assert (terms.pull @ q, terms.weights[1:].tolist()) == (pytest.approx(0.12), [1.0, 2.0])
+
+
+def test_what_goes_furthest_is_held_out():
+    motions = [cart_and_pole(seed) for seed in (1, 2, 3)]
+    kept, furthest, ordinary = held_out(motions)
+    speed = [max(np.abs(run.v_smooth[:, 1]).max() for run in runs) for runs in (kept, furthest)]
+    assert speed[1] > 1.05 * speed[0]
+    total = sum(len(run.t) for run in motions)
+    assert [sum(len(run.t) for run in runs) / total > 0.08 for runs in (furthest, ordinary)] == [
+        True, True]
+    assert sum(len(run.t) for run in (*kept, *furthest, *ordinary)) == total
+
+
+def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'x', 'kind': 'prismatic'},
+                        {'name': 'angle', 'kind': 'continuous'}],
+        'data': {'kind': 'arrays'}, 'hidden': [8], 'loss': {
+            'kind': 'trajectory', 'forward_steps': 40, 'forward_lbfgs_steps': 0, 'batch': 64,
+            'windows': [{'duration': 0.1, 'steps': 40}]},
+        'family': {'kind': 'mechanical', 'friction': {'coulomb': 0}}})
+    chosen, card = selected(config, [cart_and_pole(seed) for seed in (1, 2, 3)], problem_of)
+    first, *_, alone = card.candidates
+    assert first.name == RIGID and chosen.family.prior is not None
+    assert all(own < other for horizon, errors in first.furthest.items()
+               for own, other in zip(errors, alone.furthest[horizon], strict=True))
+    assert f'**{card.chosen}**' in card.text and 'Trust it for motions like' in card.text
+    prior = problem_of(chosen, [cart_and_pole(1)]).module.card().prior
+    # The midpoint rule at 10 ms is off by (0.01 omega)^2 / 12, the filter by less than 1 %.
+    assert [prior.values[name] for name in ('inertia1', 'inertia2', 'coupling12', 'gravity2')] == (
+        pytest.approx([CART + POLE, POLE * LENGTH**2, POLE * LENGTH, POLE * GRAVITY * LENGTH],
+                      rel=0.02))
+
+
+def test_domain_says_what_goes_beyond():
+    q, v = np.array([[-0.5, 0.0], [0.5, 1.0]]), np.array([[-2.0, -15.0], [2.0, 15.0]])
+    domain = Domain(DomainCard.of(q, v, np.array([[-1.0], [1.0]])), ['continuous', 'revolute'], [
+        ('shoulder', 'rad', 'N m s'), ('elbow', 'rad', 'N m s')])
+    inside = np.array([[2.0 * np.pi + 0.4, 0.5]]), np.array([[0.0, 3.0]])
+    assert not domain.excess(*inside, np.array([[0.5]])).any()
+    beyond = domain.beyond(inside[0], np.array([[0.0, 30.0]]), np.array([[1.5]]))
+    assert beyond == ['elbow to 30 rad/s, seen 15', 'force 1 to 1.5 N m, seen 1']
+    guard = BoxGuard((q.T, v.T), None, domain)
+
+    def look(step: int, velocity: float) -> Look:
+        return Look(step, inside[0][0], np.zeros(2), np.zeros(2), np.array([0.0, velocity]),
+                    0.0, 0.0)
+    assert guard.update(look(0, 3.0)) is None
+    alarm = guard.update(look(1, 30.0))
+    assert 'elbow to 30 rad/s, seen 15 at most), 50 % of the samples' in alarm.message
+    assert guard.update(look(2, 31.0)) is None and guard.share == pytest.approx(2 / 3)
