@@ -209,7 +209,8 @@ def check_names(key: str, names: Sequence[str], taken: Iterable[str] = (),
     if len(names) > most:
         raise ValueError(f'{key}: {len(names)} of them; give at most {most}')
     for i, name in enumerate(names):
-        if not re.match(NAME, name):
+        # fullmatch: `$` alone lets a line break follow.
+        if not re.fullmatch(NAME, name):
             raise ValueError(f'{key} {name!r:.60} must be a letter or underscore, then letters, '
                              'digits, underscores')
         if name in taken or name in names[:i]:
