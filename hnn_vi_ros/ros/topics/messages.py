@@ -99,24 +99,6 @@ def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
     return encode
 
 
-# The topics of every sample: name, type, and the encoder for the coordinates of a system.
-TICK_TOPICS: tuple[tuple[str, type, Callable[[Sequence[Coordinate]], Encode]], ...] = (
-    ('~/state', JointState, encode_state),
-    ('~/q', Float64MultiArray, lambda coordinates: encode_array(
-        columns(coordinates)[0], lambda sample: sample.q)),
-    ('~/p', Float64MultiArray, lambda coordinates: encode_array(
-        columns(coordinates)[1], lambda sample: sample.p)),
-    ('~/energy', Float64, encode_energy),
-    ('joint_states', JointState, encode_joints),
-)
-
-
-def encode_tick(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return the encoder of a sample, one message for each of TICK_TOPICS."""
-    encoders = [make(coordinates) for _, _, make in TICK_TOPICS]
-    return lambda sample: [payload for encode in encoders for payload in encode(sample)]
-
-
 def named_numbers(labels: Sequence[str]) -> Template:
     """Return the template of a list of numbers with names and a stamp, as joint states."""
     return Template(JointState(name=list(labels), position=array('d', [0.0] * len(labels))))
