@@ -13,7 +13,7 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import fitted, frames_of
 from hnn_vi_ros.viewer.rerun_blueprint import PALETTE

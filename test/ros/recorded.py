@@ -17,8 +17,8 @@ from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile

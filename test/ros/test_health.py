@@ -26,9 +26,8 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from peer import hearing
 from processes import finish, read_bag, start

@@ -9,7 +9,7 @@ import time
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader

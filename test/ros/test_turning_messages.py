@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from nav_msgs.msg import Odometry
 import numpy as np

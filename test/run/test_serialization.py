@@ -9,7 +9,7 @@ from hnn_vi_ros.bags.cdr import decode_state, serialize, Template
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.ros.topics.messages import array_message
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hypothesis import given, strategies as st
 from nav_msgs.msg import Odometry
 import numpy as np

@@ -16,8 +16,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].

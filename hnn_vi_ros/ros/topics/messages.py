@@ -17,8 +17,7 @@ from hnn_vi_ros.files.resources import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy

@@ -18,7 +18,7 @@ from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
