@@ -8,8 +8,8 @@ import math
 import time
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
