@@ -16,8 +16,7 @@ import warnings
 
 from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
-from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.files.optional_package import pip_command
+from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files.resources import private_folder, usual_folder
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
 from hnn_vi_ros.ros.plumbing.environment import check_ros_environment

@@ -13,8 +13,7 @@ import sys
 from typing import NamedTuple
 
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.optional_package import pip_command
+from hnn_vi_ros.errors import ParameterError, pip_command
 from hnn_vi_ros.files.resources import cache_folder, can_be_written, share_folder, shipped_names
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
