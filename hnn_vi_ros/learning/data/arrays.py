@@ -203,8 +203,8 @@ class Archive:
         found = [other for other in others if other is None or run + other in self.arrays]
         if not found:
             raise DataError(f'{self.path}: no key {run}{" or ".join(map(str, others))}; it has '
-                            f'{self._keys()}; name the key of the velocities in data, or have them '
-                            'estimated from q: v: null, or --keys t,q,,tau')
+                            f'{self._keys()}; name the key of the velocities in data, or have '
+                            'them estimated from q: v: null, or --keys t,q,,tau')
         return key if key in found else found[0]
 
     def _keys(self) -> str:
