@@ -7,7 +7,8 @@ A formula is a graph, in which equal parts are one node. Its derivatives are nod
 graph, so that what H, its gradient and its Hessian-vector product have in common is computed once.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 import math
 import re
 from types import MappingProxyType
@@ -214,11 +215,11 @@ class Graph:
                     (exponent, self.product(a, self.apply('log', base)))]
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
 
-    def needed(self, roots: Iterable[int]) -> list[int]:
-        """Return all nodes that some are made of, arguments first."""
+    def needed(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """Return all nodes that some are made of, arguments first, without what is known."""
         found, rest = set(), list(roots)
         while rest:
-            if (a := rest.pop()) not in found:
+            if (a := rest.pop()) not in found and a not in known:
                 found.add(a)
                 rest.extend(self.arguments(a))
         return sorted(found)
@@ -290,44 +291,24 @@ class Graph:
             Expressions for the nodes that are known.
 
         """
-        # What is known is not computed: its arguments are not needed for its sake.
-        order: set[int] = set()
-        rest: list[Any] = list(roots)
-        uses: dict[int, int] = dict.fromkeys(roots, 1)
-        divisors: dict[int, int] = {}
-        while rest:
-            if (a := rest.pop()) not in order and a not in texts:
-                order.add(a)
-                for part in self.arguments(a):
-                    # A power names its base several times.
-                    uses[part] = uses.get(part, 0) + 1 + (self.nodes[a][0] == 'power')
-                    rest.append(part)
-                if self.nodes[a][0] == 'over':
-                    divisor = self.nodes[a][2]
-                    divisors[divisor] = divisors.get(divisor, 0) + 1
-        lines: list[str] = []
-        text = dict(texts)
-        inverses: dict[int, str] = {}
-        for a in sorted(order):
+        order = self.needed(roots, texts.keys())
+        divisors = Counter(self.nodes[a][2] for a in order if self.nodes[a][0] == 'over')
+        lines, text, inverses = list[str](), dict(texts), dict[int, str]()
+        for a in order:
             kind, *rest = self.nodes[a]
-            own = [text[part] for part in self.arguments(a)]
             if kind == 'number':
-                text[a] = repr(rest[0]) if rest[0] >= 0.0 else f'({rest[0]!r})'
+                text[a] = f'({rest[0]!r})'
                 continue
+            made = self._text(kind, rest, [text[part] for part in self.arguments(a)])
             if kind == 'over' and divisors[rest[1]] > 1:
                 # One division by what is divided by more than once: a product takes a tenth.
                 if rest[1] not in inverses:
                     inverses[rest[1]] = f'i{rest[1]}'
-                    lines.append(f'i{rest[1]} = 1.0 / {own[1]}')
-                inverse = inverses[rest[1]]
-                made = inverse if self._value(rest[0]) == 1.0 else f'{own[0]} * {inverse}'
-            else:
-                made = self._text(kind, rest, own)
-            if uses[a] > 1 or len(made) > 200:
-                lines.append(f't{a} = {made}')
-                text[a] = f't{a}'
-            else:
-                text[a] = f'({made})'
+                    lines.append(f'i{rest[1]} = 1.0 / {text[rest[1]]}')
+                made = inverses[rest[1]] if self._value(rest[0]) == 1.0 else \
+                    f'{text[rest[0]]} * {inverses[rest[1]]}'
+            text[a] = f't{a}'
+            lines.append(f't{a} = {made}')
         return lines, [text[root] for root in roots]
 
     def _text(self, kind: str, rest: Sequence[Any], own: Sequence[str]) -> str:
