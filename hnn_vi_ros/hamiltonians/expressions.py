@@ -38,10 +38,14 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'sqrt': lambda g, x, z: g.over(g.number(0.5), z),
     'tan': lambda g, x, z: g.plus(g.number(1.0), g.power(z, 2)),
     'tanh': lambda g, x, z: g.plus(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
+    'versine': lambda g, x, z: g.apply('sin', x),
 }
-FUNCTIONS = tuple(name for name in _SLOPES if name != 'sign')
-_NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan}
-_CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
+FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
+# 1 - cos x as 2 sin(x / 2)^2 keeps its digits where x is small, as the heights of pendulums are.
+_NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
+          'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
+_CALLS: dict[str, Callable[..., Any]] = {
+    name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 
 class Graph:
@@ -111,6 +115,9 @@ class Graph:
         (c, rest), (d, other) = self._factor(a), self._factor(b)
         if rest == other:
             return self.scaled(c + d, rest)
+        for value, factor, part in ((x, d, other), (y, c, rest)):
+            if value == -factor and self.nodes[part][0] == 'cos':
+                return self.scaled(value, self._node('versine', self.nodes[part][1]))
         return self._node('sum', a, b)
 
     def product(self, a: int, b: int) -> int:
@@ -123,19 +130,8 @@ class Graph:
             kind, *rest = self.nodes[whole]
             if kind == 'over' and self._value(rest[0]) == 1.0:
                 return self.scaled(c * d, self.over(other, rest[1]))
-        if a == b:
-            return self.scaled(c * d, self.power(a, 2))
-        for whole, cosine in ((a, b), (b, a)):
-            if self.nodes[cosine][0] == 'cos':
-                half = self.nodes[cosine][1]
-                sine = self._node('sin', half)
-                factors = self.nodes[whole][1:] if self.nodes[whole][0] == 'product' else [whole]
-                (number, double), left = self._factor(half), [x for x in factors if x != sine]
-                if number == 0.5 and len(left) < len(factors):
-                    # Heights as 2 sin(q / 2)^2 keep their digits, and their torque is one sine.
-                    made = self.scaled(0.5, self.apply('sin', double))
-                    return self.scaled(c * d, self.product(left[0], made) if left else made)
-        return self.scaled(c * d, self._node('product', *sorted((a, b))))
+        return self.scaled(c * d, self.power(a, 2) if a == b else self._node(
+            'product', *sorted((a, b))))
 
     def over(self, a: int, b: int) -> int:
         """Return a / b; a division by a number is a product with its inverse."""
@@ -320,6 +316,8 @@ class Graph:
             return f'np.power({", ".join(own)})'
         if kind in _SIGNS:
             return f' {_SIGNS[kind]} '.join(own)
+        if kind == 'versine':
+            return f'2.0 * np.sin(0.5 * {own[0]}) ** 2'
         return f'np.{_CALLS[kind].__name__}({own[0]})'
 
 
