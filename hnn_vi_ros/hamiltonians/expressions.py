@@ -42,10 +42,10 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
 }
 FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
 # 1 - cos x as 2 sin(x / 2)^2 keeps its digits where x is small, as the heights of pendulums are.
-_NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
-          'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
-_CALLS: dict[str, Callable[..., Any]] = {
-    name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
+_NUMPY: dict[str, Callable[..., Any]] = {
+    'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
+    'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
+_CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 
 class Graph:
