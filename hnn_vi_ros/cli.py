@@ -16,8 +16,7 @@ import warnings
 
 from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
-from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.files.optional_package import pip_command
+from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files.resources import private_folder, usual_folder
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
 from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
@@ -26,7 +25,7 @@ from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
 _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 # What the extra `train` has besides rerun; simulating does without.
-_TRAINING = ('plotly', 'torch', 'tqdm')
+_TRAINING = ('plotly', 'torch')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
 # The status of a process that SIGINT has ended, as shells give it.

@@ -13,7 +13,7 @@ from studies import hard_cases
 
 PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # These name the machine, whose processors are all that it has.
-OF_THE_MACHINE = {'processors.py', 'accuracy/calibration.py', 'commands/doctor.py'}
+OF_THE_MACHINE = {'processors.py', 'accuracy/automatic_choice.py', 'commands/doctor.py'}
 
 
 @pytest.mark.skipif(not hasattr(os, 'sched_setaffinity'), reason='takes affinities, as Linux has')

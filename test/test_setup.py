@@ -10,7 +10,7 @@ import re
 import runpy
 import tomllib
 
-from hnn_vi_ros.files.optional_package import pip_command
+from hnn_vi_ros.errors import pip_command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 import pytest

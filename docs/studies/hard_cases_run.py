@@ -7,9 +7,8 @@ import math
 
 from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk, secular_change
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import RescueGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation

@@ -16,13 +16,11 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import (
-    did_you_mean, HnnViRosError, ParameterError, UnsupportedSystem)
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ParameterError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Requirements
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel

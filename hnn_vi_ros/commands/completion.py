@@ -7,7 +7,7 @@ import argparse
 from hnn_vi_ros.command_line import named
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.table import COMMANDS, first_line, parser_of
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import optional
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 

@@ -13,8 +13,7 @@ import sys
 from typing import NamedTuple
 
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.optional_package import pip_command
+from hnn_vi_ros.errors import ParameterError, pip_command
 from hnn_vi_ros.files.resources import cache_folder, can_be_written, share_folder, shipped_names
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
@@ -25,7 +24,7 @@ _NEEDED = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'scipy': 
            'pydantic': 'pydantic', 'yaml': 'PyYAML', 'safetensors': 'safetensors',
            'mcap': 'mcap', 'contourpy': 'contourpy'}
 _OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 'figures'),
-             'torch': ('torch', 'training'), 'tqdm': ('tqdm', 'training'),
+             'torch': ('torch', 'training'),
              'pandas': ('pandas', 'to_dataframe'), 'xarray': ('xarray', 'to_xarray'),
              'pyarrow': ('pyarrow', 'sweeps'), 'ray': ('ray', 'sweep --ray'),
              'shtab': ('shtab', 'completion')}

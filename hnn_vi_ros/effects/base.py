@@ -144,6 +144,8 @@ class Effect(ABC):
         Whether it draws random numbers.
     limits : bool
         Whether its parameters are stops at the limits of joints, which commands must respect.
+    drawn : bool
+        Whether the viewer draws its force as an arrow: it takes microseconds of plain Python.
     knots : int
         Number of knots of a path that it needs space for; see Reference.
     excludes : mapping of Place to str
@@ -159,6 +161,7 @@ class Effect(ABC):
     turns: ClassVar[bool] = False
     random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})
 

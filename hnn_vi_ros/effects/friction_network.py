@@ -58,9 +58,10 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
     """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
     d, card = len(columns(coordinates)[0]), model.card
     if card.mechanical is None:
-        nothing = [np.zeros(shape) for shape in (d, d, (2, d), (0, 3, d), (0, 3, d))]
+        nothing = np.zeros((0, 3, d))
         return LearnedFrictionParameters(
-            *nothing, add_body_drag, body_network(model, 'dissipation', coordinates))
+            np.zeros(d), np.zeros(d), np.zeros((2, d)), nothing, nothing.copy(), add_body_drag,
+            body_network(model, 'dissipation', coordinates))
     friction = card.mechanical.friction
     if len(friction.viscous) != d or rotations(coordinates):
         kinds = ' and '.join(sorted({coordinate.kind for coordinate in coordinates}))

@@ -45,7 +45,7 @@ class Gravity(Potential):
 
     """
 
-    turns = True
+    turns = drawn = True
 
     def __init__(self, coordinate: str, mass: float = 1.0, acceleration: float = 9.81):
         check_positive(mass=mass)

@@ -50,6 +50,8 @@ class MagneticField(Joined):
 
     """
 
+    drawn = True
+
     def __init__(self, plane: list[str], charge: float = 1.0, field: float = 1.0):
         if len(plane) != 2 or plane[0] == plane[1]:
             raise ValueError(f'plane = {plane} must name two different coordinates')

@@ -45,7 +45,7 @@ class QuadraticDrag(Force):
 
     """
 
-    depends_on_momentum = turns = True
+    depends_on_momentum = turns = drawn = True
 
     def __init__(self, coordinates: list[str], coefficient: float):
         check_positive(coefficient=coefficient)

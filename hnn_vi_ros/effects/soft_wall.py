@@ -56,6 +56,8 @@ class SoftWall(Potential):
 
     """
 
+    drawn = True
+
     def __init__(self, coordinate: str, position: float = 0.0,
                  side: Literal['above', 'below'] = 'above', stiffness: float = 100.0,
                  width: float = 0.01):

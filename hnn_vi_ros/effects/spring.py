@@ -81,7 +81,7 @@ class Spring(Potential):
 
     """
 
-    turns = True
+    turns = drawn = True
 
     def __init__(self, point: list[str], other: list[str] | None = None,
                  anchor: list[float] | None = None, stiffness: float = 1.0,

@@ -9,8 +9,7 @@ from typing import Any, final
 
 from hnn_vi_ros.effects.base import Wrapping
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Requirements, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.marks import inlined, is_own
 import numpy as np

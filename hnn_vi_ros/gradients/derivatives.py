@@ -13,8 +13,7 @@ from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, OnNumber
 from hnn_vi_ros.gradients.stages import entry_of, find_stages, pull_back, push_forward, StageWork
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau
+from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System

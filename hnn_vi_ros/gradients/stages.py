@@ -16,10 +16,9 @@ the s stages one after another, then p.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.newton import newton
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau
 from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.blocks import bare

@@ -4,10 +4,9 @@
 
 from collections.abc import Callable, Iterator
 
-from hnn_vi_ros.guards.bands import BarrierGuard, InvariantGuard, ResolutionGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, InvariantGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Guard, Observed
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation

@@ -8,10 +8,9 @@ import warnings
 from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.bands import InvariantGuard, PLAIN
+from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, PLAIN
 from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Look, Observed
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.seen import domain_of

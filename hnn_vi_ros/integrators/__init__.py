@@ -15,9 +15,8 @@ from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
-    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint)
+    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
-from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
 from hnn_vi_ros.integrators.runge_kutta import DOP853, ExplicitEuler, RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint

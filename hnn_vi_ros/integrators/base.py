@@ -1,18 +1,167 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of integrators, and the work space of a step."""
+"""Base of integrators: what a method declares of itself, and the work space of a step."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 import math
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
-from hnn_vi_ros.errors import ADVICE, StepFailure
+from hnn_vi_ros.errors import ADVICE, listed, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.marks import is_own
 import numpy as np
+from numpy.typing import ArrayLike
+
+
+class Node(NamedTuple):
+    """
+    A stage that begins where those before it have ended, by shares of the step size.
+
+    From (x, c), which are q and p before the first node, it finds Q and P, and advances:
+
+        Q = x + a h H_p(Q, P),  P = c - b h H_q(Q, P)
+        x <- x + u h H_p(Q, P),  c <- c - w h H_q(Q, P)
+    """
+
+    a: float
+    b: float
+    u: float
+    w: float
+
+
+class PartitionedTableau(NamedTuple):
+    """
+    The coefficients of a step of s stages Z_i = (Q_i, P_i), one set for q and one for p.
+
+        Q_i = q + h sum_j a_ij H_p(Z_j),  P_i = p - h sum_j A_ij H_q(Z_j)
+        q_(n+1) = q + h sum_j b_j H_p(Z_j),  p_(n+1) = p - h sum_j B_j H_q(Z_j)
+
+    Parameters
+    ----------
+    q_matrix, p_matrix : np.ndarray, shape (s, s)
+        a_ij and A_ij.
+    q_weights, p_weights : np.ndarray, shape (s,)
+        b_j and B_j.
+
+    References
+    ----------
+    E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section II.2.
+
+    """
+
+    q_matrix: np.ndarray
+    p_matrix: np.ndarray
+    q_weights: np.ndarray
+    p_weights: np.ndarray
+
+    @property
+    def stages(self) -> int:
+        """Return s."""
+        return self.q_weights.size
+
+    def nodes(self) -> list[Node]:
+        """
+        Return the stages one after another.
+
+        Raises
+        ------
+        ValueError
+            A stage does not begin where those before it have ended, or depends on later ones.
+
+        """
+        for matrix, weights in ((self.q_matrix, self.q_weights), (self.p_matrix, self.p_weights)):
+            ended = np.tril(np.tile(weights, (self.stages, 1)), -1)
+            if (matrix - np.diag(np.diag(matrix)) != ended).any():
+                raise ValueError('the stages cannot be solved one after another')
+        return [Node(*map(float, numbers)) for numbers in zip(
+            np.diag(self.q_matrix), np.diag(self.p_matrix), self.q_weights, self.p_weights,
+            strict=True)]
+
+
+def tableau(q_matrix: ArrayLike, p_matrix: ArrayLike, q_weights: ArrayLike,
+            p_weights: ArrayLike) -> PartitionedTableau:
+    """Return a tableau of numbers in lists; see PartitionedTableau."""
+    return PartitionedTableau(*(np.array(part, dtype=np.float64) for part in (
+        q_matrix, p_matrix, q_weights, p_weights)))
+
+
+def in_sequence(base: PartitionedTableau, fractions: Sequence[float]) -> PartitionedTableau:
+    """Return the tableau of one step made of steps of a base, of these fractions of h."""
+    s, count = base.stages, len(fractions)
+    matrices, weights = np.zeros((2, count * s, count * s)), np.zeros((2, count * s))
+    for k, fraction in enumerate(fractions):
+        own, later = slice(k * s, (k + 1) * s), slice((k + 1) * s, None)
+        for matrix, weight, base_matrix, base_weight in zip(
+                matrices, weights, base[:2], base[2:], strict=True):
+            matrix[own, own] = fraction * base_matrix
+            # Stages of later parts start from where this part has ended.
+            matrix[later, own] = fraction * base_weight
+            weight[own] = fraction * base_weight
+    return PartitionedTableau(*matrices, *weights)
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """
+    Needs and claims of a method; every refusal of a system or an effect derives from it.
+
+    Parameters
+    ----------
+    symmetric, symplectic : bool
+        Properties of the map; symplectic in the 2-form that the method's docstring names.
+    separable : bool
+        Whether it needs H = T(p) + V(q), and forces that do not depend on p.
+    coordinates : str
+        ``'canonical'`` if it needs (q, p) that are; ``'any'`` if it is as good for a field
+        u' = f(u) in any coordinates; ``'other'`` if it is made for those that are not canonical,
+        on which no effect acts; ``'group'`` if it is made for those that turn. No other method
+        takes such.
+    hamiltonian : bool
+        False if the map is made of something else than the kernel's H, which no effect can join.
+    forces : bool
+        Whether the map stays right where the kernel's gradient holds forces as well.
+    from_state : bool
+        False if the next step starts elsewhere than at the state that the last one ended in:
+        nothing may change that state between them.
+
+    """
+
+    symmetric: bool
+    symplectic: bool
+    separable: bool = False
+    coordinates: Literal['canonical', 'any', 'other', 'group'] = 'canonical'
+    hamiltonian: bool = True
+    forces: bool = True
+    from_state: bool = True
+
+    def take_force(self, depends_on_momentum: bool) -> bool:
+        """Return whether the method takes a force at its nodes."""
+        return self.hamiltonian and self.forces and not (depends_on_momentum and self.separable)
+
+    def refusal(self, hamiltonian: Hamiltonian) -> str:
+        """Return why a Hamiltonian cannot be integrated, to follow the method's name, or ''."""
+        turning = listed(coordinate.name for coordinate in hamiltonian.coordinates
+                         if coordinate.kind != 'scalar')
+        if turning and self.coordinates != 'group':
+            return (f'adds to coordinates, which would take a rotation ({turning}) off its '
+                    'group')
+        if not turning and self.coordinates == 'group':
+            return 'is made for rotations and poses, of which this H has none'
+        if not hamiltonian.canonical and self.coordinates == 'canonical':
+            names = listed(coordinate.name for coordinate in hamiltonian.coordinates)
+            return (f'needs canonical coordinates, which those of this model ({names}) are not: '
+                    'its steps, those of eq. (6) too, would keep another 2-form than the one it '
+                    'learned')
+        if hamiltonian.canonical and self.coordinates == 'other':
+            return ('is made for coordinates that are not canonical, those of a model of the '
+                    'family symplectic_form')
+        if self.separable and not hamiltonian.separable:
+            return (f'needs H = T(p) + V(q), but {type(hamiltonian).__name__} does not '
+                    'separate')
+        return ''
+
 
 # Outcomes of one step, as numbers that compiled code can return.
 (OK, NO_CONVERGENCE, NOT_FINITE, BEYOND, NO_MASS, REDUNDANT, IN_DOUBT, NO_SOLUTION,

@@ -7,13 +7,12 @@ from functools import cache
 from typing import ClassVar
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork
+from hnn_vi_ros.integrators.base import (
+    in_sequence, Integrator, OK, PartitionedTableau, Point, PointWork, Requirements)
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
-from hnn_vi_ros.integrators.partitioned import in_sequence, PartitionedTableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import (
+    Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point, Requirements)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 import numpy as np

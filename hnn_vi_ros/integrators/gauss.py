@@ -8,11 +8,9 @@ import math
 from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, plus
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, Point
+from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau, Point, Requirements
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import (
     anderson, BACK, COMMON, GO_ON, is_hopeless, judge, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork

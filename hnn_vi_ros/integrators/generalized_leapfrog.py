@@ -3,18 +3,16 @@
 """The generalised leapfrog: the Störmer-Verlet method for a Hamiltonian of any form."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import leapfrog_energy, OK, Point
+from hnn_vi_ros.integrators.base import (
+    leapfrog_energy, OK, PartitionedTableau, Point, Requirements, tableau)
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
-
 
 # Compiled code knows functions, not the classes that hold them.
 _adjoint_step = SymplecticEulerAdjoint.step

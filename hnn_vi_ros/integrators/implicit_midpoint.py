@@ -5,11 +5,10 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import midpoint_energy, OK, Point
+from hnn_vi_ros.integrators.base import (
+    midpoint_energy, OK, PartitionedTableau, Point, Requirements, tableau)
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel

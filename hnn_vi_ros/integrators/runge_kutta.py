@@ -5,9 +5,8 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import (
+    ENDLESS, Integrator, OK, PartitionedTableau, Point, Requirements, tableau)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np

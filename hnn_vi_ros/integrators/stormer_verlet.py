@@ -3,9 +3,8 @@
 """The Störmer-Verlet method, explicit, for separable Hamiltonians."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, leapfrog_energy, OK, Point
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import (
+    Integrator, leapfrog_energy, OK, PartitionedTableau, Point, Requirements, tableau)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 

@@ -4,12 +4,10 @@
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.integrators.base import PartitionedTableau, Point, Requirements, tableau
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
-from hnn_vi_ros.integrators.partitioned import PartitionedTableau, tableau
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined

@@ -9,10 +9,9 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
-from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel

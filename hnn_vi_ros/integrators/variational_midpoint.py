@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros import models
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
-from hnn_vi_ros.integrators.base import OK, Point
+from hnn_vi_ros.integrators.base import OK, Point, Requirements
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel

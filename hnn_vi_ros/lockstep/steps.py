@@ -16,12 +16,11 @@ from typing import NamedTuple
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
-from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, NO_CONVERGENCE, NOT_FINITE, OK
+from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, NO_CONVERGENCE, Node, NOT_FINITE, OK
 from hnn_vi_ros.integrators.equations import LEAST_SCALE
 from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.partitioned import Node
 from hnn_vi_ros.integrators.solvers import (
     BACK, COMMON, fixed_point, GO_ON, OWN, QUICK, secant, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX

@@ -11,8 +11,7 @@ from typing import Any, final, NamedTuple
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_sink import McapSink
-from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
@@ -22,8 +21,7 @@ from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, Ru
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import Figures
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 import numpy as np
 from std_msgs.msg import String
 

@@ -30,8 +30,8 @@ from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np

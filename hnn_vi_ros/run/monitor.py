@@ -11,8 +11,7 @@ from hnn_vi_ros.accuracy.trials import InitialValueProblem, time_scale, Toleranc
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.timing import Timing
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 import numpy as np
 
 # A drift is a slope over so many blocks at least, and so many times in which the state changes

@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.files.standard_streams import rewrite_line
 from hnn_vi_ros.guards.base import Alarm, Guard, Observed
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 
 # More debt than this is given up: the run is then slower than asked, but loses no step.

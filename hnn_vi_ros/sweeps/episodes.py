@@ -11,11 +11,10 @@ from hnn_vi_ros.errors import DataError, HnnViRosError, StepFailure, StoppedByEv
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.sweeps.plan import SweepPlan
 
 # Errors that count as the failure of an episode, as for a trajectory of a sweep.

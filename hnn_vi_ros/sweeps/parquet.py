@@ -11,8 +11,7 @@ from pathlib import Path
 import re
 from typing import Any, BinaryIO
 
-from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows

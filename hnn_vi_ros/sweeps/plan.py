@@ -14,8 +14,7 @@ import platform
 from typing import Any
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import DataError, optional
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Parts, Scene

@@ -7,7 +7,7 @@ import math
 import re
 from typing import Any, NamedTuple, TYPE_CHECKING
 
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import optional
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name

@@ -13,8 +13,7 @@ import warnings
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import StepFailure, StoppedByEvent
-from hnn_vi_ros.files.optional_package import optional
+from hnn_vi_ros.errors import optional, StepFailure, StoppedByEvent
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import (

@@ -8,7 +8,11 @@ from html import escape
 from pathlib import Path
 from typing import final, TYPE_CHECKING
 
+from hnn_vi_ros.errors import optional
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.trajectory.data import TrajectoryData
+import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -137,8 +141,18 @@ class Trajectory(TrajectoryData):
             pandas is not installed.
 
         """
-        from hnn_vi_ros.trajectory.exports import dataframe_of
-        return dataframe_of(self)
+        with optional('pandas', 'to_dataframe'):
+            import pandas
+        data = self._columns()
+        index: pandas.Index = pandas.Index(self.t, name='t')
+        if self.q.ndim == 3:
+            count = self.q.shape[1]
+            index = pandas.MultiIndex.from_product([range(count), self.t],
+                                                   names=['trajectory', 't'])
+            data = {name: values.T.ravel() for name, values in data.items()}
+        frame = pandas.DataFrame(data, index=index)
+        frame.attrs |= {'title': self.title, 'units': self.units}
+        return frame
 
     def to_xarray(self) -> 'xarray.Dataset':
         """
@@ -156,8 +170,16 @@ class Trajectory(TrajectoryData):
             xarray is not installed.
 
         """
-        from hnn_vi_ros.trajectory.exports import dataset_of
-        return dataset_of(self)
+        with optional('xarray', 'to_xarray'):
+            import xarray
+        units, many = self.units, self.q.ndim == 3
+        axes = ('t', 'trajectory') if many else ('t',)
+        variables = {name: (axes, values, {'units': units[name]})
+                     for name, values in self._columns().items()}
+        places = {'t': ('t', self.t, {'units': units['t']})}
+        if many:
+            places['trajectory'] = ('trajectory', np.arange(self.q.shape[1]), {})
+        return xarray.Dataset(variables, places, {'title': self.title})
 
     def to_rerun(self, target: str | Path | int) -> None:
         """
@@ -179,8 +201,42 @@ class Trajectory(TrajectoryData):
             Several trajectories (see ``select``), or one that knows no scene.
 
         """
-        from hnn_vi_ros.trajectory.exports import record
-        record(self, target)
+        # Tables need no rerun.
+        with optional('rerun', 'to_rerun'):
+            from hnn_vi_ros.viewer.rerun_sink import RerunSink
+        run, simulation = self.single(), self.simulation()
+        scene = run.scene
+        hamiltonian = simulation.hamiltonian
+        assert scene is not None, 'it has a Hamiltonian'
+        if isinstance(target, str) and '://' not in target:
+            target = Path(target)
+        h, first = scene.known_step_size, float(run.energy[0])
+        stamps = [round(t * 1e9) for t in run.t.tolist()]
+        dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p)
+        # The work of effects is not part of a trajectory: its error is that of H alone.
+        sink = RerunSink(
+            scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
+            mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
+            effects=simulation.effects, step_size=h, modified=False,
+            interval=0, begin=(stamps[0], round(run.t[0] / h)))
+        try:
+            told = [(event.t, f'event {event}', 'INFO') for event in run.events] + [
+                (alarm.step * h, alarm.message, 'WARN') for alarm in run.alarms]
+            for t, text, level in sorted(told):
+                sink.event(text, level, (round(t * 1e9), round(t / h)))
+            for k, stamp in enumerate(stamps):
+                energy = float(run.energy[k])
+                sink.write(Sample(
+                    round(run.t[k] / h), stamp, run.q[k], run.p[k], dH_dq[k], dH_dp[k], energy,
+                    float('nan'), (energy - first) / (abs(first) or 1.0)))
+        finally:
+            sink.close()
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        """Return all columns by name, each of shape (N,) or (N, m)."""
+        (q_names, p_names), (q, p) = self.names, (self.q, self.p)
+        return {**{name: q[..., i] for i, name in enumerate(q_names)},
+                **{name: p[..., i] for i, name in enumerate(p_names)}, 'H': self.energy}
 
     def __repr__(self) -> str:
         alarms = [f'alarms: {", ".join(self.alarm_kinds())}'] if self.alarm_kinds() else []

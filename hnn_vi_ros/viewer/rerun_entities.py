@@ -13,7 +13,7 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import fitted, frames_of
 from hnn_vi_ros.viewer.rerun_blueprint import PALETTE
@@ -197,9 +197,7 @@ def _usual_effort(robot: Robot) -> float:
     return _GRAVITY * max(mass, 1e-3) * _reach_of(robot)
 
 
-# Effects whose force is known at a state, in microseconds of plain Python, and what commands make.
-DRAWN = ('gravity', 'spring', 'magnetic_field', 'soft_wall', 'damping', 'dry_friction',
-         'quadratic_drag', 'periodic_drive')
+# What commands make.
 MOTORS = 'motors'
 # Shares of half the mechanism's extent: the arrow of the largest force of the first samples at
 # most, and the radius of an arrow.
@@ -222,7 +220,7 @@ class ForceArrows:
     Parameters
     ----------
     effects : sequence of Effect
-        All of the scene; those that are not in DRAWN are left out.
+        All of the scene; those that are not ``drawn`` are left out.
     hamiltonian : Hamiltonian
         H, whose coordinates the effects name.
     mechanism : callable
@@ -245,7 +243,7 @@ class ForceArrows:
         self._reach, self._size = reach, size
         d = hamiltonian.dimension
         state = EffectState.empty(len(effects), d)
-        kinds = {EFFECTS[kind]: kind for kind in DRAWN}
+        kinds = {effect: kind for kind, effect in EFFECTS.items() if effect.drawn}
         known = [effect for effect in effects if type(effect) in kinds]
         # All are resolved before one acts: friction has to know of magnetic fields.
         resolved = [effect.resolve(hamiltonian.coordinates, state) for effect in known]
@@ -301,7 +299,7 @@ class ForceArrows:
         if isinstance(effect, Potential):
             effect.add_gradient(own, sample.q, f_p)
             return -f_p
-        assert isinstance(effect, Force), 'DRAWN has no others'
+        assert isinstance(effect, Force), 'no others are drawn'
         effect.add_force(own, sample.step * self._step_size, sample.q, sample.p, sample.dH_dp,
                          f_q, f_p)
         return f_p

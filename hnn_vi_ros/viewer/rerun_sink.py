@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Part, Trail
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint

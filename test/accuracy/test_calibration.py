@@ -8,8 +8,7 @@ import math
 
 from benchmarks import campaign
 from helpers import problem_of
-from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES, Choice, remembered
+from hnn_vi_ros.accuracy.automatic_choice import calibrate, CANDIDATES, Choice, remembered, resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -204,7 +203,7 @@ def test_scene_with_the_integrator_auto_is_simulated(scene):
 def test_choice_is_remembered(scene, monkeypatch):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
     _, first = resolve(mine)
-    monkeypatch.setattr('hnn_vi_ros.accuracy.calibration.calibrate', None)
+    monkeypatch.setattr('hnn_vi_ros.accuracy.automatic_choice.calibrate', None)
     assert resolve(mine)[1] == first
     # Another tolerance is another question.
     with pytest.raises(TypeError):

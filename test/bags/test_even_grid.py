@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaps among stamps that come evenly, and none where they do not."""
 
-from hnn_vi_ros.bags.even_grid import Missing, missing_in_all, missing_stamps
+from hnn_vi_ros.bags.mcap_recovery import Missing, missing_in_all, missing_stamps
 import numpy as np
 import pytest
 

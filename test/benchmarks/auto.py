@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import math
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from hnn_vi_ros.accuracy.calibration import calibrate, CANDIDATES
+from hnn_vi_ros.accuracy.automatic_choice import calibrate, CANDIDATES
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.scene import load_scene

@@ -17,7 +17,7 @@ from pathlib import Path
 import time
 
 from benchmarks.systems import System, systems
-from hnn_vi_ros.accuracy.calibration import calibrate
+from hnn_vi_ros.accuracy.automatic_choice import calibrate
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem

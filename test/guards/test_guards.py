@@ -4,11 +4,10 @@
 
 import math
 
-from hnn_vi_ros.guards.bands import BarrierGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard
 from hnn_vi_ros.guards.base import accounted_energy, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 import pytest
 

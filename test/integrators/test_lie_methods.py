@@ -21,8 +21,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
-    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint)
-from hnn_vi_ros.integrators.lie.lie_variational_euler import LieVariationalEuler
+    LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
 from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import check_state, Coordinate

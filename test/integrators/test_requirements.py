@@ -11,8 +11,7 @@ from hnn_vi_ros.gradients.derivatives import differentiable_tableau
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import Integrator, Requirements
 from hnn_vi_ros.lockstep.steps import step_of
 from hnn_vi_ros.simulation.system import System
 import pytest

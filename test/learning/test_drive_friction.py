@@ -64,7 +64,7 @@ def fitted():
 
 
 def test_fit_finds_directions_offset_and_fade(fitted):
-    setting, motion, problem = fitted
+    *_, problem = fitted
     card = problem.module.card('kg m/s')
     # Widths of dry friction are not fitted, which moves the other numbers by some percent.
     assert card.friction.viscous == pytest.approx([VISCOUS[0]], rel=0.1)

@@ -11,14 +11,14 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.recording import BagOutput, Beginning
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
-from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
+from hnn_vi_ros.ros.topics.messages import describe_topic
+from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE, TICKS
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile
@@ -47,9 +47,9 @@ def record_run(bag: Path, scene: Scene, ticks: int, rate: float = 100.0,
     simulation.restart(simulation.q.copy(), simulation.p.copy(),
                        step=described.get('first_step', 0))
     sampler = Sampler(simulation, rate)
-    encode = encode_tick(simulation.hamiltonian.coordinates)
+    encode = encode_sample(simulation.hamiltonian.coordinates)
     report = scene_report(scene, simulation) | described
-    topics = TICK_TOPICS if state else TICK_TOPICS[1:]
+    topics = SAMPLED if state else SAMPLED[1:]
     sink = BagOutput(
         Settings(record=begin is None, record_path=str(bag), publish_rate=rate),
         BagTopics([_topic(*topic[:2], qos) for topic in topics], _topic(*SCENE[:3])),

@@ -12,10 +12,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.bands import BarrierGuard, ResolutionGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -26,9 +25,8 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 import numpy as np
 from peer import hearing
 from processes import finish, read_bag, start

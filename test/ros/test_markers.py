@@ -8,7 +8,7 @@ import time
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Trail
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 from peer import nodes_of
 import pytest

@@ -9,7 +9,7 @@ import time
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -19,6 +19,7 @@ import yaml
 rclpy = pytest.importorskip('rclpy', reason='ROS 2 is not installed')
 
 from hnn_vi_ros.ros.topics import messages  # noqa: E402, I100
+from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED  # noqa: E402
 from rclpy.context import Context  # noqa: E402
 from rclpy.duration import Duration  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
@@ -28,7 +29,7 @@ from rclpy.serialization import deserialize_message  # noqa: E402
 from sensor_msgs.msg import Imu, JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-TICK_TYPES = tuple(message_type for _, message_type, _ in messages.TICK_TOPICS)
+TICK_TYPES = tuple(output.message_type for output in SAMPLED)
 PUBLISHED_TYPES = tuple(dict.fromkeys(TICK_TYPES))
 QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 # Doubles that survive only an exact copy of their bits.
@@ -44,7 +45,7 @@ def sample_of(dimension: int, step: int) -> Sample:
 
 
 def encoder_of(names: list[str]) -> messages.Encode:
-    return messages.encode_tick([*map(Coordinate, names)])
+    return encode_sample([*map(Coordinate, names)])
 
 
 def decode(encoded: tuple[bytes, ...]) -> list:
@@ -207,8 +208,8 @@ def test_subscriber_receives_the_encoded_bytes(node):
 def test_log_of_encoded_samples_reads_back_in_rosbags(tmp_path):
     encode = encoder_of(['x', 'y'])
     samples = [sample_of(2, step) for step in range(50)]
-    topics = [messages.describe_topic(f'/{name.removeprefix("~/")}', kind, QOS)
-              for name, kind, _ in messages.TICK_TOPICS]
+    topics = [messages.describe_topic(f'/{output.topic.removeprefix("~/")}', output.message_type,
+                                      QOS) for output in SAMPLED]
     sink = McapSink(tmp_path / 'bag', topics, {})
     for sample in samples:
         sink.write(sample.stamp, encode(sample))

@@ -6,9 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.accuracy import calibration
-from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.accuracy.calibration import Choice
+from hnn_vi_ros.accuracy import automatic_choice
+from hnn_vi_ros.accuracy.automatic_choice import Choice, resolve
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.ros.run.preparation import report
 from hnn_vi_ros.run.scene_report import scene_report
@@ -34,7 +33,7 @@ def choose(tmp_path: Path, monkeypatch):
     def plant(choice: Choice) -> None:
         (tmp_path / 'auto.yaml').write_text(AUTO)
         with monkeypatch.context() as patch:
-            patch.setattr(calibration, 'calibrate', lambda *_: choice)
+            patch.setattr(automatic_choice, 'calibrate', lambda *_: choice)
             resolve(load_scene(tmp_path / 'auto.yaml'), 1.0 / 100.0)
     return plant
 

@@ -16,9 +16,8 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.scene_report import scene_report
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.simulation.sample import Sample
 from nav_msgs.msg import Odometry
 import numpy as np
 from peer import nodes_of

@@ -13,9 +13,9 @@ from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
-from hnn_vi_ros.ros.topics.messages import encode_tick, TICK_TOPICS
+from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -40,10 +40,10 @@ def test_messages_of_a_mixed_system_hold_every_column_by_name():
     q, dH_dq, (p, dH_dp) = *rng.normal(size=(2, 13)), rng.normal(size=(2, 11))
     motors = rng.normal(size=11)
     sample = replace(sample_of(q, p, dH_dq, dH_dp), motors=motors)
-    encoded = encode_tick(MIXED)(sample)
+    encoded = encode_sample(MIXED)(sample)
     state, q_told, p_told, energy, joints = (
-        deserialize_message(data, kind) for data, (_, kind, _) in
-        zip(encoded, TICK_TOPICS, strict=True))
+        deserialize_message(data, output.message_type) for data, output in
+        zip(encoded, SAMPLED, strict=True))
     assert list(q_told.data) == q.tolist() and list(p_told.data) == p.tolist()
     assert q_told.layout.dim[0].label.split(',')[4:8] == [
         'body_qx', 'body_qy', 'body_qz', 'body_qw']

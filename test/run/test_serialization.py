@@ -7,8 +7,9 @@ from itertools import zip_longest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros.bags.cdr import decode_state, serialize, Template
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.ros.topics.messages import array_message, encode_tick, TICK_TOPICS
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.ros.topics.messages import array_message
+from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
+from hnn_vi_ros.simulation import Sample
 from hypothesis import given, strategies as st
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -81,9 +82,9 @@ def test_two_encoders_give_the_same_bytes_and_these_decode_to_the_sample():
     for length in range(1, 17):
         names = ['x' * length, 'y' * (length + 1)]
         sample = Sample(1, 5, *np.arange(8.0).reshape(4, 2), 9.0, 0.0, 0.0, 10.0)
-        first = encode_tick([*map(Coordinate, names)])(sample)
-        assert first == encode_tick([*map(Coordinate, names)])(sample)
-        assert len(first) == len(TICK_TOPICS)
+        first = encode_sample([*map(Coordinate, names)])(sample)
+        assert first == encode_sample([*map(Coordinate, names)])(sample)
+        assert len(first) == len(SAMPLED)
         state = decode_state(first[0])
         assert (state.stamp, state.energy, state.work) == (5, 9.0, 10.0)
         assert (state.q == sample.q).all() and (state.p == sample.p).all()

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.ros.run.control import Control
 from hnn_vi_ros.run.timing import StatusLine
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 import pytest
 

@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import ParameterError, StepFailure
 from hnn_vi_ros.guards import BoxGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.requirements import Requirements
+from hnn_vi_ros.integrators.base import Requirements
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -6,10 +6,9 @@ from helpers import GENERIC, Method, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, OK
+from hnn_vi_ros.integrators.base import Integrator, OK, Requirements
 from hnn_vi_ros.integrators.composition import Composition, Yoshida4
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 import numpy as np
 import pytest

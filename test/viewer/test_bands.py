@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_blueprint import BANDS
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np

@@ -11,8 +11,7 @@ import sys
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 from PIL import Image

@@ -8,8 +8,8 @@ from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.mechanisms import MECHANISMS
-from hnn_vi_ros.simulation.sample import Sample
-from hnn_vi_ros.viewer.rerun_entities import DRAWN, ForceArrows
+from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.viewer.rerun_entities import ForceArrows
 import numpy as np
 import pytest
 from rerun_reader import read
@@ -88,7 +88,3 @@ def test_recording_holds_arrows_and_says_how_long_a_newton_is(tmp_path: Path):
     assert ('arrows of forces, 1 N is 0.05 m long: damping green, periodic_drive pink') in told
     # 10.7 N m at t = 0, on a rod drawn 1 m long.
     assert np.linalg.norm(drive[0]) == pytest.approx(0.05 * 10.7, rel=1e-5)
-
-
-def test_drawn_effects_are_forces_or_potentials_that_scenes_know():
-    assert set(DRAWN) <= EFFECTS.keys()

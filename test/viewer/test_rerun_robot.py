@@ -8,7 +8,7 @@ import sys
 
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_entities import bounds_of_path, bounds_of_robot, collisions_of
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np

@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, TURNED
+from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.gauss import Collocation, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
@@ -13,7 +13,6 @@ from hnn_vi_ros.integrators.lie.equations import (
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
 from hnn_vi_ros.integrators.newton import difference
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined

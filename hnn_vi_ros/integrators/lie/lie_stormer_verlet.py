@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, TURNED
+from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import fill_forces, is_beyond, is_too_far, move
 from hnn_vi_ros.integrators.lie.rotations import cayley, dot
-from hnn_vi_ros.integrators.requirements import Requirements
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np

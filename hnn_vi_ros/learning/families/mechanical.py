@@ -28,7 +28,8 @@ class JointFriction(torch.nn.Module):
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
     semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
-    each b and of each c of the first terms, and the offset of a motor is a friction that does not depend on v.
+    each b and of each c of the first terms, and the offset of a motor is a friction that does not
+    depend on v.
 
     Parameters
     ----------
@@ -48,7 +49,6 @@ class JointFriction(torch.nn.Module):
         super().__init__()
         d, sides = len(structure.kinds), 1 + structure.directed
         self.structure = structure
-        terms = structure.coulomb + structure.stribeck
         force = scales.inertia * scales.a
         for name, values in (
                 ('viscous_unit', force / scales.v), ('force_unit', force),
@@ -149,9 +149,8 @@ class JointFriction(torch.nn.Module):
         """Return the friction of each of ``values`` where it alone is one, (N, d, k), at v."""
         _, _, widths, speeds = (part.detach() for part in self.coefficients())
         n = self.structure.coulomb
-        found = [one * share
-                 for one in (*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n]))
-                 for share in self.shares(v).unbind(dim=1)]
+        sided = [*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n])]
+        found = [one * share for one in sided for share in self.shares(v).unbind(dim=1)]
         found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
                   for w, s in zip(widths[n:], speeds, strict=True)]
         found += [-torch.ones_like(v)] * self.structure.offset
@@ -458,7 +457,7 @@ class MechanicalNetwork(torch.nn.Module):
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of a network without residual, which stay; add small networks."""
+        """Take prior and friction of a network without residual; add small networks to them."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())

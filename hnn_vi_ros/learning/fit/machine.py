@@ -305,8 +305,7 @@ def estimated_delay(motions: Sequence[Run], cutoff: float) -> float:
         u -= basis @ (basis.T @ u)
         left = rest - u @ np.linalg.lstsq(u, rest, rcond=None)[0]
         return float(np.sum((left / rest.std(axis=0))**2))
-    delays = np.arange(-_MOST_DELAY, _MOST_DELAY + 1)
-    best = delays[np.argmin([unexplained(delay) for delay in delays])]
+    best = min(range(-_MOST_DELAY, _MOST_DELAY + 1), key=unexplained)
     return float(minimize_scalar(unexplained, bounds=(best - 1, best + 1), method='bounded').x)
 
 

@@ -236,8 +236,8 @@ def pruned(config: MachineConfig, motions: Sequence[Run]) -> tuple[MachineConfig
     family = config.family
     if family.prior == AUTO:
         if not chain_angles([coordinate.kind for coordinate in config.coordinates]):
-            raise DataError('friction: auto is chosen by fits of a prior, which these joints do not '
-                            'have; name one, or list the terms')
+            raise DataError('friction: auto is chosen by fits of a prior, which these joints do '
+                            'not have; name one, or list the terms')
         family = family.model_copy(update={'prior': PLANAR_CHAIN, 'residual': False})
 
     def using(friction: FrictionChoice, **changes: object) -> MachineConfig:

@@ -9,8 +9,8 @@ from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.ros.topics.messages import describe_topic, encode_tick, TICK_TOPICS
-from hnn_vi_ros.ros.topics.outputs import SCENE, TICKS
+from hnn_vi_ros.ros.topics.messages import describe_topic
+from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.sweeps import sweep
@@ -50,7 +50,7 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
         A bag exists already, or cannot be written.
 
     """
-    topics = [_topic(name, kind, TICKS) for name, kind, _ in TICK_TOPICS]
+    topics = [_topic(*output[:3]) for output in SAMPLED]
     for episode in episodes:
         _, values, scene, simulation, sampler, _ = episode
         report = dump_yaml(scene_report(scene, simulation))
@@ -63,7 +63,7 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
             STATE_FILE: state_file(simulation)})
         sink.write_other(_topic(*SCENE[:3]), sampler.stamp,
                          serialize(String(data=report)))
-        encode = encode_tick(simulation.hamiltonian.coordinates)
+        encode = encode_sample(simulation.hamiltonian.coordinates)
         for sample in episode.samples():
             sink.write(sample.stamp, encode(sample))
         sink.close()

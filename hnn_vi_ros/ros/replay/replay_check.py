@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.bags.even_grid import missing_stamps
+from hnn_vi_ros.bags.mcap_recovery import missing_stamps
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.kernels.sources import identity

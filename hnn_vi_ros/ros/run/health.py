@@ -8,16 +8,15 @@ import math
 import time
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.base import Alarm, Guard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 
 STEP_FAILED = 'step failed'
 # Wall time between two log lines of the same kind [s].

@@ -8,8 +8,7 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.accuracy.automatic_choice import Chosen, resolve, tolerance_of
-from hnn_vi_ros.accuracy.calibration import Choice
+from hnn_vi_ros.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
 from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.companions.members import Members

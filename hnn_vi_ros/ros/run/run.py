@@ -13,8 +13,8 @@ from hnn_vi_ros.companions.members import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.energy import EnergyGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
@@ -29,8 +29,8 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.events import watched
-from hnn_vi_ros.simulation.sample import Sample
 from hnn_vi_ros.simulation.stepping import RescuePending
 import numpy as np
 from rclpy.node import Node

@@ -14,8 +14,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
 from hnn_vi_ros.ros.topics.messages import named_numbers
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 
 
 class SpreadTopic:

@@ -17,8 +17,7 @@ from hnn_vi_ros.files.resources import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample, Simulation
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
@@ -97,24 +96,6 @@ def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
         template.set_stamp(sample.stamp)
         return [template.serialized()]
     return encode
-
-
-# The topics of every sample: name, type, and the encoder for the coordinates of a system.
-TICK_TOPICS: tuple[tuple[str, type, Callable[[Sequence[Coordinate]], Encode]], ...] = (
-    ('~/state', JointState, encode_state),
-    ('~/q', Float64MultiArray, lambda coordinates: encode_array(
-        columns(coordinates)[0], lambda sample: sample.q)),
-    ('~/p', Float64MultiArray, lambda coordinates: encode_array(
-        columns(coordinates)[1], lambda sample: sample.p)),
-    ('~/energy', Float64, encode_energy),
-    ('joint_states', JointState, encode_joints),
-)
-
-
-def encode_tick(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return the encoder of a sample, one message for each of TICK_TOPICS."""
-    encoders = [make(coordinates) for _, _, make in TICK_TOPICS]
-    return lambda sample: [payload for encode in encoders for payload in encode(sample)]
 
 
 def named_numbers(labels: Sequence[str]) -> Template:

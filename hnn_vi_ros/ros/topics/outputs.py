@@ -2,17 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics that the simulator publishes; a new topic is one more row of OUTPUTS."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic
 from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import (
-    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, TICK_TOPICS, TrajectoryFeedback)
+    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_energy, encode_joints,
+    encode_state, TrajectoryFeedback)
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Simulation
@@ -23,7 +25,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
@@ -86,6 +88,9 @@ class Output(NamedTuple):
     make : callable, optional
         ``make(material, publisher)`` returns the encoder of its samples. Without one, messages
         are sent by ``Topics.send``.
+    encoder : callable, optional
+        ``encoder(coordinates)`` does the same where that needs the coordinates alone; bags of
+        sweeps hold these topics as well.
     recorded : str
         ``'tick'``: one message in each sample of a bag, in the order of the rows; ``'apart'``: as
         a message with a stamp of its own; empty: not at all.
@@ -98,6 +103,13 @@ class Output(NamedTuple):
     when: Callable[[Settings, Material | None], object] = lambda settings, run: True
     make: Callable[[Material, Publisher], Encode] | None = None
     recorded: Literal['', 'tick', 'apart'] = ''
+    encoder: Callable[[Sequence[Coordinate]], Encode] | None = None
+
+    def encode(self, run: Material, publisher: Publisher) -> Encode | None:
+        """Return the encoder of its samples, None without one."""
+        if self.encoder is not None:
+            return self.encoder(run.simulation.hamiltonian.coordinates)
+        return self.make and self.make(run, publisher)
 
 
 SCENE = Output('~/scene', String, LATCHED, recorded='apart')
@@ -119,11 +131,6 @@ ROBOT = Output('robot_description', String, LATCHED,
                lambda settings, run: run and run.simulation.hamiltonian.robot)
 
 
-def _tick(topic: str, message_type: type, encoder: Callable[..., Encode]) -> Output:
-    return Output(topic, message_type, TICKS, recorded='tick', make=lambda run, publisher: encoder(
-        run.simulation.hamiltonian.coordinates))
-
-
 def _markers(run: Material, publisher: Publisher) -> Encode:
     assert run.mechanism is not None, 'the row asks for it'
     hamiltonian = run.simulation.hamiltonian
@@ -141,7 +148,13 @@ def _spread(run: Material) -> SpreadTopic:
 OUTPUTS = (
     Output(CLOCK_TOPIC, Clock, CLOCK_QOS, lambda settings, run: settings.publish_clock,
            lambda run, publisher: ClockEncoder().encode),
-    *(_tick(*topic) for topic in TICK_TOPICS), ACCURACY,
+    Output('~/state', JointState, TICKS, recorded='tick', encoder=encode_state),
+    Output('~/q', Float64MultiArray, TICKS, recorded='tick', encoder=lambda coordinates:
+           encode_array(columns(coordinates)[0], lambda sample: sample.q)),
+    Output('~/p', Float64MultiArray, TICKS, recorded='tick', encoder=lambda coordinates:
+           encode_array(columns(coordinates)[1], lambda sample: sample.p)),
+    Output('~/energy', Float64, TICKS, recorded='tick', encoder=encode_energy),
+    Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints), ACCURACY,
     Output('~/odometry', Odometry, TICKS,
            lambda settings, run: run and run.simulation.hamiltonian.rotations,
            lambda run, publisher: OdometryEncoder(
@@ -155,3 +168,11 @@ OUTPUTS = (
            lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
 )
+# What bags of sweeps hold.
+SAMPLED = tuple(output for output in OUTPUTS if output.encoder is not None)
+
+
+def encode_sample(coordinates: Sequence[Coordinate]) -> Encode:
+    """Return the encoder of a sample, one message for each of SAMPLED."""
+    encoders = [output.encoder(coordinates) for output in SAMPLED if output.encoder is not None]
+    return lambda sample: [payload for encode in encoders for payload in encode(sample)]

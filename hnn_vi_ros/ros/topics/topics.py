@@ -18,7 +18,7 @@ from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation.sample import Sample
+from hnn_vi_ros.simulation import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.serialization import deserialize_message
@@ -191,8 +191,8 @@ class Topics:
                     self._node, output.message_type, output.topic, output.qos)
 
     def _make(self, outputs: Iterable[Output]) -> dict[str, tuple[Output, Encode]]:
-        return {output.topic: (output, output.make(self._material, self._publishers[output.topic]))
-                for output in outputs if output.make is not None}
+        return {output.topic: (output, encode) for output in outputs if (encode := output.encode(
+            self._material, self._publishers[output.topic])) is not None}
 
     def _describe(self, outputs: Iterable[Output]) -> None:
         for output in outputs:
