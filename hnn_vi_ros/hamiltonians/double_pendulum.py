@@ -60,10 +60,9 @@ class DoublePendulum(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
         return formula_kernel(
             ['q1', 'q2'],
             '(p1 / l1 - cos(q1 - q2) * p2 / l2)^2 / (2 * (m1 + m2 * sin(q1 - q2)^2))'
             '+ p2^2 / (2 * m2 * l2^2)'
-            '+ 2 * (m1 + m2) * g * l1 * sin(q1 / 2)^2 + 2 * m2 * g * l2 * sin(q2 / 2)^2',
+            '+ (m1 + m2) * g * l1 * (1 - cos(q1)) + m2 * g * l2 * (1 - cos(q2))',
             m1=self.mass1, m2=self.mass2, l1=self.length1, l2=self.length2, g=self.gravity)

@@ -7,7 +7,8 @@ A formula is a graph, in which equal parts are one node. Its derivatives are nod
 graph, so that what H, its gradient and its Hessian-vector product have in common is computed once.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 import math
 import re
 from types import MappingProxyType
@@ -37,9 +38,13 @@ _SLOPES: dict[str, Callable[['Graph', int, int], int]] = {
     'sqrt': lambda g, x, z: g.over(g.number(0.5), z),
     'tan': lambda g, x, z: g.plus(g.number(1.0), g.power(z, 2)),
     'tanh': lambda g, x, z: g.plus(g.number(1.0), g.scaled(-1.0, g.power(z, 2))),
+    'versine': lambda g, x, z: g.apply('sin', x),
 }
-FUNCTIONS = tuple(name for name in _SLOPES if name != 'sign')
-_NUMPY = {'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan}
+FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
+# 1 - cos x as 2 sin(x / 2)^2 keeps its digits where x is small, as the heights of pendulums are.
+_NUMPY: dict[str, Callable[..., Any]] = {
+    'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
+    'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
 _CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 
@@ -110,6 +115,9 @@ class Graph:
         (c, rest), (d, other) = self._factor(a), self._factor(b)
         if rest == other:
             return self.scaled(c + d, rest)
+        for value, factor, part in ((x, d, other), (y, c, rest)):
+            if value == -factor and self.nodes[part][0] == 'cos':
+                return self.scaled(value, self._node('versine', self.nodes[part][1]))
         return self._node('sum', a, b)
 
     def product(self, a: int, b: int) -> int:
@@ -122,19 +130,8 @@ class Graph:
             kind, *rest = self.nodes[whole]
             if kind == 'over' and self._value(rest[0]) == 1.0:
                 return self.scaled(c * d, self.over(other, rest[1]))
-        if a == b:
-            return self.scaled(c * d, self.power(a, 2))
-        for whole, cosine in ((a, b), (b, a)):
-            if self.nodes[cosine][0] == 'cos':
-                half = self.nodes[cosine][1]
-                sine = self._node('sin', half)
-                factors = self.nodes[whole][1:] if self.nodes[whole][0] == 'product' else [whole]
-                (number, double), left = self._factor(half), [x for x in factors if x != sine]
-                if number == 0.5 and len(left) < len(factors):
-                    # Heights as 2 sin(q / 2)^2 keep their digits, and their torque is one sine.
-                    made = self.scaled(0.5, self.apply('sin', double))
-                    return self.scaled(c * d, self.product(left[0], made) if left else made)
-        return self.scaled(c * d, self._node('product', *sorted((a, b))))
+        return self.scaled(c * d, self.power(a, 2) if a == b else self._node(
+            'product', *sorted((a, b))))
 
     def over(self, a: int, b: int) -> int:
         """Return a / b; a division by a number is a product with its inverse."""
@@ -214,11 +211,11 @@ class Graph:
                     (exponent, self.product(a, self.apply('log', base)))]
         return [(rest[0], _SLOPES[kind](self, rest[0], a))]
 
-    def needed(self, roots: Iterable[int]) -> list[int]:
-        """Return all nodes that some are made of, arguments first."""
+    def needed(self, roots: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """Return all nodes that some are made of, arguments first, without what is known."""
         found, rest = set(), list(roots)
         while rest:
-            if (a := rest.pop()) not in found:
+            if (a := rest.pop()) not in found and a not in known:
                 found.add(a)
                 rest.extend(self.arguments(a))
         return sorted(found)
@@ -290,44 +287,24 @@ class Graph:
             Expressions for the nodes that are known.
 
         """
-        # What is known is not computed: its arguments are not needed for its sake.
-        order: set[int] = set()
-        rest: list[Any] = list(roots)
-        uses: dict[int, int] = dict.fromkeys(roots, 1)
-        divisors: dict[int, int] = {}
-        while rest:
-            if (a := rest.pop()) not in order and a not in texts:
-                order.add(a)
-                for part in self.arguments(a):
-                    # A power names its base several times.
-                    uses[part] = uses.get(part, 0) + 1 + (self.nodes[a][0] == 'power')
-                    rest.append(part)
-                if self.nodes[a][0] == 'over':
-                    divisor = self.nodes[a][2]
-                    divisors[divisor] = divisors.get(divisor, 0) + 1
-        lines: list[str] = []
-        text = dict(texts)
-        inverses: dict[int, str] = {}
-        for a in sorted(order):
+        order = self.needed(roots, texts.keys())
+        divisors = Counter(self.nodes[a][2] for a in order if self.nodes[a][0] == 'over')
+        lines, text, inverses = list[str](), dict(texts), dict[int, str]()
+        for a in order:
             kind, *rest = self.nodes[a]
-            own = [text[part] for part in self.arguments(a)]
             if kind == 'number':
-                text[a] = repr(rest[0]) if rest[0] >= 0.0 else f'({rest[0]!r})'
+                text[a] = f'({rest[0]!r})'
                 continue
+            made = self._text(kind, rest, [text[part] for part in self.arguments(a)])
             if kind == 'over' and divisors[rest[1]] > 1:
                 # One division by what is divided by more than once: a product takes a tenth.
                 if rest[1] not in inverses:
                     inverses[rest[1]] = f'i{rest[1]}'
-                    lines.append(f'i{rest[1]} = 1.0 / {own[1]}')
-                inverse = inverses[rest[1]]
-                made = inverse if self._value(rest[0]) == 1.0 else f'{own[0]} * {inverse}'
-            else:
-                made = self._text(kind, rest, own)
-            if uses[a] > 1 or len(made) > 200:
-                lines.append(f't{a} = {made}')
-                text[a] = f't{a}'
-            else:
-                text[a] = f'({made})'
+                    lines.append(f'i{rest[1]} = 1.0 / {text[rest[1]]}')
+                made = inverses[rest[1]] if self._value(rest[0]) == 1.0 else \
+                    f'{text[rest[0]]} * {inverses[rest[1]]}'
+            text[a] = f't{a}'
+            lines.append(f't{a} = {made}')
         return lines, [text[root] for root in roots]
 
     def _text(self, kind: str, rest: Sequence[Any], own: Sequence[str]) -> str:
@@ -339,6 +316,8 @@ class Graph:
             return f'np.power({", ".join(own)})'
         if kind in _SIGNS:
             return f' {_SIGNS[kind]} '.join(own)
+        if kind == 'versine':
+            return f'2.0 * np.sin(0.5 * {own[0]}) ** 2'
         return f'np.{_CALLS[kind].__name__}({own[0]})'
 
 

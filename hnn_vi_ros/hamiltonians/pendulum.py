@@ -94,7 +94,6 @@ class Pendulum(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
         return formula_kernel(
-            ['q'], 'p^2 / (2 * m * l^2) + 2 * m * g * l * sin(q / 2)^2', m=self.mass,
+            ['q'], 'p^2 / (2 * m * l^2) + m * g * l * (1 - cos(q))', m=self.mass,
             l=self.length, g=self.gravity)

@@ -233,7 +233,7 @@ def _largest_term(graph: Graph, roots: Sequence[int], parameters: Mapping[str, f
         elif kind in ('product', 'sum'):
             bounds[a] = math.prod(parts) if kind == 'product' else sum(parts)
         else:
-            bounds[a] = 1.0 if kind in ('cos', 'sin', 'tanh') else math.inf
+            bounds[a] = {'cos': 1.0, 'sin': 1.0, 'tanh': 1.0, 'versine': 2.0}.get(kind, math.inf)
     # A term alone is as exact as its size says.
     terms, rest = [0.0], [a for a in roots if graph.nodes[a][0] == 'sum']
     while rest:
