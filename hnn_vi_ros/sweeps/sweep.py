@@ -13,7 +13,7 @@ import warnings
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.resources import is_path
-from hnn_vi_ros.files.standard_streams import rewrite_line
+from hnn_vi_ros.files.standard_streams import ProgressLine
 from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.simulation.checks import check_count
@@ -25,9 +25,6 @@ from hnn_vi_ros.sweeps.lerobot import write_lerobot
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
-
-# Wall time from one line to the next, on a terminal and elsewhere [s].
-_TERMINAL, _ELSEWHERE = 0.2, 10.0
 
 
 def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
@@ -190,14 +187,8 @@ class _Progress:
         self._left = sum(len(plan.indices(shard)) for shard in shards)
         self._total = sum(len(plan.indices(shard)) for shard in range(
             share[0], plan.shards, share[1]))
-        self._terminal, self._shown = sys.stderr.isatty(), False
         self._made = self._ahead = 0
-        self._start = now = time.monotonic()
-        self._next = now + self._interval
-
-    @property
-    def _interval(self) -> float:
-        return _TERMINAL if self._terminal else _ELSEWHERE
+        self._start, self._line = time.monotonic(), ProgressLine()
 
     def block(self, count: int) -> None:
         """Count trajectories of a shard that is being made."""
@@ -210,20 +201,12 @@ class _Progress:
         self._show()
 
     def _show(self) -> None:
-        now, made = time.monotonic(), self._made + self._ahead
-        if now < self._next or not made:
-            return
-        self._next = now + self._interval
-        pace = made / (now - self._start)
-        text = (f'{self._total - self._left + made} of {self._total} trajectories, '
-                f'{pace:.3g} a second, {(self._left - made) / pace:.0f} s left')
-        self._shown = self._terminal
-        if self._terminal:
-            rewrite_line(sys.stderr, text)
-        else:
-            print(text, file=sys.stderr, flush=True)
+        made = self._made + self._ahead
+        done, pace = self._total - self._left + made, made / (time.monotonic() - self._start)
+        self._line.show(done / self._total, (
+            f'{done} of {self._total} trajectories, {pace:.3g} a second, '
+            f'{(self._left - made) / pace:.0f} s left'))
 
     def close(self) -> None:
-        """Leave the line: what is printed next begins one of its own."""
-        if self._shown:
-            print(file=sys.stderr, flush=True)
+        """Clear the line."""
+        self._line.close()
