@@ -16,7 +16,7 @@ NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
 RERUN = ['rerun-sdk>=0.41,<0.42']
 SWEEP = ['pyarrow>=18']
-TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3', 'tqdm>=4.60']
+TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [

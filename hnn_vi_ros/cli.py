@@ -25,7 +25,7 @@ from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
 _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 # What the extra `train` has besides rerun; simulating does without.
-_TRAINING = ('plotly', 'torch', 'tqdm')
+_TRAINING = ('plotly', 'torch')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
 # The status of a process that SIGINT has ended, as shells give it.

@@ -17,7 +17,7 @@ class Hide:
 sys.meta_path.insert(0, Hide())
 """
 # What a light install lacks, and what only training brings.
-TRAINING = {'matplotlib', 'torch', 'tqdm'}
+TRAINING = {'matplotlib', 'torch'}
 # What the extras of recordings and of sweeps bring.
 RECORDING = {'rerun', 'rerun_bindings', 'pyarrow', 'PIL', 'psutil', 'attr'}
 

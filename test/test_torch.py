@@ -170,14 +170,19 @@ def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene):
         assert float(forward_ad.unpack_dual(last).tangent) == pytest.approx(along, rel=1e-10)
 
 
-def test_number_of_an_effect_that_joins_h_is_followed(tmp_path):
-    text = ('hamiltonian: {kind: free_particle, mass: 2.0}\n'
-            'effects: [{kind: spring, point: [x], anchor: [0.0], stiffness: 3.0}]\n'
+@pytest.mark.parametrize('hamiltonian, effect, names', [
+    ('kind: free_particle, mass: 2.0',
+     'kind: spring, point: [x], anchor: [0.0], stiffness: 3.0',
+     ['hamiltonian.mass', 'effects.0.stiffness']),
+    ('kind: formula, coordinates: [x], parameters: {m: 2.0}, H: p_x^2/(2*m)',
+     'kind: potential, formula: k*x^2/2, parameters: {k: 3.0}',
+     ['hamiltonian.parameters.m', 'effects.0.parameters.k'])])
+def test_number_of_an_effect_that_joins_h_is_followed(tmp_path, hamiltonian, effect, names):
+    text = (f'hamiltonian: {{{hamiltonian}}}\neffects: [{{{effect}}}]\n'
             'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
             'initial_state: {q: [1.0], p: [0.0]}\n')
     path = tmp_path / 'spring.yaml'
     path.write_text(text)
-    names = 'hamiltonian.mass', 'effects.0.stiffness'
     numbers = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (2.0, 3.0)]
     one = torch.ones(1, dtype=torch.float64)
     motion = simulate(path, one, 0.0 * one, duration=2.0, every=20,

@@ -24,7 +24,7 @@ _NEEDED = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'scipy': 
            'pydantic': 'pydantic', 'yaml': 'PyYAML', 'safetensors': 'safetensors',
            'mcap': 'mcap', 'contourpy': 'contourpy'}
 _OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 'figures'),
-             'torch': ('torch', 'training'), 'tqdm': ('tqdm', 'training'),
+             'torch': ('torch', 'training'),
              'pandas': ('pandas', 'to_dataframe'), 'xarray': ('xarray', 'to_xarray'),
              'pyarrow': ('pyarrow', 'sweeps'), 'ray': ('ray', 'sweep --ray'),
              'shtab': ('shtab', 'completion')}

@@ -66,7 +66,7 @@ hamiltonian:
   parameters: {parameters}
   H: {H}
 integrator: {{kind: gauss8}}
-step_size: {step_size:g}   # [s], {steps} in the fastest period of small motions about the state below
+step_size: {step_size:g}   # [s], {steps} in the shortest period of small motions
 initial_state: {{q: {q}, p: {p}}}
 """
 

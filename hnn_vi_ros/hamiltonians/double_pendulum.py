@@ -5,8 +5,8 @@
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
@@ -61,9 +61,9 @@ class DoublePendulum(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
-        return Formula(['q1', 'q2'], """
-            (p1 / l1 - cos(q1 - q2) * p2 / l2)^2 / (2 * (m1 + m2 * sin(q1 - q2)^2))
-            + p2^2 / (2 * m2 * l2^2)
-            + 2 * (m1 + m2) * g * l1 * sin(q1 / 2)^2 + 2 * m2 * g * l2 * sin(q2 / 2)^2""", {
-            'm1': self.mass1, 'm2': self.mass2, 'l1': self.length1, 'l2': self.length2,
-            'g': self.gravity}).kernel
+        return formula_kernel(
+            ['q1', 'q2'],
+            '(p1 / l1 - cos(q1 - q2) * p2 / l2)^2 / (2 * (m1 + m2 * sin(q1 - q2)^2))'
+            '+ p2^2 / (2 * m2 * l2^2)'
+            '+ 2 * (m1 + m2) * g * l1 * sin(q1 / 2)^2 + 2 * m2 * g * l2 * sin(q2 / 2)^2',
+            m1=self.mass1, m2=self.mass2, l1=self.length1, l2=self.length2, g=self.gravity)

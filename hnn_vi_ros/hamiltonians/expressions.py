@@ -445,8 +445,8 @@ class Reader:
     def _deeper(self, read: Callable[[], int]) -> int:
         self._depth += 1
         if self._depth > DEEPEST:
-            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, signs '
-                             'or powers inside each other; a formula has at most these')
+            raise ValueError(f'column {self.column(self._at)}: more than {DEEPEST} brackets, '
+                             'signs or powers inside each other; a formula has at most these')
         node = read()
         self._depth -= 1
         return node
@@ -549,9 +549,9 @@ class Symbol:
     __radd__, __rmul__ = __add__, __mul__
 
     def cos(self) -> 'Symbol':
-        """Return the cosine, as numpy asks for it."""
+        """Return the cosine."""
         return Symbol(self._graph, self._graph.apply('cos', self.node))
 
     def sin(self) -> 'Symbol':
-        """Return the sine, as numpy asks for it."""
+        """Return the sine."""
         return Symbol(self._graph, self._graph.apply('sin', self.node))

@@ -6,8 +6,8 @@ from functools import cached_property
 import math
 
 from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -49,5 +49,5 @@ class HarmonicOscillator(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return Formula(['x'], 'p_x^2 / (2 * m) + k * x^2 / 2',
-                       {'m': self.mass, 'k': self.stiffness}).kernel
+        return formula_kernel(
+            ['q'], 'p^2 / (2 * m) + k * q^2 / 2', m=self.mass, k=self.stiffness)

@@ -5,7 +5,7 @@
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
@@ -38,6 +38,6 @@ class HenonHeiles(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # In the triangle the terms of H_q are at most about one, also where they cancel.
-        return Formula(
+        return formula_kernel(
             ['x', 'y'], '(p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 * y - y^3 / 3'
-        ).kernel._replace(gradient_scale=(1.0, 0.0))
+        )._replace(gradient_scale=(1.0, 0.0))

@@ -7,8 +7,8 @@ from functools import cached_property
 import math
 
 from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -90,5 +90,5 @@ class Kepler(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # In the centre this is infinity or NaN, which the checks for non-finite states find.
-        return Formula(['x', 'y'], '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)',
-                       {'mu': self.mu}).kernel
+        return formula_kernel(
+            ['x', 'y'], '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)', mu=self.mu)

@@ -6,8 +6,8 @@ from functools import cached_property
 import math
 
 from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -95,6 +95,6 @@ class Pendulum(Hamiltonian):
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # 1 - cos q = 2 sin(q / 2)^2 keeps its digits in small swings.
-        return Formula(
-            ['angle'], 'p_angle^2 / (2 * m * l^2) + 2 * m * g * l * sin(angle / 2)^2',
-            {'m': self.mass, 'l': self.length, 'g': self.gravity}).kernel
+        return formula_kernel(
+            ['q'], 'p^2 / (2 * m * l^2) + 2 * m * g * l * sin(q / 2)^2', m=self.mass,
+            l=self.length, g=self.gravity)

@@ -5,7 +5,7 @@
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
@@ -29,4 +29,4 @@ class Tao(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return Formula(['x'], '(x^2 + 1) * (p_x^2 + 1) / 2').kernel
+        return formula_kernel(['q'], '(q^2 + 1) * (p^2 + 1) / 2')

@@ -80,8 +80,9 @@ def evaluate() -> Parser:
     complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
         'a training configuration of any family, whose data section says how --data is read, and '
         'names files or computes motions where there is no --data')), named('training'))
-    parser.add_argument('--keys', metavar='T,Q,V[,TAU]', help=(
-        'names of the arrays; without the last, no forces act (default: t,q,dq,tau)'))
+    parser.add_argument('--keys', metavar='T,Q[,V[,TAU]]', help=(
+        'names of the arrays; without V, or with nothing in its place, velocities are estimated '
+        'from q; without TAU no forces act (default: t,q,dq,tau)'))
     parser.add_argument('--joints', metavar='NAME,...', help=(
         'joints of a bag, one a coordinate (default: the names of the coordinates)'))
     parser.add_argument('--horizons', type=float, nargs='+', default=[0.1, 0.5],

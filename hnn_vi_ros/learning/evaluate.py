@@ -176,9 +176,10 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
         data = config.data
     _check_format(arguments, data)
     if arguments.keys is not None:
-        keys = arguments.keys.split(',')
-        changes |= {'time': keys[0], 'q': keys[1], 'v': keys[2],
-                    'tau': keys[3] if len(keys) == 4 else None}
+        # A key that is left empty, or out at the end, is of an array that is not there.
+        t, q, *others = arguments.keys.split(',')
+        v, tau = (key or None for key in (*others, '', '')[:2])
+        changes |= {'time': t, 'q': q, 'v': v, 'tau': tau}
     if arguments.joints is not None:
         changes['joints'] = arguments.joints.split(',')
     return read_motions(source, data.model_copy(update=changes), names, given)
@@ -186,7 +187,7 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
 
 def _check_format(arguments: Namespace, data: object) -> None:
     """Refuse options that another format of data has."""
-    if arguments.keys is not None and (len(arguments.keys.split(',')) not in (3, 4)
+    if arguments.keys is not None and (len(arguments.keys.split(',')) not in (2, 3, 4)
                                        or not isinstance(data, ArraysData)):
         raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)} in '
                              'an .npz file')

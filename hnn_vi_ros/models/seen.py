@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a model of a machine has seen, and how it was chosen: entries of its card."""
+"""Domain of the model of a machine, and how the model was chosen: entries of its card."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -112,7 +112,7 @@ class CandidateCard(StrictModel):
 
 
 class SelectionCard(StrictModel):
-    """How a model was chosen among candidates."""
+    """Choice of a model among candidates, by motions that were held out."""
 
     held_out: str = Field(max_length=1000)
     candidates: list[CandidateCard] = Field(min_length=1)

@@ -181,14 +181,14 @@ def _summary(plan: SweepPlan, folder: SweepFolder, share: tuple[int, int], found
 
 
 class _Progress:
-    """Progress line: how many trajectories of a share are made, and how long it takes."""
+    """How many trajectories of a share are made, and how long the rest takes, on one line."""
 
     def __init__(self, plan: SweepPlan, shards: list[int], share: tuple[int, int]):
         self._left = sum(len(plan.indices(shard)) for shard in shards)
         self._total = sum(len(plan.indices(shard)) for shard in range(
             share[0], plan.shards, share[1]))
-        self._made = self._ahead = 0
-        self._start, self._line = time.monotonic(), ProgressLine()
+        self._line, self._made, self._ahead = ProgressLine(), 0, 0
+        self._start = time.monotonic()
 
     def block(self, count: int) -> None:
         """Count trajectories of a shard that is being made."""
@@ -201,11 +201,11 @@ class _Progress:
         self._show()
 
     def _show(self) -> None:
-        made = self._made + self._ahead
-        done, pace = self._total - self._left + made, made / (time.monotonic() - self._start)
-        self._line.show(done / self._total, (
-            f'{done} of {self._total} trajectories, {pace:.3g} a second, '
-            f'{(self._left - made) / pace:.0f} s left'))
+        if made := self._made + self._ahead:
+            pace, done = made / (time.monotonic() - self._start), self._total - self._left + made
+            self._line.show(done / self._total, (
+                f'{done} of {self._total} trajectories, {pace:.3g} a second, '
+                f'{(self._left - made) / pace:.0f} s left'))
 
     def close(self) -> None:
         """Clear the line."""

@@ -138,6 +138,7 @@ def test_error_names_the_column_and_what_is_expected(text, said):
     (['sin'], {}, 'coordinates sin has another meaning'),
     ([], {}, 'coordinates must name at least'),
     (['x y'], {}, "coordinates 'x y' must be a letter"),
+    (['x\n'], {}, r"coordinates 'x\\n' must be a letter"),
     (['x'], {'p_x': 1.0}, 'parameters p_x has another meaning'),
     (['x'], {'m': math.inf}, 'parameters m = inf must be a finite number')])
 def test_names_that_cannot_be_used_are_refused(names, parameters, said):

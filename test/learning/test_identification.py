@@ -184,8 +184,6 @@ def test_model_runs_as_others_do_and_keeps_its_energy(tmp_path):
     assert all(error < 1e-3 for error in
                checkpoint.card.mechanical.prior.identification.force_error)
     hamiltonian = MechanicalHamiltonian(checkpoint)
-    # Not a copy of the kernel of a robot, but that one, with other inertias.
-    assert hamiltonian.kernel.gradient is RigidBodyTree(str(ARM)).kernel.gradient
     state = np.array([0.3, 0.2]), np.zeros(2)
 
     def energies(*effects):

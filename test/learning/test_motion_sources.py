@@ -203,3 +203,32 @@ def test_configuration_takes_bags_and_logs(data):
         'coordinates': [{'name': 'a'}, {'name': 'b'}], 'data': data,
         'family': {'kind': 'mechanical', 'prior': 'none'}})
     assert config.data.kind == data['kind']
+
+
+@pytest.mark.parametrize('key', ['dq', 'v', None])
+def test_velocities_of_arrays_are_called_dq_or_v_and_without_any_the_remedy_is_named(
+        tmp_path, key):
+    path = tmp_path / 'a.npz'
+    np.savez(path, t=T, q=Q, tau=TAU, **({} if key is None else {key: V}))
+    if key is None:
+        with pytest.raises(DataError, match='no key dq or v; it has .*; name the key of the '
+                                            'velocities in data, or have them estimated'):
+            read_arrays(path, ArraysData(), 2)
+    (motion,), _ = read_arrays(path, ArraysData(v=key), 2)
+    assert np.abs(motion.v_smooth - V).max() < (1e-3 if key else 0.1)
+    if key:
+        (motion,), _ = read_arrays(path, ArraysData(), 2)
+        assert np.abs(motion.v - V).max() < 1e-12
+
+
+def test_columns_of_a_log_are_those_of_its_header(tmp_path):
+    path = tmp_path / 'log.csv'
+    rows = [f'{t:.17g},note,{q[0]:.17g},{v[0]:.17g}' for t, q, v in zip(T, Q, V, strict=True)]
+    path.write_text('\n'.join(['# by hand', 'time,"remark",angle,rate', *rows]))
+    data = LogMotions(delimiter='comma', time='time', q=['angle'], v=['rate'])
+    (motion,), _ = read_log_motions(path, data)
+    assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
+    with pytest.raises(DataError, match=r"log.csv:2: no column 'angel'; did you mean angle\?"):
+        read_log_motions(path, data.model_copy(update={'q': ['angel']}))
+    with pytest.raises(DataError, match='set data.delimiter'):
+        read_log_motions(path, data.model_copy(update={'delimiter': 'tab'}))

@@ -27,7 +27,8 @@ STRUCTURES = {
     'arm': Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
                      stribeck=1),
     'prior': Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
-                       prior='double_pendulum', friction_features=[[1.0, 0.0]]),
+                       prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]],
+                       friction_features=[[1.0, 0.0]]),
     'three': Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0]],
                        [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
 }

@@ -126,9 +126,9 @@ def test_scene_calls_the_functions_of_its_own_effects_only(row: EffectRow, tmp_p
     counts = calls_in_effects(lambda: simulation.advance(20))
     listed = {kind for kind, _ in row.effects}
     assert set(counts) - SHARED <= listed
-    # Rods, walls and the field act in shared functions only.
+    # Rods, walls and the field act in shared functions only, a potential in those of formulas.
     assert listed - set(counts) <= {'holonomic_constraint', 'impact', 'joint_limits',
-                                    'magnetic_field'}
+                                    'magnetic_field', 'potential'}
     assert sum(counts.values()) >= 20
 
 

@@ -14,9 +14,9 @@ M = L D L^T and y = L^-1 p,
 from collections.abc import Sequence
 
 from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
-from hnn_vi_ros.hamiltonians.formula import graph_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+from hnn_vi_ros.hamiltonians.straight_code import graph_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -90,7 +90,7 @@ def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.
         if bodies.parent[i] > 0:
             xx, xy, yy, xz, yz, zz = inertia[i, 4:]
             if not slides[i]:
-                c, s = np.cos(values[i - 1]), np.sin(values[i - 1])
+                c, s = values[i - 1].cos(), values[i - 1].sin()
                 change = s * (xx - yy) + 2.0 * (c * xy)
                 xx, yy, xy = xx - s * change, yy + s * change, c * change - xy
                 xz, yz = c * xz - s * yz, s * xz + c * yz
@@ -104,5 +104,5 @@ def _turned(vector: np.ndarray, slides: bool, angle: Symbol) -> np.ndarray:
     """Return a vector of a body in the axes that it has where its joint is at zero."""
     if slides:
         return vector
-    (x, y, z), c, s = vector, np.cos(angle), np.sin(angle)
+    (x, y, z), c, s = vector, angle.cos(), angle.sin()
     return np.array([c * x - s * y, s * x + c * y, z], dtype=object)

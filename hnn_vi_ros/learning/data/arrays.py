@@ -35,7 +35,8 @@ class ArraysData(RunData):
         'time from one sample to the next [s], where the file holds no times'))
     q: str = Field('q', description='key of the coordinates, shape (N, d)')
     v: str | None = Field('dq', description=(
-        'key of the velocities, shape (N, d); null: they are estimated from q'))
+        'key of the velocities, shape (N, d), which may be called v or dq alike; null: they are '
+        'estimated from q'))
     a: str | None = Field(None, description=(
         'key of the accelerations, shape (N, d); null: they are estimated'))
     tau: str | None = Field('tau', description=(
@@ -196,6 +197,16 @@ class Archive:
                             f'expected {expected}{f"; save {key}[:, None]" * column}')
         return values.astype(np.float64)
 
+    def velocities(self, run: str, key: str | None) -> str | None:
+        """Return the key of the velocities of a run: dq and v are one word."""
+        others = ('dq', 'v') if key in ('dq', 'v') else (key,)
+        found = [other for other in others if other is None or run + other in self.arrays]
+        if not found:
+            raise DataError(f'{self.path}: no key {run}{" or ".join(map(str, others))}; it has '
+                            f'{self._keys()}; name the key of the velocities in data, or have them '
+                            'estimated from q: v: null, or --keys t,q,,tau')
+        return key if key in found else found[0]
+
     def _keys(self) -> str:
         return listed(self.arrays) or 'none'
 
@@ -255,7 +266,7 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
             t = data.interval * np.arange(archive.array(name + data.q).size // d)
         q = archive.array(name + data.q, len(t), [d])
         v, a = (None if key is None else archive.array(name + key, len(t), [d])
-                for key in (data.v, data.a))
+                for key in (archive.velocities(name, data.v), data.a))
         tau = None if data.tau is None else archive.array(
             name + data.tau, len(t), [d], fewer=True)
         found.append(MeasuredRun(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a))

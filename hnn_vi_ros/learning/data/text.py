@@ -8,7 +8,7 @@ from pathlib import Path
 import re
 from typing import Literal, NamedTuple
 
-from hnn_vi_ros.errors import DataError, listed
+from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -21,12 +21,15 @@ from pydantic import Field, model_validator
 
 MAX_BYTES = 256 << 20
 MAX_VALUE = 1e100  # whose square is still a number
+# Columns of a header.
+_MOST_COLUMNS = 1000
 # Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
 BLOCKS = 20
 
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 _SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
 Delimiter = Literal['whitespace', 'comma', 'semicolon', 'tab']
+COLUMNS = 'names of all columns, in order; default: those in the first line of the log'
 
 
 class MeasuredData(StrictModel):
@@ -38,7 +41,7 @@ class MeasuredData(StrictModel):
         'where the log comes from, for those who lack it'))
     delimiter: Delimiter = 'whitespace'
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
-    columns: Names = Field(min_length=3, description='names of all columns, in order')
+    columns: Names | None = Field(None, min_length=3, description=COLUMNS)
     trial: str | None = Field(None, description='column that numbers separate recordings')
     time: str = Field(description='column of time [s]')
     q: Names = Field(min_length=1, description='columns of the coordinates')
@@ -59,7 +62,7 @@ class MeasuredData(StrictModel):
                 raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
                                  'one for each coordinate')
         mass_matrix(self.mass, len(self.q))
-        _check_columns(self, *groups.values())
+        _check_columns(self)
         if self.derivatives is None and not (self.dq_dt and self.dp_dt):
             raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
                              'for example derivatives: {kind: savitzky_golay, window: 0.3}')
@@ -73,7 +76,7 @@ class LogMotions(RunData):
     path: str = Field('', description='the log; or given by --data')
     delimiter: Delimiter = 'whitespace'
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
-    columns: Names = Field(min_length=2, description='names of all columns, in order')
+    columns: Names | None = Field(None, min_length=2, description=COLUMNS)
     trial: str | None = Field(None, description='column that numbers separate runs')
     time: str = Field(description='column of time [s]')
     q: Names = Field(min_length=1, description='columns of the coordinates')
@@ -91,19 +94,25 @@ class LogMotions(RunData):
             if group is not None and (len(group) > len(self.q) or (
                     key != 'tau' and len(group) < len(self.q))):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
-        _check_columns(self, self.q, self.v, self.a, self.tau)
+        _check_columns(self)
         return self
 
 
 Columns = MeasuredData | LogMotions
 
 
-def _check_columns(data: Columns, *groups: Names | None) -> None:
-    """Raise ValueError for a column that there is not, or that is used twice."""
-    used = [data.time, *([] if data.trial is None else [data.trial]),
+def _used(data: Columns) -> list[str]:
+    """Return the names of the columns that are used."""
+    groups = [getattr(data, key, None) for key in ('q', 'p', 'dq_dt', 'dp_dt', 'v', 'a', 'tau')]
+    return [data.time, *([] if data.trial is None else [data.trial]),
             *(name for group in groups for name in group or ())]
+
+
+def _check_columns(data: Columns) -> None:
+    """Raise ValueError for a column that there is not, or that is used twice."""
+    used = _used(data)
     for name in used:
-        if data.columns.count(name) != 1 or used.count(name) != 1:
+        if (data.columns or [name]).count(name) != 1 or used.count(name) != 1:
             raise ValueError(f'column {name} must stand once in columns and be used once')
 
 
@@ -191,8 +200,8 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
 def _trials(path: Path, data: Columns, lacking: bool = False
             ) -> tuple[list[_Trial], str]:
     """Return the recordings of a log, in their order, and its SHA-256; or raise DataError."""
-    table, lines, digest = read_log(path, data, lacking)
-    column = dict(zip(data.columns, table.T, strict=True))
+    table, lines, digest, names = read_log(path, data, lacking)
+    column = dict(zip(names, table.T, strict=True))
     numbers = column[data.trial] if data.trial else np.zeros(len(table))
     unnumbered = np.flatnonzero(~np.isfinite(numbers))
     if unnumbered.size:
@@ -207,9 +216,9 @@ def _trials(path: Path, data: Columns, lacking: bool = False
 
 
 def read_log(path: Path, data: Columns, lacking: bool = False
-             ) -> tuple[np.ndarray, np.ndarray, str]:
+             ) -> tuple[np.ndarray, np.ndarray, str, Names]:
     """
-    Return the numbers of a log, the line of each row, and its SHA-256; or raise DataError.
+    Return the numbers of a log, the line of each row, its SHA-256 and its columns, or DataError.
 
     Parameters
     ----------
@@ -222,18 +231,22 @@ def read_log(path: Path, data: Columns, lacking: bool = False
 
     Returns
     -------
-    np.ndarray, shape (N, columns), np.ndarray of int, shape (N,), and str
-        What is told above.
+    np.ndarray, shape (N, columns), np.ndarray of int, shape (N,), str, and list of str
+        In this order.
 
     """
     if not os.path.isfile(path):
         raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
                         '--data FILE')
     # As numbers, of eight bytes each: lists of lists would take ten times the log.
-    numbers, lines = array('d'), array('q')
+    numbers, lines, names = array('d'), array('q'), data.columns
     try:
         for number, line in text_lines(path, MAX_BYTES):
-            if row := _row(f'{path}:{number}', line, data, lacking, not lines):
+            if not line.strip() or line.lstrip().startswith(data.comment):
+                continue
+            if names is None:
+                names = _header(f'{path}:{number}', line, data)
+            elif row := _row(f'{path}:{number}', line, data, names, lacking, not lines):
                 numbers.extend(row)
                 lines.append(number)
         digest = sha256_of(path, MAX_BYTES)
@@ -242,27 +255,42 @@ def read_log(path: Path, data: Columns, lacking: bool = False
                         'or another log') from problem
     except ValueError as problem:
         raise DataError(f'{path}:{problem}; give a log of rows of numbers') from problem
-    if len(lines) < 2:
+    if names is None or len(lines) < 2:
         raise DataError(f'{path}: {len(lines)} rows of data, expected a longer log')
-    return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest
+    return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest, names
 
 
-def _row(place: str, line: str, data: Columns, lacking: bool, first: bool) -> list[float]:
-    """Return the numbers of a line; none of a comment, or of the header that may come first."""
-    if not line.strip() or line.lstrip().startswith(data.comment):
-        return []
+def _fields(line: str, data: Columns, most: int) -> list[str]:
     # No further than needed: a line may be as long as the file.
-    fields = [field.strip() for field in line.split(
-        _SEPARATORS[data.delimiter], len(data.columns) + 1)]
-    if first and fields == data.columns:
+    return [field.strip().strip('"') for field in line.split(_SEPARATORS[data.delimiter], most)]
+
+
+def _header(place: str, line: str, data: Columns) -> Names:
+    """Return the names in the first line of a log, which must have those that are used."""
+    names = _fields(line, data, _MOST_COLUMNS)
+    for name in _used(data):
+        if names.count(name) != 1:
+            raise DataError(f'{place}: no column {name!r}{did_you_mean(name, names)}, or more '
+                            f'than one, in the header: {listed(names)}; name the columns in '
+                            'data.columns, or set data.delimiter')
+    return names
+
+
+def _row(place: str, line: str, data: Columns, names: Names, lacking: bool, first: bool
+         ) -> list[float]:
+    """Return the numbers of a line; none of the header that may come first."""
+    fields = _fields(line, data, len(names) + 1)
+    if first and fields == names:
         return []
-    if len(fields) != len(data.columns):
-        more = ' or more' * (len(fields) > len(data.columns) + 1)
+    if len(fields) != len(names):
+        more = ' or more' * (len(fields) > len(names) + 1)
         raise DataError(f'{place}: {len(fields)} columns{more}, expected '
-                        f'{len(data.columns)}: {listed(data.columns)}')
-    return [np.nan if lacking and field.lower() in ('', 'nan') else
+                        f'{len(names)}: {listed(names)}')
+    # Of a header that was only read, columns that nobody uses may hold anything.
+    known = names if data.columns is not None else _used(data)
+    return [np.nan if (lacking and field.lower() in ('', 'nan')) or name not in known else
             _number(place, i, field, name)
-            for i, (field, name) in enumerate(zip(fields, data.columns, strict=True))]
+            for i, (field, name) in enumerate(zip(fields, names, strict=True))]
 
 
 def _number(place: str, index: int, field: str, name: str) -> float:

@@ -20,13 +20,13 @@ import zipfile
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
 from hnn_vi_ros.files.limits import check_pickles
+from hnn_vi_ros.files.standard_streams import ProgressLine
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, replacing, save_checkpoint
 import numpy as np
 from pydantic import ValidationError
 import torch
-from tqdm import tqdm
 
 # torch's L-BFGS drops curvature pairs below an absolute 1e-10: unscaled, it stops learning once
 # the loss is below 1e-7.
@@ -186,12 +186,14 @@ class Fit:
         """
         while self._stage < len(self.stages):
             stage = self.stages[self._stage]
-            with tqdm(total=stage.steps, initial=self._taken, unit='step', disable=None,
-                      desc=f'{self._name}: {stage.name}'.lstrip(': ')) as self._progress:
+            self._progress = ProgressLine()
+            try:
                 if isinstance(self._optimiser, torch.optim.LBFGS):
                     self._descend_valley(stage, self._optimiser, pause)
                 else:
                     self._find_valley(stage, self._optimiser, pause)
+            finally:
+                self._progress.close()
             stage.ended()
             self._stage, self._taken, self._waited = self._stage + 1, 0, 0
             self._before = math.inf
@@ -279,8 +281,8 @@ class Fit:
         history, step = self.history, self.step
         history.train.append(loss)
         history.train_step.append(step)
-        self._progress.update(self._taken - self._progress.n)
-        self._progress.set_postfix_str(f'loss {loss:.2e}', refresh=False)
+        self._progress.show(self._taken / stage.steps, f'{self._name}: {stage.name}: '.lstrip(': ')
+                            + f'{self._taken} of {stage.steps} steps, loss {loss:.2e}')
         if not look or stage.held_out is None:
             return False
         held_out = stage.held_out()

@@ -43,7 +43,7 @@ _ABOVE = 10.0 * LEAST
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
                    ) -> dict[str, float]:
     """
-    Fit prior and friction of a network, whose widths of friction stay what they are.
+    Fit prior and friction of a network.
 
     Parameters
     ----------
@@ -232,7 +232,8 @@ class RigidUnknowns(ABC):
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network, of all numbers in SI units."""
         friction, d = self.network.friction, self.network.d
-        prior, viscous, forces, offsets, input_map, fades, speeds = values.split(self.sizes)
+        (prior, viscous, forces, offsets, input_map, fades, speeds,
+         *widths) = values.split(self.sizes)
         found = self.raw_prior(prior)
         if len(viscous):
             found['friction.raw_viscous'] = _inverse_softplus(
@@ -249,6 +250,8 @@ class RigidUnknowns(ABC):
         if len(speeds):
             found['friction.raw_speed'] = torch.logit(
                 speeds.reshape(-1, d) / friction.speed_unit)
+        if widths:
+            found['friction.raw_width'] = widths[0].reshape(-1, d)
         return found
 
     def give(self, values: np.ndarray) -> None:
@@ -259,7 +262,7 @@ class RigidUnknowns(ABC):
 
 
 class _Physical(RigidUnknowns):
-    """The parameters of a prior themselves."""
+    """The parameters of a prior themselves; at the end the widths of friction, as they are raw."""
 
     def __init__(self, network: MechanicalNetwork):
         assert network.prior is not None
@@ -267,6 +270,11 @@ class _Physical(RigidUnknowns):
         free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
         # Inertia is positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
+        widths = network.friction.raw_width.numel()
+        self.sizes.append(widths)
+        self.scale = np.append(self.scale, np.ones(widths))
+        self.least = np.append(self.least, np.full(widths, -np.inf))
+        self.most = np.append(self.most, np.full(widths, np.inf))
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters; see RigidUnknowns."""
@@ -280,7 +288,8 @@ class _Physical(RigidUnknowns):
             parts.append(network.raw_map.flatten())
         if self.sizes[5]:
             parts.append(network.fade())
-        parts.append(network.friction.coefficients()[3].flatten())
+        parts += [network.friction.coefficients()[3].flatten(),
+                  network.friction.raw_width.flatten()]
         return torch.cat(parts).detach().numpy()
 
 
