@@ -134,7 +134,7 @@ def is_finished(stream: BinaryIO, file: McapFile, messages: int) -> bool:
     statistics = file.survey.statistics
     return statistics is not None and statistics.message_count == messages \
         and not file.unread and not file.incomplete \
-        and _framed(stream) and _counts(file.survey) and _summarised(file.survey) \
+        and _framed(stream) and file.survey.counted and _summarised(file.survey) \
         and not _defined_twice(file) and not contradicted(stream, file.survey)
 
 
@@ -165,14 +165,6 @@ def _framed(stream: BinaryIO) -> bool:
     begin = stream.read(len(MAGIC))
     stream.seek(end)
     return last == Opcode.FOOTER and begin == stream.read() == MAGIC
-
-
-def _counts(survey: Survey) -> bool:
-    """Return whether the statistics count what there is."""
-    statistics = survey.statistics
-    return statistics is not None and (
-        statistics.chunk_count, statistics.attachment_count, statistics.metadata_count) == (
-        len(survey.chunks), len(survey.attachments), len(survey.metadata))
 
 
 def _defined_twice(file: McapFile) -> bool:

@@ -103,10 +103,16 @@ class Survey:
     def complete(self) -> bool:
         """Return whether all is there that the statistics count, messages in chunks aside."""
         count = self.statistics
-        if count is None or (count.chunk_count, count.attachment_count, count.metadata_count) != (
-                len(self.chunks), len(self.attachments), len(self.metadata)):
-            return False
-        return bool(self.chunks) or count.message_count == self.messages
+        return count is not None and self.counted and (
+            bool(self.chunks) or count.message_count == self.messages)
+
+    @property
+    def counted(self) -> bool:
+        """Return whether the statistics count as many chunks and files as there are."""
+        count = self.statistics
+        return count is not None and (
+            count.chunk_count, count.attachment_count, count.metadata_count) == (
+            len(self.chunks), len(self.attachments), len(self.metadata))
 
     @property
     def missing(self) -> int:

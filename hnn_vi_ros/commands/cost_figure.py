@@ -128,9 +128,8 @@ def _styles() -> dict[str, tuple[str, str]]:
         family = name.rstrip(digits)
         met[family] += 1
         # Steps of the golden ratio around the circle of hues leave no two families close together.
-        hue = list(met).index(family) / golden % 1.0
-        color = hsv_to_rgb((hue, 0.75, 0.95 - 0.07 * met[family])).tolist()
-        styles[name] = to_hex(color), next(markers)
+        hue, value = list(met).index(family) / golden % 1.0, 0.95 - 0.07 * met[family]
+        styles[name] = to_hex(hsv_to_rgb((hue, 0.75, value))), next(markers)
     return {kind: styles[kind.removeprefix('lie_')] for kind in INTEGRATORS}
 
 

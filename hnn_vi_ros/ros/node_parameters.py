@@ -153,7 +153,6 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     for specification in specifications(settings):
         name = specification.name
         if node.has_parameter(name):
-            # As it was given; see given_parameters.py.
             node.undeclare_parameter(name)
         try:
             parameter = node.declare_parameter(

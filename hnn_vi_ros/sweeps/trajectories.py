@@ -13,7 +13,6 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, show_many, watch_of_block
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.simulation.build import build_at
@@ -250,32 +249,25 @@ class Runner:
         """Return the rows of neighbours; the ones that share a scene step together."""
         groups: dict[str, list[int]] = {}
         for k, row in enumerate(rows):
-            groups.setdefault(self._scene_key(row), []).append(k)
+            # The key of a scene is made of all values except the initial state's.
+            groups.setdefault(repr([row[part] for part in self._of_scene]), []).append(k)
         return [found for key, members in groups.items() for found in self._group(
             key, [indices[k] for k in members], [rows[k] for k in members])]
-
-    def _scene_key(self, row: tuple[Any, ...]) -> str:
-        """Return the key of a scene: all values except the initial state's."""
-        return repr([row[k] for k in self._of_scene]) if self._of_scene else ''
 
     def _group(self, key: str, indices: list[int], rows: list[tuple[Any, ...]]) -> list[Rows]:
         try:
             made = self._made.pop(key, None) or _Made(self._plan, rows[0])
+            self._made[key] = made
+            while len(self._made) > _KEPT:
+                del self._made[next(iter(self._made))]
+            if self._plan.device is not None:
+                return self._on_device(made, indices, rows)
         except _FAILURES as problem:
             return [self._failed(index, row, problem)
                     for index, row in zip(indices, rows, strict=True)]
-        self._made[key] = made
-        while len(self._made) > _KEPT:
-            del self._made[next(iter(self._made))]
-        if self._plan.device is not None:
-            try:
-                return self._on_device(made, indices, rows)
-            except _FAILURES as problem:
-                return [self._failed(index, row, problem)
-                        for index, row in zip(indices, rows, strict=True)]
         if made.lockstep and len(rows) > 1:
             try:
-                return self._together(made, indices, rows)
+                return self._kept_rows(made, indices, rows, made.together(indices, rows))
             except _FAILURES:
                 # Any of them may have failed: try each by itself.
                 made.forget()
@@ -294,23 +286,18 @@ class Runner:
         found, failures = made.on_device(rows)
         left = [k for k in range(len(rows)) if k not in failures]
         taken = [] if not left else self._kept_rows(
-            made, [indices[k] for k in left], [rows[k] for k in left], found.of(left))
+            made, [indices[k] for k in left], [rows[k] for k in left], replace(
+                found, q=found.q[:, left], p=found.p[:, left], energy=found.energy[:, left],
+                alarms=tuple(found.alarms[k] for k in left)))
         return taken + [self._failed(indices[k], rows[k], problem)
                         for k, problem in failures.items()]
 
-    def _together(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
-                  ) -> list[Rows]:
-        """Return what becomes of some that step in lockstep."""
-        return self._kept_rows(made, indices, rows, made.together(indices, rows))
-
     def _kept_rows(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]],
-                   found: '_Path') -> list[Rows]:
+                   found: Trajectory) -> list[Rows]:
         """Return what is kept of trajectories together, measured one by one if that is asked."""
         if self._measures:
-            single = [found._replace(
-                q=found.q[:, k], p=found.p[:, k], energy=found.energy[:, k],
-                alarms=found.alarms[k]) for k in range(len(rows))]
-            return [self._try(made, *one) for one in zip(indices, rows, single, strict=True)]
+            return [self._try(made, index, row, found.select(k)) for k, (index, row) in enumerate(
+                zip(indices, rows, strict=True))]
         kept = self._kept
         q, p = (half[kept].swapaxes(0, 1).reshape(-1, half.shape[-1])
                 for half in (found.q, found.p))
@@ -318,21 +305,17 @@ class Runner:
         return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
                      found.energy[kept].T.ravel(), [_kinds(own) for own in found.alarms])]
 
-    def _try(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
+    def _try(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory) -> Rows:
         try:
             return self._told(made, index, row, found)
         except _FAILURES as problem:
             return self._failed(index, row, problem)
 
-    def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: '_Path') -> Rows:
+    def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory) -> Rows:
         sweep, kept = self._plan.sweep, self._kept
-        trajectory = Trajectory(
-            found.t, found.q, found.p, found.energy, made.parts.hamiltonian.coordinates,
-            tuple(found.alarms), found.events, made.parts.scene)
-        measured = measure(
-            sweep.statistics, trajectory, made.parts, made.joined, sweep.duration)
+        measured = measure(sweep.statistics, found, made.parts, made.joined, sweep.duration)
         if self._reducer is not None:
-            measured |= self._reducer(trajectory)
+            measured |= self._reducer(found)
         return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
                     found.p[kept], found.energy[kept], [_kinds(found.alarms)], measured)
 
@@ -341,23 +324,6 @@ class Runner:
         t = np.array([getattr(problem, 't', np.nan)])
         return Rows([index], [row], 1, t, q, p, np.full(1, np.nan), [[]],
                     failure=one_line(problem) or type(problem).__name__)
-
-
-class _Path(NamedTuple):
-    """A trajectory, or several in lockstep, with their alarms."""
-
-    t: np.ndarray
-    q: np.ndarray
-    p: np.ndarray
-    energy: np.ndarray
-    alarms: list[Any]
-    events: tuple[Event, ...] = ()
-
-    def of(self, chosen: list[int]) -> '_Path':
-        """Return some of several."""
-        return self._replace(q=self.q[:, chosen], p=self.p[:, chosen],
-                             energy=self.energy[:, chosen],
-                             alarms=[self.alarms[k] for k in chosen])
 
 
 class _Made:
@@ -396,7 +362,7 @@ class _Made:
         """Drop the simulations after one broke off."""
         self._simulations.clear()
 
-    def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> _Path:
+    def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> Trajectory:
         """Return trajectories in lockstep: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
         simulation = self._begin('block', q, p, indices[0])
@@ -410,8 +376,13 @@ class _Made:
         alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
         # A simulation of one trajectory serves to evaluate the energy of all.
         one = self._begin('first', q[:1], p[:1], indices[0])
-        energy = show_many(one, t / simulation.step_size, q_all, p_all, alarms)
-        return _Path(t, q_all, p_all, energy, alarms)
+        return self._several(one, t, q_all, p_all, alarms)
+
+    def _several(self, one: Any, t: np.ndarray, q: np.ndarray, p: np.ndarray,
+                 alarms: list[list[Alarm]]) -> Trajectory:
+        energy = show_many(one, t / one.step_size, q, p, alarms)
+        return Trajectory(t, q, p, energy, self.parts.hamiltonian.coordinates,
+                          tuple(map(tuple, alarms)), scene=self.parts.scene)
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
         """Return what takes the steps on a device."""
@@ -426,7 +397,7 @@ class _Made:
                 f'{scene.known_step_size:g} s, as a device takes it; take another')
         return ensemble_on(device, self.parts)
 
-    def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[_Path, dict[int, StepFailure]]:
+    def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
         from hnn_vi_ros.trajectory.devices import record_on_device
         q, p = self.states(rows)
@@ -438,16 +409,14 @@ class _Made:
         one = self._begin('first', self._state['q'][None], self._state['p'][None], 0)
         q_all, p_all, failures = record_on_device(
             one, lambda: self._ensemble, device, q, p, samples, 1, alarms)
-        t = np.array(samples) * h
-        energy = show_many(one, t / h, q_all, p_all, alarms)
-        return _Path(t, q_all, p_all, energy, alarms), failures
+        return self._several(one, np.array(samples) * h, q_all, p_all, alarms), failures
 
-    def alone(self, index: int, row: tuple[Any, ...]) -> _Path:
+    def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:
         """Return one trajectory, with noise and events of its own."""
         q, p = self.states([row])
-        found = record_one(self._begin('alone', q[0], p[0], index), self._plan.sweep.duration,
-                           self._every)
-        return _Path(found.t, found.q, found.p, found.energy, list(found.alarms), found.events)
+        return replace(record_one(
+            self._begin('alone', q[0], p[0], index), self._plan.sweep.duration, self._every),
+            scene=self.parts.scene)
 
     def _begin(self, name: str, q: np.ndarray, p: np.ndarray, stream: int) -> Any:
         """Return a simulation in an initial state; a stream of noise for each index."""

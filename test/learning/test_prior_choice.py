@@ -3,7 +3,7 @@
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
 from hnn_vi_ros.guards.base import Look
-from hnn_vi_ros.guards.box import BoxGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import problem_of

@@ -162,7 +162,7 @@ class Unknowns(RigidUnknowns):
 
     """
 
-    all = False
+    everything = False
 
     def __init__(self, network: MechanicalNetwork, rotors: bool, offsets: bool):
         tree, d = network.prior, network.d

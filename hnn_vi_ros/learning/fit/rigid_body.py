@@ -202,15 +202,15 @@ class RigidUnknowns(ABC):
     """
 
     # Whether numbers by which forces are not linear are among them: fades and those speeds.
-    all = True
+    everything = True
 
     def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
         friction = network.friction
         sides, terms = len(friction.raw_viscous), len(friction.raw_force)
         motors = network.raw_map.numel() if network.scales.input_map is not None else 0
         self.network = network
-        fades = network.scales.command[:None if network.structure.fade and self.all else 0]
-        speeds = friction.raw_speed.numel() * self.all
+        fades = network.scales.command[:None if network.structure.fade and self.everything else 0]
+        speeds = friction.raw_speed.numel() * self.everything
         offsets = friction.raw_offset.numel()
         sides *= network.structure.viscous
         self.sizes = [len(scale), sides * network.d, terms * network.d, offsets, motors,
@@ -232,8 +232,7 @@ class RigidUnknowns(ABC):
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network, of all numbers in SI units."""
         friction, d = self.network.friction, self.network.d
-        (prior, viscous, forces, offsets, input_map, fades, speeds,
-         *widths) = values.split(self.sizes)
+        prior, viscous, forces, offsets, input_map, fades, speeds = values.split(self.sizes)
         found = self.raw_prior(prior)
         if len(viscous):
             found['friction.raw_viscous'] = _inverse_softplus(
@@ -250,8 +249,6 @@ class RigidUnknowns(ABC):
         if len(speeds):
             found['friction.raw_speed'] = torch.logit(
                 speeds.reshape(-1, d) / friction.speed_unit)
-        if widths:
-            found['friction.raw_width'] = widths[0].reshape(-1, d)
         return found
 
     def give(self, values: np.ndarray) -> None:
@@ -262,7 +259,7 @@ class RigidUnknowns(ABC):
 
 
 class _Physical(RigidUnknowns):
-    """The parameters of a prior themselves; at the end the widths of friction, as they are raw."""
+    """The parameters of a prior themselves."""
 
     def __init__(self, network: MechanicalNetwork):
         assert network.prior is not None
@@ -270,11 +267,6 @@ class _Physical(RigidUnknowns):
         free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
         # Inertia is positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
-        widths = network.friction.raw_width.numel()
-        self.sizes.append(widths)
-        self.scale = np.append(self.scale, np.ones(widths))
-        self.least = np.append(self.least, np.full(widths, -np.inf))
-        self.most = np.append(self.most, np.full(widths, np.inf))
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters; see RigidUnknowns."""
@@ -288,8 +280,7 @@ class _Physical(RigidUnknowns):
             parts.append(network.raw_map.flatten())
         if self.sizes[5]:
             parts.append(network.fade())
-        parts += [network.friction.coefficients()[3].flatten(),
-                  network.friction.raw_width.flatten()]
+        parts.append(network.friction.coefficients()[3].flatten())
         return torch.cat(parts).detach().numpy()
 
 
