@@ -129,7 +129,7 @@ def _styles() -> dict[str, tuple[str, str]]:
         met[family] += 1
         # Steps of the golden ratio around the circle of hues leave no two families close together.
         hue, value = list(met).index(family) / golden % 1.0, 0.95 - 0.07 * met[family]
-        styles[name] = to_hex(hsv_to_rgb((hue, 0.75, value))), next(markers)
+        styles[name] = to_hex(hsv_to_rgb((hue, 0.75, value)).tolist()), next(markers)
     return {kind: styles[kind.removeprefix('lie_')] for kind in INTEGRATORS}
 
 

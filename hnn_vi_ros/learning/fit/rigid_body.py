@@ -43,7 +43,7 @@ _ABOVE = 10.0 * LEAST
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
                    ) -> dict[str, float]:
     """
-    Fit prior and friction of a network.
+    Fit prior and friction of a network, whose widths of friction stay what they are.
 
     Parameters
     ----------
