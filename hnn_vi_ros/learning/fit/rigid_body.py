@@ -37,7 +37,7 @@ _ABOVE = 10.0 * LEAST
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
                    ) -> dict[str, float]:
     """
-    Fit prior and friction of a network.
+    Fit prior and friction of a network, whose widths of friction stay what they are.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class RigidUnknowns(ABC):
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network, of all numbers in SI units."""
         friction, d = self.network.friction, self.network.d
-        prior, viscous, forces, input_map, *widths = values.split(self.sizes)
+        prior, viscous, forces, input_map = values.split(self.sizes)
         found = self.raw_prior(prior)
         if len(viscous):
             found['friction.raw_viscous'] = _inverse_softplus(viscous / friction.viscous_unit)
@@ -174,8 +174,6 @@ class RigidUnknowns(ABC):
                 forces.reshape(-1, d) / friction.force_unit)
         if len(input_map):
             found['raw_map'] = input_map.reshape(d, -1)
-        if widths:
-            found['friction.raw_width'] = widths[0].reshape(-1, d)
         return found
 
     def give(self, values: np.ndarray) -> None:
@@ -186,7 +184,7 @@ class RigidUnknowns(ABC):
 
 
 class _Physical(RigidUnknowns):
-    """The parameters of a prior themselves; at the end the widths of friction, as they are raw."""
+    """The parameters of a prior themselves."""
 
     def __init__(self, network: MechanicalNetwork):
         assert network.prior is not None
@@ -194,10 +192,6 @@ class _Physical(RigidUnknowns):
         free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
         # Inertia is positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
-        widths = network.friction.raw_width.numel()
-        self.sizes.append(widths)
-        self.scale = np.append(self.scale, np.ones(widths))
-        self.least = np.append(self.least, np.full(widths, -np.inf))
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the raw parameters; see RigidUnknowns."""
@@ -209,7 +203,7 @@ class _Physical(RigidUnknowns):
         parts = [self.prior.values(), network.friction.values()]
         if self.sizes[3]:
             parts.append(network.raw_map.flatten())
-        return torch.cat([*parts, network.friction.raw_width.flatten()]).detach().numpy()
+        return torch.cat(parts).detach().numpy()
 
 
 def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
