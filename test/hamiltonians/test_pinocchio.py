@@ -48,11 +48,16 @@ class Peer:
         return values
 
 
-@pytest.fixture(params=[path.stem for path in SHIPPED] + ['rotors', 'tree', 'quaternions'])
+@pytest.fixture(params=[path.stem for path in SHIPPED] + ['rotors', 'tree', 'quaternions', 'small'])
 def pair(request, tmp_path) -> tuple[RigidBodyTree, Peer]:
     file, arguments = tmp_path / 'tree.urdf', TREE_ARGUMENTS
-    if request.param in ('tree', 'quaternions'):
-        file.write_text(TREE if request.param == 'tree' else with_quaternions(TREE))
+    if request.param in ('tree', 'quaternions', 'small'):
+        file.write_text(with_quaternions(TREE) if request.param == 'quaternions' else TREE)
+        if request.param == 'small':
+            # Two branches, a slide, and joints that are held askew.
+            arguments = {'joints': ['tail', 'rail', 'hip'], 'gravity': [0.0, 3.0, -9.0],
+                         'rotor_inertia': {'rail': 1.5},
+                         'locked': {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}}
     else:
         file = next(path for path in SHIPPED if path.stem == request.param or (
             request.param == 'rotors' and path.stem == 'six_joint_arm'))

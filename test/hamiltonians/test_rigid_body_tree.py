@@ -27,8 +27,8 @@ def robot(request, tmp_path) -> RigidBodyTree:
         return tree(tmp_path)
     if request.param == 'small tree':
         # Two branches, a slide, and joints that are held askew.
-        return tree(tmp_path, joints=['tail', 'rail', 'wrist'], rotor_inertia={'rail': 1.5},
-                    locked={'follower': 0.03, 'hip': 0.6, 'finger': 0.3})
+        return tree(tmp_path, joints=['tail', 'rail', 'hip'], rotor_inertia={'rail': 1.5},
+                    locked={'follower': 0.03, 'wrist': 0.6, 'finger': 0.3})
     return RigidBodyTree(str(ROOT / 'config' / 'robots' / f'{request.param}.urdf'))
 
 
