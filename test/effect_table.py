@@ -101,9 +101,9 @@ EFFECT_ROWS = [
     EffectRow('magnetic_field', (('magnetic_field', {'plane': ['x', 'y'], 'field': 2.0}),),
               'henon_heiles', (0.3, -0.2), (0.2, 0.3), 2.0),
     EffectRow('soft_wall', (('soft_wall', {
-        'coordinate': 'angle', 'position': 0.1, 'stiffness': 50.0, 'width': 0.3}),)),
+        'coordinate': 'angle', 'position': 0.1, 'stiffness': 40.0, 'width': 0.3}),)),
     EffectRow('potential', (('potential', {
-        'formula': 'k*sin(angle)^4 / (1 + angle^2)', 'parameters': {'k': 3.0}}),)),
+        'formula': 'k*cos(2*angle) / (2 + sin(angle))', 'parameters': {'k': 3.0}}),)),
     EffectRow('damping', (_DAMPING,)),
     EffectRow('dry_friction', (('dry_friction', {
         'coordinate': 'angle', 'force': 2.0, 'speed': 1.0}),)),

@@ -21,7 +21,7 @@ _TEMPLATE = Path(__file__).parent / 'templates' / 'explore.html'
 _SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-thin',
             's': 'square', 'D': 'diamond', '^': 'triangle-up', 'p': 'pentagon',
             'v': 'triangle-down', 'd': 'diamond-tall', 'X': 'x', 'P': 'cross', '*': 'star',
-            'h': 'hexagon'}
+            'h': 'hexagon', 'H': 'hexagon2', '8': 'octagon'}
 _COLUMNS = ('step_size', 'horizon', 'path_error', 'energy_band', 'seconds_per_simulated_second',
             'gradients_per_simulated_second')
 

@@ -25,7 +25,7 @@ class FormulaPotential(Potential):
     formula : str
         V [J], at most 4000 characters.
     parameters : dict of str to float, optional
-        Values of the names in it that are no coordinates.
+        Values of the names in it that are no coordinates, in units of theirs.
 
     Raises
     ------

@@ -43,7 +43,7 @@ class Formula(Hamiltonian):
     H : str
         The formula [J], at most 4000 characters.
     parameters : dict of str to float, optional
-        Values of the other names in it.
+        Values of the other names in it, in units of theirs.
 
     Raises
     ------

@@ -181,7 +181,7 @@ def _summary(plan: SweepPlan, folder: SweepFolder, share: tuple[int, int], found
 
 
 class _Progress:
-    """How many trajectories of a share are made, and how long the rest takes, on one line."""
+    """Progress line of a share: how many trajectories are made, and how long the rest takes."""
 
     def __init__(self, plan: SweepPlan, shards: list[int], share: tuple[int, int]):
         self._left = sum(len(plan.indices(shard)) for shard in shards)

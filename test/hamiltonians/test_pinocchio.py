@@ -48,7 +48,8 @@ class Peer:
         return values
 
 
-@pytest.fixture(params=[path.stem for path in SHIPPED] + ['rotors', 'tree', 'quaternions', 'small'])
+@pytest.fixture(params=[
+    *(path.stem for path in SHIPPED), 'rotors', 'tree', 'quaternions', 'small'])
 def pair(request, tmp_path) -> tuple[RigidBodyTree, Peer]:
     file, arguments = tmp_path / 'tree.urdf', TREE_ARGUMENTS
     if request.param in ('tree', 'quaternions', 'small'):

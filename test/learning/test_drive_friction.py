@@ -6,9 +6,8 @@ from pathlib import Path
 
 from hnn_vi_ros.learning.data.runs import delayed, Run, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.machine import estimated_delay
 from hnn_vi_ros.learning.fit.steps import simulated
-from hnn_vi_ros.learning.tasks.machine import MachineTask, problem_of, pruned, whole
+from hnn_vi_ros.learning.tasks.machine import MachineTask, problem_of, whole
 from hnn_vi_ros.models.mechanical_card import FrictionCard
 import numpy as np
 from pydantic import ValidationError
@@ -98,20 +97,6 @@ def test_directed_friction_dissipates_at_every_velocity(fitted):
         assert torch.allclose(friction.columns(v) @ friction.values(), friction(v, v))
 
 
-def test_terms_without_use_are_dropped_and_others_kept():
-    chosen, text = pruned(config('auto'), [drive(offset=0.0, fade=0.0)])
-    friction = chosen.family.friction
-    assert friction.directed and not friction.offset and not friction.fade
-    assert 'kept directed' in text and 'dropped' in text
-
-
-@pytest.mark.parametrize('delay', [0.0, 2.3])
-def test_delay_is_estimated_in_samples_and_parts(delay: float):
-    motion = delayed(drive(), -delay)
-    # A held force acts half a sample late; smoothing takes the edges of dry friction away.
-    assert estimated_delay([motion], 40.0) == pytest.approx(delay + 0.5, abs=0.3)
-
-
 def test_delay_is_told_by_the_model(tmp_path: Path):
     motion = delayed(drive(), -2.0)
     np.savez(tmp_path / 'log.npz', t=motion.t, q=motion.q, dq=motion.v, tau=motion.tau)
@@ -124,10 +109,9 @@ def test_delay_is_told_by_the_model(tmp_path: Path):
 
 
 @pytest.mark.parametrize(('friction', 'family', 'message'), [
-    ('auto', {'prior': None, 'residual': True}, 'auto is chosen by fits of a prior'),
     (ALL, {'kind': 'rigid_body', 'file': 'x.urdf'}, 'a rigid_body has offsets of its own')])
 def test_friction_that_cannot_be_fitted_is_refused(friction: object, family: dict, message: str):
-    given = config('auto').model_dump()
+    given = config(ALL).model_dump()
     own = {'kind': 'rigid_body'} if 'file' in family else given['family']
     given['family'] = own | family | {'friction': friction}
     with pytest.raises(ValidationError, match=message):

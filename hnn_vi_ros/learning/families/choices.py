@@ -326,12 +326,6 @@ class FrictionChoice(StrictModel):
         'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
 
 
-# What ``friction: auto`` begins with, and what of it is then dropped where it does not help.
-ALL_FRICTION = FrictionChoice(coulomb=1, stribeck=1, directed=True, offset=True, fade=True)
-DROPPED: dict[str, int | bool] = {
-    'stribeck': 0, 'fade': False, 'offset': False, 'directed': False}
-
-
 class MechanicalChoice(FamilyChoice):
     """Networks M(q) and V(q), and friction."""
 
@@ -345,10 +339,7 @@ class MechanicalChoice(FamilyChoice):
         'M(q), a diagonal one, or a matrix that depends on nothing'))
     mass_depends_on: list[str] | None = Field(None, description=(
         'the inputs of M, in the same way; default: each coordinate'))
-    friction: FrictionChoice | Literal['auto'] = Field(
-        default_factory=FrictionChoice, description=(
-            'terms; or auto, of a prior: all terms that drives have, less those without which '
-            'parts of the training data that were left out are predicted as well'))
+    friction: FrictionChoice = Field(default_factory=FrictionChoice)
     input_map: Literal['identity', 'learned'] = Field('identity', description=(
         'each joint has a force of its own in the data; or the forces are of motors, at most as '
         'many as joints, and a constant matrix of their effect on the joints is learned'))
@@ -384,9 +375,7 @@ class MechanicalChoice(FamilyChoice):
                 raise ValueError('mass_depends_on: a constant mass depends on nothing; leave it '
                                  'out')
             seen = []
-        friction = ALL_FRICTION if self.friction == 'auto' else self.friction
-        if self.friction == 'auto' and self.prior is None:
-            raise ValueError('friction: auto is chosen by fits of a prior; name one, or terms')
+        friction = self.friction
         if not friction.network and friction.network_depends_on is not None:
             raise ValueError('friction.network_depends_on: there is no network; take network: '
                              'true, or leave it out')
@@ -441,7 +430,7 @@ class MechanicalChoice(FamilyChoice):
         if self.prior not in CHAINS and self.input_map != 'identity':
             raise ValueError(f'input_map: {self.prior} has its own scale of energy, which the '
                              'norm of the map would fix again; take input_map: identity')
-        if self.friction != 'auto' and self.friction.network and not self.residual:
+        if self.friction.network and not self.residual:
             raise ValueError('friction.network: residual: false leaves out all networks; leave '
                              'out one of the two')
 

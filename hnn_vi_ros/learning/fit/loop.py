@@ -281,8 +281,9 @@ class Fit:
         history, step = self.history, self.step
         history.train.append(loss)
         history.train_step.append(step)
-        self._progress.show(self._taken / stage.steps, f'{self._name}: {stage.name}: '.lstrip(': ')
-                            + f'{self._taken} of {stage.steps} steps, loss {loss:.2e}')
+        what = f'{self._name}: {stage.name}'.lstrip(': ')
+        self._progress.show(self._taken / max(stage.steps, 1), (
+            f'{what}: {self._taken} of {stage.steps} steps, loss {loss:.2e}'))
         if not look or stage.held_out is None:
             return False
         held_out = stage.held_out()

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import delayed, low_pass, Run
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -16,7 +16,6 @@ from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
-from scipy.optimize import minimize_scalar
 import torch
 
 # Errors beyond this share of the usual size count by their size, no longer by their square.
@@ -285,28 +284,6 @@ def _others(q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return what accelerations are about linear in beside commands: gravity, friction, ..."""
     return np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
                       np.ones((len(q), 1))])
-
-
-def estimated_delay(motions: Sequence[Run], cutoff: float) -> float:
-    """
-    Return how many samples forces act after those that they stand beside, parts included.
-
-    With that delay they leave the least of the accelerations unexplained, linearly and beside
-    what depends on the state, all through the zero-phase filter of this cut-off [Hz].
-    """
-    q, v, a = (np.concatenate([getattr(motion, name) for motion in motions])
-               for name in ('q_smooth', 'v_smooth', 'a_smooth'))
-    basis = np.linalg.qr(_others(q, v))[0]
-    rest = a - basis @ (basis.T @ a)
-
-    def unexplained(delay: float) -> float:
-        u = np.concatenate([low_pass(motion.name, delayed(motion, delay).tau, motion.spacing,
-                                     cutoff) for motion in motions])
-        u -= basis @ (basis.T @ u)
-        left = rest - u @ np.linalg.lstsq(u, rest, rcond=None)[0]
-        return float(np.sum((left / rest.std(axis=0))**2))
-    best = min(range(-_MOST_DELAY, _MOST_DELAY + 1), key=unexplained)
-    return float(minimize_scalar(unexplained, bounds=(best - 1, best + 1), method='bounded').x)
 
 
 def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples

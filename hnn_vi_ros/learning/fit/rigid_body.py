@@ -74,12 +74,6 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     return losses
 
 
-def held_out(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]) -> float:
-    """Return the loss on the longest windows of motions that a network was not fitted to."""
-    *_, (_, _, errors) = window_fits(network, loss, samples_of(motions, loss.step_size), _WINDOWS)
-    return float(2.0 * ((1.0 + errors(Solutions()).square()).sqrt() - 1.0).mean())
-
-
 def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run],
                 simulate: Callable[[Run], np.ndarray]) -> float:
     """

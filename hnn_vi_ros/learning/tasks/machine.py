@@ -10,17 +10,16 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.runs import delayed, part_of, Run, run_of, train_and_test
+from hnn_vi_ros.learning.data.runs import delayed, Run, run_of, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import (
-    ALL_FRICTION, AUTO, DROPPED, Forward, FrictionChoice, RigidBodyChoice, Structure, Trajectory)
+    Forward, RigidBodyChoice, Structure, Trajectory)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
 from hnn_vi_ros.learning.fit.loop import Problem
-from hnn_vi_ros.learning.fit.machine import estimated_delay, Fading, MachineProblem, scales_of
-from hnn_vi_ros.learning.fit.rigid_body import (
-    best_rigid_body, fit_records, fit_rigid_body, held_out)
+from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
+from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
@@ -34,7 +33,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
-from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
+from hnn_vi_ros.models.planar_chain import CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
 from hnn_vi_ros.models.seen import domain_of, DomainCard, SelectionCard
 import numpy as np
@@ -43,8 +42,6 @@ import torch
 # A model is judged by errors after these horizons, from starts at this distance, and by valid
 # prediction times up to this limit [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
-# Friction is dropped that lowers the loss on what was held out by less than this share.
-_NO_WORSE = 1.01
 
 
 class MachineTask(Task):
@@ -70,14 +67,11 @@ class MachineTask(Task):
                  ensemble: bool):
         self._ensemble = ensemble
         self._train, self._test, description = _read(source, config, given)
-        self._delay = _delay(config, self._train)
+        self._delay = config.data.delay
         if self._delay:
             self._train, self._test = ([delayed(motion, self._delay) for motion in part]
                                        for part in (self._train, self._test))
             description += f'; forces act {self._delay:.3g} samples later than they are stamped'
-        if not isinstance(config.family, RigidBodyChoice) and config.family.friction == 'auto':
-            config, friction = pruned(config, self._train)
-            description += f'; {friction}'
         print(f'data: {description}', flush=True)
         self._config, self._selection = selected(config, self._train, problem_of)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
@@ -219,59 +213,6 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: Run) -> np.
     return found
 
 
-def pruned(config: MachineConfig, motions: Sequence[Run]) -> tuple[MachineConfig, str]:
-    """
-    Return a configuration with the friction that is needed, and which that is.
-
-    It begins with all terms; one after another is dropped whose absence makes the prediction of
-    each half of the motions, by a fit of the other, the least worse, if by no more than _NO_WORSE.
-    """
-    halves = [[part_of(motion, slice(*rows)) for motion, rows in zip(motions, ends, strict=True)]
-              for ends in zip(*(((0, len(motion.t) // 2), (len(motion.t) // 2, None))
-                                for motion in motions), strict=True)]
-    longest = 0.9 * max(motion.t[-1] - motion.t[0] for motion in halves[0])
-    loss = config.windows.model_copy(update={'records': False, 'windows': [
-        stage for stage in config.windows.windows if stage.duration <= longest]})
-
-    family = config.family
-    if family.prior == AUTO:
-        if not chain_angles([coordinate.kind for coordinate in config.coordinates]):
-            raise DataError('friction: auto is chosen by fits of a prior, which these joints do '
-                            'not have; name one, or list the terms')
-        family = family.model_copy(update={'prior': PLANAR_CHAIN, 'residual': False})
-
-    def using(friction: FrictionChoice, **changes: object) -> MachineConfig:
-        return config.model_copy(update={
-            'family': family.model_copy(update={'friction': friction}), **changes})
-
-    def error(friction: FrictionChoice) -> float:
-        try:
-            fits = [problem_of(using(friction, loss=loss), half).module
-                    for half in halves]
-        except DataError:
-            return np.inf
-        with torch.no_grad():
-            return float(np.mean([held_out(network, loss, other)
-                                  for network, other in zip(fits, halves[::-1], strict=True)]))
-    friction, dropped = ALL_FRICTION, list[str]()
-    best = error(friction)
-    while left := [name for name in DROPPED if name not in dropped]:
-        without = {name: friction.model_copy(update={name: DROPPED[name]}) for name in left}
-        errors = {name: error(one) for name, one in without.items()}
-        name = min(errors, key=errors.__getitem__)
-        print('friction: held-out loss ' + f'{best:.4g}; without ' + ', '.join(
-            f'{one} {value:.4g}' for one, value in errors.items()), flush=True)
-        if not errors[name] <= best * _NO_WORSE:
-            break
-        friction, best = without[name], min(best, errors[name])
-        dropped.append(name)
-    kept = [name for name in DROPPED if name not in dropped]
-    return config.model_copy(update={
-        'family': config.family.model_copy(update={'friction': friction})}), (
-        f'friction by held-out halves: kept {listed(kept) or "none"}, '
-        f'dropped {listed(dropped) or "none"} of {listed(DROPPED)}')
-
-
 def learn(config: MachineConfig, motions: Sequence[Run]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
@@ -318,16 +259,6 @@ def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
     hamiltonian = load_member(checkpoint, None)
     with drafted(checkpoint) as draft:
         return hamiltonian, own_effects(draft, hamiltonian)
-
-
-def _delay(config: MachineConfig, motions: Sequence[Run]) -> float:
-    """Return the samples by which forces are to be delayed."""
-    delay = config.data.delay
-    if delay == 'estimate':
-        if not any(motion.tau.any() for motion in motions):
-            raise DataError('data.delay: the data hold no forces to estimate it by; leave it out')
-        delay = estimated_delay(motions, config.data.smoothing)
-    return delay
 
 
 def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
