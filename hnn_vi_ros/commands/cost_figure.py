@@ -123,14 +123,19 @@ def _styles() -> dict[str, tuple[str, str]]:
     lists a method; markers go round, so that no two of a family have the same.
     """
     styles, met, markers = {}, Counter[str](), cycle('osD^v<>pPhX*d8H')
-    # Methods for rotations are in no picture with the others: they look like those.
+    # Methods for rotations are in no picture with the others: they look like those, but paler.
     for name in dict.fromkeys(kind.removeprefix('lie_') for kind in INTEGRATORS):
         family = name.rstrip(digits)
         met[family] += 1
         # Steps of the golden ratio around the circle of hues leave no two families close together.
         hue, value = list(met).index(family) / golden % 1.0, 0.95 - 0.07 * met[family]
-        styles[name] = to_hex(hsv_to_rgb((hue, 0.75, value)).tolist()), next(markers)
-    return {kind: styles[kind.removeprefix('lie_')] for kind in INTEGRATORS}
+        styles[name] = [to_hex(hsv_to_rgb((hue, saturation, value)).tolist())
+                        for saturation in (0.75, 0.45)], next(markers)
+    found = {}
+    for kind in INTEGRATORS:
+        colors, marker = styles[kind.removeprefix('lie_')]
+        found[kind] = colors[kind.startswith('lie_')], marker
+    return found
 
 
 STYLES = _styles()
