@@ -164,7 +164,10 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
                 raise ValueError('its seal is no seal')
             if int(number) != shard:
                 raise RecordingError(f'{path}: is shard {int(number)} of this sweep')
-            failure = pq.read_table(stream, columns=['failure'] if sealed else None)['failure']
+            # Without threads, which may still hold the stream when the interpreter ends: that
+            # aborts the process.
+            failure = pq.ParquetFile(stream, pre_buffer=False).read(
+                ['failure'] if sealed else None, use_threads=False)['failure']
     except FileNotFoundError:
         raise
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:

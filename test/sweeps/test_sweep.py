@@ -607,3 +607,14 @@ def test_shards_that_were_made_without_a_seal_are_taken(whole, tmp_path, monkeyp
     content = folder.file(1).read_bytes()
     folder.file(1).write_bytes(content[:200] + bytes(200) + content[400:])
     assert folder.survey(plan).missing == [1]
+
+
+def test_checking_a_shard_leaves_no_thread_with_its_file(whole):
+    """One that outlives the interpreter aborts the process."""
+    path, digest = whole / 'part-000000.parquet', make_plan(LENGTHS).record['digest']
+    script = ('import os, sys\nfrom pathlib import Path\n'
+              'from hnn_vi_ros.sweeps.parquet import check_shard\n'
+              'before = len(os.listdir("/proc/self/task"))\n'
+              'check_shard(Path(sys.argv[1]), sys.argv[2], 0)\n'
+              'print(len(os.listdir("/proc/self/task")) - before)\n')
+    assert subprocess.check_output([sys.executable, '-c', script, path, digest]) == b'0\n'
