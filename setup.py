@@ -25,6 +25,7 @@ FOR_ROS = [
     'identify = hnn_vi_ros.cli:identify',
     'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
     'listener = hnn_vi_ros.cli:listener',
+    'new_scene = hnn_vi_ros.cli:new_scene',
     'recover_bag = hnn_vi_ros.cli:recover_bag',
     'replay = hnn_vi_ros.cli:replay',
     'rerun_bridge = hnn_vi_ros.cli:rerun_bridge',
@@ -100,6 +101,7 @@ setup(
         'safetensors>=0.4',
         'scipy>=1.13',
         'setuptools',
+        'shtab>=1.7',
     ],
     extras_require={
         # What recordings for the viewer, and the Parquet files of sweeps, take besides.
@@ -107,16 +109,15 @@ setup(
         'sweep': SWEEP,
         # What training takes besides: its reports hold recordings.
         'train': TRAIN,
-        # What tables and completion take besides.
+        # What tables take besides.
         'tables': ['pandas>=2.2', 'xarray>=2024.1'],
-        'completion': ['shtab>=1.7'],
         # What `hnn_vi_ros.envs` takes besides.
         'envs': ['gymnasium>=1.1,<2'],
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
         'test': [*TRAIN, *SWEEP, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2',
                  'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5',
-                 'rosbags>=0.10', 'shtab>=1.7', 'xarray>=2024.1'],
+                 'rosbags>=0.10', 'xarray>=2024.1'],
     },
     zip_safe=False,
     author='The hnn_vi_ros Authors',

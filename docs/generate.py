@@ -80,7 +80,7 @@ def command_page() -> str:
     text = ['# Commands', '', (
         'Each is `hnn NAME` where the package was installed by pip, and `ros2 run hnn_vi_ros '
         'NAME` in a ROS workspace, where `hnn` is in `lib/hnn_vi_ros` as well; `run`, '
-        '`new_scene`, `doctor` and `completion` belong to `hnn` alone.'), '']
+        '`cost`, `doctor` and `completion` belong to `hnn` alone.'), '']
     for name in COMMANDS:
         text += [f'## {name}', '', '```text', parser_of(name).format_help().strip(), '```', '']
     return '\n'.join(text)

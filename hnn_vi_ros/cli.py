@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The executables: each imports its module late, so that a missing package is one plain line."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 import math
 import os
@@ -15,10 +16,10 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.command_line import call_by_hnn, called
-from hnn_vi_ros.commands.table import COMMANDS, module_of, parser_of, refuse
+from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files.resources import private_folder, usual_folder
-from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output
+from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output, write_problem
 from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
 
 # Import names of ROS 2, and the wheels that hold all of them.
@@ -49,64 +50,11 @@ def main() -> NoReturn:
     sys.exit(_with_output('hnn', status))
 
 
-def simulator() -> NoReturn:
-    """Run the simulator node."""
-    _run('simulator')
-
-
-def listener() -> NoReturn:
-    """Run the example subscriber."""
-    _run('listener')
-
-
-def recover_bag() -> NoReturn:
-    """Make interrupted recordings whole."""
-    _run('recover_bag')
-
-
-def replay() -> NoReturn:
-    """Publish a bag, or verify it."""
-    _run('replay')
-
-
-def rerun_bridge() -> NoReturn:
-    """Show a running simulator or a bag in rerun."""
-    _run('rerun_bridge')
-
-
-def train() -> NoReturn:
-    """Train a Hamiltonian neural network."""
-    _run('train')
-
-
-def sweep() -> NoReturn:
-    """Simulate a scene for many parameters and initial states."""
-    _run('sweep')
-
-
-def evaluate() -> NoReturn:
-    """Judge a model or a scene by measured motions."""
-    _run('evaluate')
-
-
-def hover() -> NoReturn:
-    """Run the example controller."""
-    _run('hover')
-
-
-def identify() -> NoReturn:
-    """Fit numbers of a scene to measured motions."""
-    _run('identify')
-
-
-def import_checkpoint() -> NoReturn:
-    """Turn a network of the original HNN code into a model."""
-    _run('import_checkpoint')
-
-
-def scene() -> NoReturn:
-    """Check, list or explain scenes."""
-    _run('scene')
+def __getattr__(name: str) -> Callable[[], NoReturn]:
+    """Return what runs an executable: the entry points of setup.py look it up by its name."""
+    if name not in EXECUTABLES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return partial(_run, name)
 
 
 def _choose_cache() -> None:
@@ -172,6 +120,9 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     if status == _INTERRUPTED:
         # The interpreter's end takes half a second, and waits for threads that compile.
         os._exit(_INTERRUPTED)
+    if isinstance(status, str):
+        write_problem(status)
+        status = 1
     sys.exit(status)
 
 
@@ -224,7 +175,7 @@ def _warn_in_lines(shown: str) -> None:
         text = ' '.join(str(message).split())
         if text not in told:
             told.add(text)
-            print(f'{shown}: warning: {text}', file=sys.stderr)
+            write_problem(f'{shown}: warning: {text}')
 
     warnings.showwarning = show
 

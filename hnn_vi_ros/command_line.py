@@ -6,9 +6,11 @@ import argparse
 from collections.abc import Mapping, Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from textwrap import fill
 from typing import Any, NoReturn
 
 from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.files.standard_streams import write_problem
 from hnn_vi_ros.version import __version__
 
 # How an executable is called where ROS 2 finds it, and by the command for all of them.
@@ -17,6 +19,7 @@ _called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
 _FILES = {'bash': '_shtab_compgen_files', 'zsh': '_files', 'tcsh': 'f'}
 # The status of a command line that is not understood, as argparse has it.
 _USAGE = 2
+_WIDTH = 99
 
 
 def call_by_hnn() -> None:
@@ -81,7 +84,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, name: str, description: str, examples: Sequence[str], details: str = ''):
         shown = '\n'.join(f'  {example.replace(_BY_ROS, _called.get())}' for example in examples)
         super().__init__(
-            prog=called(name), description=description, allow_abbrev=False,
+            prog=called(name), description=fill(description, _WIDTH), allow_abbrev=False,
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
@@ -110,4 +113,6 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line."""
-        self.exit(_USAGE, f'{self.prog}: {" ".join(message.split())}; see {self.prog} --help\n')
+        line = f'{self.prog}: {" ".join(message.split())}; see {self.prog} --help'
+        write_problem(line)
+        self.exit(_USAGE)

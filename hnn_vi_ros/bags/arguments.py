@@ -15,7 +15,7 @@ nothing could be recovered; then all is left as it was."""
 def recover_bag() -> Parser:
     """Return the parser of ``recover_bag``."""
     parser = Parser(
-        'recover_bag', 'Make bags whole whose recording was interrupted, or that were damaged.',
+        'recover_bag', 'Repair bags that were cut off or damaged.',
         ['ros2 run hnn_vi_ros recover_bag runs/pendulum-20260101T120000Z/bag'], _RECOVERED)
     parser.add_argument('bag', type=Path, nargs='+', metavar='BAG', help=(
         'folder of a bag, or its .mcap file, that a recorder did not close'))

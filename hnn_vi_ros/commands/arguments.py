@@ -12,7 +12,7 @@ SHELLS = ('bash', 'zsh', 'tcsh')
 def run() -> Parser:
     """Return the parser of ``run``."""
     parser = Parser('run', (
-        'Simulate a scene without ROS, and draw, show or save its trajectory.'), [
+        'Simulate a scene. Draw, show or save its trajectory, without ROS.'), [
             'hnn run pendulum',
             'hnn run kepler --duration 100 --integrator gauss8 --step-size 0.02 --csv kepler.csv',
             'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
@@ -42,16 +42,15 @@ def run() -> Parser:
 def scene() -> Parser:
     """Return the parser of ``scene``."""
     parser = Parser('scene', (
-        'Check, list, explain and compile scenes, write one for a robot; print their schema.'), [
+        'Check, list, explain and compile scenes; print their schema.'), [
         'ros2 run hnn_vi_ros scene --list',
         'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
         'ros2 run hnn_vi_ros scene --explain double_pendulum',
-        'ros2 run hnn_vi_ros scene --compile my_scene.yaml',
-        'ros2 run hnn_vi_ros scene --new my_robot.urdf --out my_scene.yaml'])
+        'ros2 run hnn_vi_ros scene --compile my_scene.yaml'], (
+            '`new_scene` writes a scene to begin from.'))
     # argparse would keep a group of exclusive options on one line, however long.
-    parser.usage = ('scene [-h] [--version] (--check NAME [NAME ...] | --list | --schema |\n'
-                    '             --explain NAME | --compile [NAME ...] |\n'
-                    '             --new URDF [--out SCENE])')
+    parser.usage = (f'{parser.prog} [-h] [--version] (--check NAME [NAME ...] | --list |\n'
+                    '                 --schema | --explain NAME | --compile [NAME ...])')
     task = parser.add_mutually_exclusive_group(required=True)
     task.add_argument('--check', nargs='+', metavar='NAME', help=(
         'say of each scene, a shipped name or a file, whether it is valid'))
@@ -63,19 +62,14 @@ def scene() -> Parser:
     task.add_argument('--compile', nargs='*', metavar='NAME', help=(
         'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
         'first start need not'))
-    task.add_argument('--new', metavar='URDF', help=(
-        'write a scene for a robot, a path or package://PACKAGE/PATH: its joints, their limits '
-        'and friction, and where it rests'))
-    parser.add_argument('--out', type=Path, metavar='SCENE', help=(
-        'the file that --new writes, which must not exist (default: ROBOT.yaml)'))
     return parser
 
 
 def cost() -> Parser:
     """Return the parser of ``cost``."""
     parser = Parser('cost', (
-        'Measure what accuracy costs in a scene: the error of methods and step sizes, and the '
-        'time they take.'), [
+        'Measure what accuracy costs in a scene. The table and the picture show the error of '
+        'methods and step sizes, and the time they take.'), [
             'hnn cost pendulum', 'hnn cost kepler --error 1e-6 --plot kepler.png',
             'hnn cost my_scene.yaml --duration 60 --seconds 300 --csv costs.csv'], (
         'The error is the largest deviation of a coordinate or momentum from a reference, in SI '
@@ -100,31 +94,36 @@ def cost() -> Parser:
 def new_scene() -> Parser:
     """Return the parser of ``new_scene``."""
     parser = Parser('new_scene', (
-        'Write a new scene file: a copy of a shipped scene, or one of a formula, with the schema '
-        'for editors.'), [
-            'hnn new_scene my_arm', 'hnn new_scene mine.yaml --like double_pendulum',
-            "hnn new_scene my_well --formula 'p_x^2/(2*m) + k*x^4/4'"])
-    parser.add_argument('file', type=Path, metavar='FILE', help=(
-        'what to write; .yaml is added where it has no suffix'))
+        'Write a scene to begin from: of a robot, of a formula, or like another.'), [
+            'ros2 run hnn_vi_ros new_scene my_arm',
+            'ros2 run hnn_vi_ros new_scene mine.yaml --like double_pendulum',
+            'ros2 run hnn_vi_ros new_scene --robot my_robot.urdf',
+            "ros2 run hnn_vi_ros new_scene my_well --formula 'p_x^2/(2*m) + k*x^4/4'"], (
+                'The scene of a robot has its joints, their limits and friction. A line in the '
+                'others\nnames the schema by which editors complete and check them.'))
+    parser.add_argument('file', type=Path, nargs='?', metavar='FILE', help=(
+        'what to write; .yaml is added where it has no suffix (of a robot: ROBOT.yaml)'))
     source = parser.add_mutually_exclusive_group()
     complete_by(source.add_argument('--like', default='exact_pendulum', metavar='SCENE', help=(
         'the scene to copy: a shipped name, or a file (default: exact_pendulum)')), named('scene'))
     source.add_argument('--formula', metavar='H', help=(
         'H [J] of coordinates c and their momenta p_c; other names become parameters'))
+    source.add_argument('--robot', metavar='URDF', help='a path, or package://PACKAGE/PATH')
+    parser.add_argument('--force', action='store_true', help='overwrite FILE if it exists')
     return parser
 
 
 def doctor() -> Parser:
     """Return the parser of ``doctor``."""
     return Parser('doctor', (
-        'Report what is installed, what does not work, and why.'), ['hnn doctor'], (
+        'Report what is installed, and what does not work.'), ['hnn doctor'], (
             'Exit status: 0 if simulating works, 1 if not; what is optional may be absent.'))
 
 
 def completion() -> Parser:
     """Return the parser of ``completion``."""
     parser = Parser('completion', (
-        'Print the script by which a shell completes commands, options and names of hnn.'), [
+        'Print the script by which a shell completes hnn.'), [
             'hnn completion bash > ~/.local/share/bash-completion/completions/hnn',
             'hnn completion zsh > ~/.zfunc/_hnn'])
     parser.add_argument('shell', choices=SHELLS, help='for which shell')

@@ -32,8 +32,9 @@ _LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
 # Speed of dry friction, unless the step needs a larger one: the default of the effect.
 _SPEED = 0.01
 _TEXT = """\
-# A first scene of {robot}, written by `scene --new`; change what you like.
-#   ros2 run hnn_vi_ros scene --explain {scene}    # all keys with their units
+# A first scene of {robot}, written by `hnn new_scene`; change what you like.
+#   hnn scene --explain {scene}    # all keys with their units
+#   hnn run {scene} --plot motion.png
 #   ros2 run hnn_vi_ros simulator --ros-args -p scene:={scene}
 description: {description}
 hamiltonian:
@@ -44,15 +45,14 @@ hamiltonian:
 {joints}
 {locked}  gravity: [0.0, 0.0, -9.81]   # [m/s2], in the frame of the base
   # A URDF does not tell the motors: their inertia as the joints feel it, that is times the gear
-  # ratio squared {rotor_units}.
-  # rotor_inertia: {{{first}: 0.1}}
+  # ratio squared {rotor_units}.{rotors}
 effects:{effects}
   # What a controller sends to ~/commands, one number for each of these joints {force_units}:
   # - {{kind: external_force, coordinates: [{names}]}}
 integrator: {{kind: generalized_leapfrog}}
 step_size: {step_size}   # [s]
 initial_state:
-  # At rest: gravity moves no joint from here. Begin elsewhere, and it falls.
+  # A little away from where gravity moves no joint: {rest}.
   q: {q}   # {units}
   p: {p}   # {p_units}
 """
@@ -71,7 +71,7 @@ initial_state: {{q: {q}, p: {p}}}
 """
 
 
-def write_scene(file: str, out: Path | None) -> Path:
+def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     """
     Write a scene for a robot, and return its path.
 
@@ -81,6 +81,8 @@ def write_scene(file: str, out: Path | None) -> Path:
         A URDF: its path, or package://PACKAGE/PATH.
     out : Path or None
         The scene; by default that of the URDF's name in the working directory.
+    force : bool, optional
+        Whether it may take the place of another file.
 
     Raises
     ------
@@ -92,17 +94,16 @@ def write_scene(file: str, out: Path | None) -> Path:
     """
     urdf = _find(file)
     out = Path(f'{urdf.stem}.yaml') if out is None else out
-    if out.suffix not in ('.yaml', '.yml'):
-        raise SceneError(f'{out}: the file of a scene ends in .yaml; give such a name by --out')
     robot = read_urdf(urdf)
     locked = held(robot)
     try:
         tree = RigidBodyTree(str(urdf), locked=locked)
+        rotors = missing_rotors(tree)
+        tree = RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
     except ValueError as problem:
         raise ModelError(f'{urdf}: {problem}') from problem
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
-    text = scene_text(name, out, tree, locked)
-    write_new_scene(out, text)
+    write_new_scene(out, scene_text(name, out, tree, locked, rotors), force)
     return out
 
 
@@ -169,6 +170,35 @@ def resting_state(tree: RigidBodyTree) -> np.ndarray:
     return np.clip(np.round(best, 6) + 0.0, low, high)
 
 
+def moving_state(tree: RigidBodyTree, rest: np.ndarray) -> np.ndarray:
+    """
+    Return a state off that of rest, shape (d,), from which gravity moves the joints it acts on.
+
+    Each joint is a fifth of the way from where it rests to the middle of its limits, or to its
+    upper one if it rests near the middle; one that turns freely is at 0.3 rad from there.
+    """
+    low, high = _range(tree)
+    bounded = np.isfinite(high - low)
+    low, high = np.where(bounded, low, rest), np.where(bounded, high, rest + 1.5)
+    middle = 0.5 * (low + high)
+    near = ~bounded | (np.abs(middle - rest) < 0.1 * (high - low))
+    return np.round(rest + 0.2 * (np.where(near, high, middle) - rest), 6) + 0.0
+
+
+def missing_rotors(tree: RigidBodyTree) -> dict[str, float]:
+    """
+    Return rotor inertias for joints that feel next to none, which real motors have.
+
+    Such a joint, whose inertia is below a thousandth of the largest of its kind, would make
+    motions so fast that every other one waits for them.
+    """
+    inertia = rates(tree, resting_state(tree))[1]
+    kinds = np.array([joint.kind == SLIDING for joint in tree.joints])
+    largest = np.array([inertia[kinds == kind].max() for kind in kinds])
+    return {joint.name: _round(1e-3 * most, up=True) for joint, own, most in zip(
+        tree.joints, inertia, largest, strict=True) if own < 1e-3 * most}
+
+
 def _range(tree: RigidBodyTree) -> tuple[np.ndarray, np.ndarray]:
     """Return bounds of q, each of shape (d,)."""
     ends = []
@@ -199,10 +229,12 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     return math.sqrt(max(0.0, squares.max())), size**2 / np.diag(inverse)
 
 
-def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float]) -> str:
+def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float],
+               rotors: dict[str, float]) -> str:
     """Return the YAML of the scene of a robot."""
-    joints, q = tree.joints, resting_state(tree)
-    frequency, inertia = rates(tree, q)
+    joints, rest = tree.joints, resting_state(tree)
+    frequency, inertia = rates(tree, rest)
+    q = moving_state(tree, rest)
     damping, friction = (np.array([getattr(joint, name) for joint in joints])
                          for name in ('damping', 'friction'))
     periods = 2.0 * np.pi / frequency / _STEPS if frequency > 0.0 else math.inf
@@ -222,14 +254,14 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
     wide = max(map(len, names))
     return _TEXT.format(
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
-        description=_quoted(f'{Path(file).stem} at rest, from its URDF'), first=names[0],
+        description=_quoted(f'{Path(file).stem}, from its URDF'), rotors=_rotors(rotors, names[0]),
         names=', '.join(names), locked=_locked(tree.robot, locked),
         rotor_units=_units(joint.units.rotor for joint in joints),
         force_units=', '.join(f'[{joint.units.force}]' for joint in joints),
         joints='\n'.join(f'    - {name:{wide}}   # {_told(joint)}'
                          for name, joint in zip(names, joints, strict=True)),
         effects=''.join(f'\n  {line}' for line in effects) or ' []', step_size=f'{step_size:g}',
-        q=q.tolist(), p=[0.0] * q.size,
+        q=q.tolist(), rest=rest.tolist(), p=[0.0] * q.size,
         units=', '.join(f'[{coordinate.q_unit}]' for coordinate in tree.coordinates),
         p_units=', '.join(f'[{coordinate.p_unit}]' for coordinate in tree.coordinates))
 
@@ -242,6 +274,15 @@ def _locked(robot: Robot, locked: dict[str, float]) -> str:
                     for name, value in locked.items())
     return ('  # Held there: they follow others, have no room, or are too many.\n'
             f'  locked:\n{lines}')
+
+
+def _rotors(rotors: dict[str, float], first: str) -> str:
+    """Return the lines on rotors, of which those of light links are needed."""
+    if not rotors:
+        return f'\n  # rotor_inertia: {{{first}: 0.1}}'
+    named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())
+    return (' These joints move next to\n  # nothing else: a guess, a thousandth of what the '
+            f'heaviest moves.\n  rotor_inertia: {{{named}}}')
 
 
 def _units(units: Iterable[str]) -> str:
@@ -315,9 +356,14 @@ def formula_text(text: str, schema: str) -> str:
 
 def main(argv: list[str]) -> int:
     """Write the file, and print what can be done with it."""
-    options = arguments.new_scene().parse_args(argv)
-    path = options.file if options.file.suffix in ('.yaml', '.yml') else \
+    parser = arguments.new_scene()
+    options = parser.parse_args(argv)
+    if options.file is None and options.robot is None:
+        parser.error('FILE is missing: name what to write')
+    path = options.file if options.file is None or options.file.suffix in ('.yaml', '.yml') else \
         options.file.with_name(f'{options.file.name}.yaml')
+    if options.robot is not None:
+        return _written(write_scene(options.robot, path, options.force))
     schema = f'# yaml-language-server: $schema={share_folder() / "config" / "scene.schema.json"}'
     if options.formula is not None:
         text = formula_text(options.formula, schema)
@@ -328,7 +374,12 @@ def main(argv: list[str]) -> int:
             # Paths relative to the folder of the original would not be found from the copy.
             if '/' in name and '://' not in name:
                 text = text.replace(name, str(file.resolve()))
-    write_new_scene(path, text)
+    write_new_scene(path, text, options.force)
+    return _written(path)
+
+
+def _written(path: Path) -> int:
+    """Print what can be done with a scene."""
     print(path)
     print(f'  change it; check it by: {command(f"scene --check {path}")}')
     print(f'  run it by: {command(f"run {path}")}')

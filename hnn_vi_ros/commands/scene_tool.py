@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check, list, explain, compile and write scenes, and print their JSON schema."""
+"""Check, list, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
@@ -28,15 +28,7 @@ _STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
 
 def main(argv: list[str]) -> int:
     """Do what the one option asks for; return 1 if a scene is not valid."""
-    parser = arguments.scene()
-    options = parser.parse_args(argv)
-    if options.out is not None and options.new is None:
-        parser.error('--out goes with --new')
-    if options.new is not None:
-        from hnn_vi_ros.commands.new_scene import write_scene
-        path = write_scene(options.new, options.out)
-        print(f'{path}: written')
-        return check([str(path)])
+    options = arguments.scene().parse_args(argv)
     if options.check:
         return check(options.check)
     if options.compile is not None:

@@ -9,29 +9,35 @@ from typing import NoReturn
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import did_you_mean
 
-# Each executable, and the module whose ``main(argv)`` it calls.
-EXECUTABLES = {
-    'evaluate': 'hnn_vi_ros.learning.evaluate',
-    'hover': 'hnn_vi_ros.ros.hover_node',
-    'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
-    'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint',
-    'listener': 'hnn_vi_ros.ros.listener_node',
-    'recover_bag': 'hnn_vi_ros.bags.recover_bag',
-    'replay': 'hnn_vi_ros.ros.replay.replay_node',
-    'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
-    'scene': 'hnn_vi_ros.commands.scene_tool',
-    'simulator': 'hnn_vi_ros.ros.simulator_node',
-    'sweep': 'hnn_vi_ros.sweeps.sweep',
-    'train': 'hnn_vi_ros.learning.train',
+# Each command, by what it is for, and the module whose ``main(argv)`` it calls.
+GROUPS = {
+    'simulate': {
+        'run': 'hnn_vi_ros.commands.run',
+        'cost': 'hnn_vi_ros.commands.cost',
+        'new_scene': 'hnn_vi_ros.commands.new_scene',
+        'scene': 'hnn_vi_ros.commands.scene_tool',
+        'sweep': 'hnn_vi_ros.sweeps.sweep'},
+    'learn from data': {
+        'train': 'hnn_vi_ros.learning.train',
+        'evaluate': 'hnn_vi_ros.learning.evaluate',
+        'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
+        'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint'},
+    'nodes of ROS 2': {
+        'simulator': 'hnn_vi_ros.ros.simulator_node',
+        'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
+        'listener': 'hnn_vi_ros.ros.listener_node',
+        'hover': 'hnn_vi_ros.ros.hover_node'},
+    'recordings': {
+        'replay': 'hnn_vi_ros.ros.replay.replay_node',
+        'recover_bag': 'hnn_vi_ros.bags.recover_bag'},
+    'this installation': {
+        'doctor': 'hnn_vi_ros.commands.doctor',
+        'completion': 'hnn_vi_ros.commands.completion'},
 }
-# What only ``hnn`` has comes first: it is what a user without ROS begins with.
-COMMANDS = {
-    'run': 'hnn_vi_ros.commands.run',
-    'cost': 'hnn_vi_ros.commands.cost',
-    'new_scene': 'hnn_vi_ros.commands.new_scene',
-    'doctor': 'hnn_vi_ros.commands.doctor',
-    'completion': 'hnn_vi_ros.commands.completion',
-} | EXECUTABLES
+COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
+# ROS 2 finds the others as executables.
+_WITHOUT_ROS = ('run', 'cost', 'doctor', 'completion')
+EXECUTABLES = [name for name in COMMANDS if name not in _WITHOUT_ROS]
 
 
 def module_of(name: str, argv: Sequence[str]) -> str:
@@ -52,19 +58,21 @@ def parser_of(name: str) -> Parser:
 def hnn() -> Parser:
     """Return the parser of the one command, whose help lists all commands."""
     width = max(map(len, COMMANDS))
-    lines = [f'  {name:{width}}  {first_line(parser_of(name))}' for name in COMMANDS]
+    lines = [line for group, names in GROUPS.items() for line in (
+        f'{group}:', *(f'  {name:{width}}  {first_line(parser_of(name))}' for name in names), '')]
     parser = Parser('', 'Simulate learned and exact Hamiltonians with variational integrators.', [
         'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn scene --list',
-        'hnn train --help', 'hnn doctor'], '\n'.join(['commands:', *lines]))
-    parser.add_argument('command', metavar='COMMAND', help='what to do, see below')
+        'hnn train --help', 'hnn doctor'], '\n'.join(lines).rstrip())
+    parser.usage = 'hnn [-h] [--version] COMMAND ...'
+    parser.add_argument('command', metavar='COMMAND', help='what to do: see below')
     parser.add_argument('words', nargs='*', metavar='...', help=(
         'its own arguments, see hnn COMMAND --help'))
     return parser
 
 
 def first_line(parser: Parser) -> str:
-    """Return the first paragraph of a command's description, as one line."""
-    return ' '.join((parser.description or '').partition('\n\n')[0].split())
+    """Return the first sentence of a command's description, as one line."""
+    return ' '.join((parser.description or '').partition('. ')[0].rstrip('.').split())
 
 
 def refuse(word: str) -> NoReturn:

@@ -60,9 +60,9 @@ def check_new(option: str, path: Path) -> None:
                              'another file') from problem
 
 
-def write_new_scene(path: Path, text: str) -> None:
+def write_new_scene(path: Path, text: str, force: bool = False) -> None:
     """
-    Write the text of a scene.
+    Write the text of a scene; with ``force``, in the place of a file that exists.
 
     Raises
     ------
@@ -71,10 +71,11 @@ def write_new_scene(path: Path, text: str) -> None:
 
     """
     try:
-        with path.open('x', encoding='utf-8') as stream:
+        with path.open('w' if force else 'x', encoding='utf-8') as stream:
             stream.write(text)
     except FileExistsError as problem:
-        raise SceneError(f'{path}: exists already; name another file') from problem
+        raise SceneError(f'{path}: exists already; name another file, or take --force'
+                         ) from problem
     except OSError as problem:
         raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
                          ) from problem

@@ -56,9 +56,23 @@ class _Plain(io.TextIOWrapper):
         super().write(printable(text, self.keep))
         return len(text)
 
+    def write_emphasised(self, begin: str, *rest: str) -> None:
+        """Write a line whose beginning is bold and red."""
+        super().write(f'\x1b[1;31m{printable(begin)}\x1b[0m{printable("".join(rest))}\n')
+
     def rewrite(self, text: str) -> None:
         """Write a text in place of the line in which the cursor of a terminal is."""
         super().write(f'\r\x1b[K{printable(text)}')
+
+
+def write_problem(line: str) -> None:
+    """Write a line on what is wrong to standard error; on a terminal its command in red."""
+    stream = sys.stderr
+    if isinstance(stream, _Plain) and stream.isatty() and not os.environ.get('NO_COLOR') and \
+            os.environ.get('TERM') != 'dumb':
+        stream.write_emphasised(*line.partition(':'))
+    else:
+        print(line, file=stream)
 
 
 def rewrite_line(stream: TextIO, text: str) -> None:

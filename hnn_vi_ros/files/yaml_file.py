@@ -45,6 +45,17 @@ Model = TypeVar('Model', bound=BaseModel)
 
 # Characters of a value in an error.
 _LONGEST_VALUE = 60
+# What a value must be, by the type of an error of pydantic whose own words are those of Python.
+_FORMS = {
+    'too_short': 'have {min_length} or more entries',
+    'too_long': 'have at most {max_length} entries',
+    'string_too_short': 'have {min_length} or more characters',
+    'string_too_long': 'have at most {max_length} characters',
+    'list_type': 'be a list, as in [a, b]',
+    'dict_type': 'be keys and values, as in {{key: value}}',
+    'string_type': 'be text, in quotes if it looks like a number', 'bool_type': 'be true or false',
+    'int_type': 'be a whole number', 'int_from_float': 'be a whole number',
+    'float_type': 'be a number'}
 # The first units in a description: 'h [s]; ...', 'k of each joint [N/m], [N m/rad]'.
 _UNITS = re.compile(r'\[[^\[\],]+\](?:(?:,| or) \[[^\[\],]+\])*')
 
@@ -138,9 +149,14 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
             f'unknown kind {repr(tag)[:80]}{did_you_mean(str(tag), kinds)}'
         message += f'; valid kinds: {", ".join(kinds)}'
     elif problem_type in ('model_type', 'model_attributes_type'):
-        message = 'expected keys and values, as in {key: value}'
+        kinds = sorted(filter(None, map(_kind, _schemas_at(schema, loc))))
+        named = kinds and (first['input'] if first['input'] in kinds else kinds[0])
+        message = f'expected {{kind: {named}}}, and further keys' if named else \
+            'expected keys and values, as in {key: value}'
+        message += f', not {_shown(first["input"])}'
     elif problem_type == 'missing':
-        key, message = (*key, str(loc[-1])), first['msg']
+        key = (*key, str(loc[-1]))
+        message = ': '.join(['required', *_descriptions(schema, loc)])
     else:
         message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
                                _units_at(schema, loc, key))
@@ -155,22 +171,34 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
         # From a schema of ours, whose message tells the value where that helps.
         return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ')
                                          for p in problems))
-    given = problems[0]['input']
-    shown = repr(given) if len(repr(given)) <= _LONGEST_VALUE else \
-        f'{repr(given)[:_LONGEST_VALUE]} ...'
+    shown = _shown(problems[0]['input'])
     if {p['type'] for p in problems} <= {'float_type', 'float_parsing'}:
         what = 'number of seconds, e.g. 0.001' if [*units] == ['s'] else \
             f'number{_bracketed(units)}'
         return f'{shown} is no {what}'
     words = re.findall(r"'([^']*)'", problems[0].get('ctx', {}).get('expected', ''))
     if words and len(problems) == 1:
-        hint = did_you_mean(str(given), words)
+        hint = did_you_mean(str(problems[0]['input']), words)
         return f'{shown} is unknown{hint}; valid: {", ".join(words)}'
-    expected = ' or '.join(dict.fromkeys(
-        re.sub('^Input should be ', '', p['msg']) for p in problems))
-    if all(p['msg'].startswith('Input should be ') for p in problems):
-        return f'must be {expected}{_bracketed(units)}, not {shown}'
-    return expected if ', not ' in expected else f'{expected}, not {shown}'
+    told = [_FORMS[p['type']].format(**p.get('ctx', {})) if p['type'] in _FORMS else
+            re.sub('^Input should ', '', p['msg']) for p in problems]
+    # 'be a list or text', not 'be a list or be text'.
+    alike = all(text.startswith('be ') for text in told)
+    expected = ' or '.join(dict.fromkeys(text.removeprefix('be ') if alike else text
+                                         for text in told))
+    return f'must {"be " * alike}{expected}{_bracketed(units)}, not {shown}'
+
+
+def _shown(value: object) -> str:
+    """Return a value as an error shows it."""
+    return repr(value) if len(repr(value)) <= _LONGEST_VALUE else \
+        f'{repr(value)[:_LONGEST_VALUE]} ...'
+
+
+def _descriptions(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
+    """Return what the schemas say of the key to which a pydantic location leads."""
+    fields = (owner.model_fields.get(str(loc[-1])) for owner in _schemas_at(schema, loc[:-1]))
+    return {field.description for field in fields if field and field.description}
 
 
 def _bracketed(units: Sequence[str]) -> str:

@@ -65,8 +65,8 @@ def train() -> Parser:
 def evaluate() -> Parser:
     """Return the parser of ``evaluate``."""
     parser = Parser('evaluate', (
-        'Simulate freely from many measured states, with the measured forces,\n'
-        'and report the prediction errors of a model or a scene.'), [
+        'Judge a model or a scene by measured motions. It is simulated freely from many '
+        'measured states, with the measured forces.'), [
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data arm.npz',
             'ros2 run hnn_vi_ros evaluate models/arm.safetensors --data bags/run7 --joints a,b',
             'ros2 run hnn_vi_ros evaluate arm.yaml --data arm.npz:run7,run8 --horizons 0.1 0.5 2 '
@@ -105,7 +105,7 @@ def evaluate() -> Parser:
 def identify() -> Parser:
     """Return the parser of ``identify``."""
     parser = Parser('identify', (
-        'Fit parameters of a scene to measured motions, with confidence intervals.'), [
+        'Fit parameters of a scene to measured motions. Each gets a confidence interval.'), [
             'ros2 run hnn_vi_ros identify exact_pendulum --data swing.npz --free length '
             'initial_state',
             'ros2 run hnn_vi_ros identify arm.yaml --data bags/run7 --free forearm.mass '
@@ -149,7 +149,7 @@ def identify() -> Parser:
 def import_checkpoint() -> Parser:
     """Return the parser of ``import_checkpoint``."""
     parser = Parser('import_checkpoint', (
-        'Turn a network of the original HNN code or of its forks into a model of ours.'), [
+        'Convert a network of the original HNN code or its forks.'), [
             'ros2 run hnn_vi_ros import_checkpoint funnel.tar --layout sum_second_half '
             '--activation sine --coordinates q1,q2 --box=-6:6,-4:4,-4:4,-4:4'], _IMPORTED)
     parser.add_argument('file', type=Path, metavar='FILE', help='what torch.save wrote')

@@ -33,7 +33,7 @@ It subscribes to /hnn_simulator/energy, and has no parameters."""
 def simulator() -> Parser:
     """Return the parser of ``simulator``."""
     return Parser('simulator', (
-        'Simulate a scene at the pace of the clock, publish it, record it and show it.'), [
+        'Simulate a scene at the pace of the clock. Publish, record and show it.'), [
             'ros2 run hnn_vi_ros simulator --ros-args -p scene:=pendulum -p duration:=10.0',
             'ros2 run hnn_vi_ros simulator --ros-args -p integrator:=gauss8 -p record:=false',
             'ros2 run hnn_vi_ros simulator --ros-args --params-file my.yaml -r __ns:=/arm',
@@ -45,8 +45,7 @@ def simulator() -> Parser:
 def replay() -> Parser:
     """Return the parser of ``replay``."""
     parser = Parser('replay', (
-        'Publish the topics of a bag again, at their times, or simulate the bag again and '
-        'compare.'), [
+        'Publish a bag again, or simulate it again and compare.'), [
             'ros2 run hnn_vi_ros replay runs/pendulum-20260101T120000Z/bag --rate 2 --loop',
             'ros2 run hnn_vi_ros replay BAG --verify',
             'ros2 run hnn_vi_ros replay BAG --ros-args -p publish_clock:=true'],
@@ -67,8 +66,8 @@ def replay() -> Parser:
 def rerun_bridge() -> Parser:
     """Return the parser of ``rerun_bridge``."""
     parser = Parser('rerun_bridge', (
-        "Show a running simulator, or a bag, in rerun without a hand in the simulation's "
-        'process.'), [
+        'Show a running simulator or a bag in rerun. It runs in a process of its own, so that '
+        'the simulation waits for nothing.'), [
             'ros2 run hnn_vi_ros rerun_bridge',
             'ros2 run hnn_vi_ros rerun_bridge BAG --ros-args -p rerun_sink:=file '
             '-p rerun_path:=bag.rrd'],
@@ -87,7 +86,7 @@ def sweep() -> Parser:
 
 def hover() -> Parser:
     """Return the parser of ``hover``."""
-    return Parser('hover', 'Fly the scene quadrotor to a place, and hold it there.', [
+    return Parser('hover', 'Fly the scene quadrotor to a place and hold it there.', [
         'ros2 run hnn_vi_ros hover',
         'ros2 run hnn_vi_ros hover --ros-args -p x:=0.0 -p y:=0.0 -p z:=5.0'],
         _details(_HOVER, HOVER_PARAMETERS))

@@ -86,7 +86,7 @@ class Scene(StrictModel):
     @model_validator(mode='after')
     def _check_step_size(self) -> 'Scene':
         if self.step_size is None and not isinstance(self.integrator, AutoChoice):
-            raise ValueError('step_size: Field required')
+            raise ValueError('step_size: required: h [s]')
         return self
 
     _origin: Origin = PrivateAttr(default_factory=Origin)

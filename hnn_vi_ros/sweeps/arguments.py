@@ -16,7 +16,7 @@ shards asked for are there, 130 if Ctrl-C stopped it."""
 def sweep() -> Parser:
     """Return the parser of ``sweep``."""
     parser = Parser('sweep', (
-        'Simulate a scene for many parameters and initial states into a Parquet dataset.'), [
+        'Simulate many parameters and initial states. The result is a Parquet dataset.'), [
             'ros2 run hnn_vi_ros sweep pendulum_energies',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one command: it runs every executable, and what it has besides does what it says."""
 
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -25,7 +26,7 @@ SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
     assert set(COMMANDS) - set(EXECUTABLES) == {
-        'run', 'cost', 'new_scene', 'doctor', 'completion'}
+        'run', 'cost', 'doctor', 'completion'}
 
 
 def test_help_tells_all_commands_without_what_they_take():
@@ -36,6 +37,21 @@ def test_help_tells_all_commands_without_what_they_take():
     assert all(any(line.startswith(f'  {name} ') for line in text) for name in COMMANDS)
     assert not {'numpy', 'numba', 'rclpy', 'yaml', 'pydantic'} & set(imported.split())
     assert ask('main', '--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
+
+
+@pytest.mark.parametrize('variables, colour', [
+    ({'TERM': 'xterm'}, True), ({'TERM': 'dumb'}, False),
+    ({'TERM': 'xterm', 'NO_COLOR': '1'}, False)])
+def test_errors_are_coloured_on_terminals_alone(variables, colour):
+    reader, terminal = os.openpty()
+    command = [sys.executable, '-m', 'hnn_vi_ros', 'trian']
+    subprocess.run(command, stderr=terminal, check=False, env={**os.environ, **variables})
+    assert os.read(reader, 1000).startswith(b'\033[1;31mhnn\033[0m: ') == colour
+    os.close(reader)
+    os.close(terminal)
+    piped = subprocess.run(command, capture_output=True, check=False,
+                           env={**os.environ, **variables})
+    assert b'\033' not in piped.stderr
 
 
 @pytest.mark.parametrize('name', ['import-checkpoint', 'run', 'train'])

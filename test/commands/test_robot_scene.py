@@ -1,13 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scene that is written for a robot: valid, at rest, and never over another file."""
+"""The scene that is written for a robot: valid, in motion, and never over another file unasked."""
 
 from pathlib import Path
-import re
 import shutil
 
-from hnn_vi_ros.commands.new_scene import held, write_scene
-from hnn_vi_ros.commands.scene_tool import main
+from hnn_vi_ros.commands.new_scene import held, main, resting_state, write_scene
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.scene import load_scene
@@ -31,18 +29,37 @@ def robot(request, tmp_path, monkeypatch) -> Path:
     return path
 
 
-def test_new_scene_of_a_robot_is_valid_and_stays_where_it_rests(robot, capsys):
-    assert main(['--new', str(robot), '--out', 'new.yaml']) == 0
-    out = capsys.readouterr().out
-    assert re.match(r'new\.yaml: written\nnew: valid: urdf \+ .*joint_limits, generalized', out)
+def test_new_scene_of_a_robot_is_valid_and_moves_at_once(robot, capsys):
+    assert main(['new', '--robot', str(robot)]) == 0
+    assert capsys.readouterr().out.startswith('new.yaml\n')
     simulation = build(load_scene('new.yaml'))
     start = simulation.q.copy()
     simulation.advance(round(0.5 / simulation.step_size))
+    # Gravity alone would move a free joint by g t^2 / 2 = 1.2 in that time.
+    assert np.abs(simulation.q - start).max() > 1e-2
+    scale = simulation.hamiltonian.kernel.energy_scale
+    # A method of order 2, with 100 steps in the fastest period.
+    assert abs(simulation.energy_balance) < (2.0 * np.pi / 100.0)**2 * scale + 1e-8
+
+
+def test_robot_stays_where_it_is_said_to_rest(robot):
+    scene = load_scene(write_scene(str(robot), Path('new.yaml')))
+    q = resting_state(build(scene).hamiltonian)
+    simulation = build(scene.model_copy(update={
+        'initial_state': scene.initial_state.model_copy(update={'q': q.tolist()})}))
+    simulation.advance(round(0.5 / simulation.step_size))
     assert simulation.rescued == 0
     # The state has six digits: what is left of forces are 1e-6 of the weights.
-    assert np.abs(simulation.q - start).max() < 1e-4
-    scale = simulation.hamiltonian.kernel.energy_scale
-    assert abs(simulation.energy_balance) < 1e-8 * scale + 1e-8
+    assert np.abs(simulation.q - q).max() < 1e-4
+
+
+def test_joint_that_moves_next_to_nothing_gets_a_rotor(tmp_path):
+    (tmp_path / 'robot.urdf').write_text(chain([1.0, 1e-6], [1.0, 0.1]))
+    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
+    # The first link has m l^2 = 1 kg m2, of which the second one feels 1e-8.
+    assert scene.hamiltonian.rotor_inertia == {'j2': pytest.approx(1e-3, rel=1.0)}
+    # As above without rotors: two small motions, of which the faster one has 3.2 rad/s.
+    assert scene.step_size == 0.01
 
 
 def test_new_scene_names_joints_limits_and_what_is_held(tmp_path):
@@ -64,7 +81,8 @@ def test_robot_that_stands_upright_at_zero_rests_hanging(tmp_path):
     """The lengths are turned over: both rods point up where the angles are zero."""
     (tmp_path / 'robot.urdf').write_text(chain([1.0, 1.0], [-1.0, -0.7]))
     scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
-    assert np.abs(scene.initial_state.q) == pytest.approx([np.pi, 0.0], abs=2e-6)
+    rest = resting_state(build(scene).hamiltonian)
+    assert np.abs(rest) == pytest.approx([np.pi, 0.0], abs=2e-6)
     assert scene.effects == []
     # Its faster small motion has 6.6 rad/s, and 100 steps in a period.
     assert scene.step_size == 0.005
@@ -92,11 +110,11 @@ def test_new_scene_takes_the_place_of_no_file(tmp_path):
     (tmp_path / 'robot.urdf').write_text(TREE)
     mine = tmp_path / 'mine.yaml'
     mine.write_text('mine')
-    with pytest.raises(SceneError, match='mine.yaml: exists already; name another file'):
+    with pytest.raises(SceneError, match='mine.yaml: exists already; .*, or take --force'):
         write_scene(str(tmp_path / 'robot.urdf'), mine)
     assert mine.read_text() == 'mine'
-    with pytest.raises(SceneError, match='ends in .yaml'):
-        write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new')
+    assert main([str(mine), '--robot', str(tmp_path / 'robot.urdf'), '--force']) == 0
+    assert load_scene(mine).hamiltonian.kind == 'urdf'
 
 
 @pytest.mark.parametrize('file, message', [

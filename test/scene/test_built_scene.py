@@ -34,7 +34,7 @@ def test_scene_takes_arrays_tuples_and_kinds_by_their_names():
     ({'hamiltonian': 'harmonic_oscilator'}, 'Scene.build scene: hamiltonian.kind: unknown kind '
      "'harmonic_oscilator'; did you mean harmonic_oscillator\\?; valid kinds: "),
     ({'step_size': '1 ms'}, "Scene.build scene: step_size: '1 ms' is no number of seconds, e.g. "),
-    ({'step_size': None}, 'Scene.build scene: step_size: Field required'),
+    ({'step_size': None}, r'Scene.build scene: step_size: required: h \[s\]'),
     ({'effects': [{'kind': 'damping', 'rat': 1.0}]},
      'effects.0.rat: unknown key; did you mean rate\\?; valid keys: .*rate'),
     ({'initial_state': ([1.0], ['0'])}, "initial_state.p.0: '0' is no number"),
