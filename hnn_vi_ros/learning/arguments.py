@@ -91,6 +91,12 @@ def evaluate() -> Parser:
         'from one start to the next [s] (default: 0.05)'))
     parser.add_argument('--longest', type=float, default=2.0, metavar='S', help=(
         'how long predictions last for the valid prediction time [s] (default: 2)'))
+    parser.add_argument('--whole', action='store_true', help=(
+        'also simulate each run once, from its beginning to its end'))
+    parser.add_argument('--from', type=int, default=0, metavar='N', dest='first', help=(
+        'with --whole: begin at sample N of each run (default: 0)'))
+    parser.add_argument('--held-out', action='store_true', help=(
+        'with --config: judge by what a training with it holds out'))
     parser.add_argument('--smoothing', type=float, metavar='HZ', help=(
         'cut-off of the zero-phase filter of the initial states (default: 40)'))
     parser.add_argument('--baselines', nargs='+', metavar='FILE', help=(

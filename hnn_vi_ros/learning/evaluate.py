@@ -8,6 +8,7 @@ import json
 import math
 from pathlib import Path
 import shlex
+from typing import Any
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
@@ -18,7 +19,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bag_signals import BagMotions
-from hnn_vi_ros.learning.data.runs import delayed, Run, RunData
+from hnn_vi_ros.learning.data.runs import delayed, Run, RunData, train_and_test
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
@@ -26,12 +27,13 @@ from hnn_vi_ros.learning.fit.config import (
     BodyConfig, ExcitationData, excited_motions, FieldConfig, find_config, load_config)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, judge, linear_model, names_of, Outside, outside, parts_of, predicted_by, score,
-    Scores, simulation_of, table, unaccounted, verdict)
+    as_json, Fan, judge, linear_model, names_of, outside, parts_of, predicted_by, score,
+    Scores, simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
+import numpy as np
 
 _KEYS = 't', 'q', 'v', 'tau'
 _NO_FORCES = 'with --keys t,q,dq of arrays, or forces: none of bags in the data of --config'
@@ -79,13 +81,24 @@ def main(argv: Sequence[str]) -> None:
             'median of the valid prediction time,\nand what the energy changes by over each '
             f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
+    whole = None
+    if arguments.whole:
+        whole = whole_records(simulated(
+            simulation, motions[0].spacing, math.inf, variance_of(motions)), motions,
+            arguments.first)
+        text += f'\n\n{_whole(whole, motions, names, arguments.first)}'
     domain = domain_of(hamiltonian)
     found = None if domain is None else outside(domain, fans, arguments.horizons)
     text += '' if found is None else f'\n{found.text}'
     print(text)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
     try:
-        _write(arguments, scores, found, f'{text}\n\n`{command}`', fans, hamiltonian)
+        more = {} if whole is None else {'whole': {
+            run: [x if math.isfinite(x) else None for x in rms.tolist()]
+            for run, rms in whole.items()}}
+        if found is not None:
+            more['outside'] = found.numbers
+        _write(arguments, as_json(scores) | more, f'{text}\n\n`{command}`', fans, hamiltonian)
     except OSError as problem:
         raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
                              ) from problem
@@ -99,6 +112,12 @@ def _check_options(arguments: Namespace) -> None:
         if value is not None and not all(
                 math.isfinite(number) and number > 0.0 for number in values):
             raise ParameterError(f'--{name} {value}: expected positive numbers')
+    if arguments.first < 0 or (arguments.first and not arguments.whole):
+        raise ParameterError(f'--from {arguments.first}: expected a sample, counted from 0, with '
+                             '--whole')
+    if arguments.held_out and arguments.config is None:
+        raise ParameterError('--held-out: what a training holds out is in its configuration; name '
+                             'it with --config')
     if not (arguments.data or arguments.config):
         raise ParameterError('--data: expected measured motions, or a training configuration with '
                              '--config that names its own')
@@ -110,11 +129,21 @@ def _check_options(arguments: Namespace) -> None:
             check_new(f'--{option}', path)
 
 
-def _write(arguments: Namespace, scores: dict[str, Scores], found: Outside | None, text: str,
-           fans: Sequence[Fan], hamiltonian: Hamiltonian) -> None:
+def _whole(errors: dict[str, np.ndarray], motions: Sequence[Run], names: Sequence[str],
+           first: int) -> str:
+    """Return the errors over whole runs as a Markdown table."""
+    lines = [f'Simulated once, from sample {first} of each run to its end:', '',
+             f'| run | lasts [s] | RMS error: {", ".join(names)} |', '|---|---|---|']
+    for motion in motions:
+        rms = ' '.join(f'{value:.4g}' for value in errors[motion.name])
+        lines.append(f'| {motion.name} | {motion.t[-1] - motion.t[first]:.3g} | {rms} |')
+    return '\n'.join(lines)
+
+
+def _write(arguments: Namespace, numbers: dict[str, Any], text: str, fans: Sequence[Fan],
+           hamiltonian: Hamiltonian) -> None:
     """Write the files that the command line asks for."""
     if arguments.json is not None:
-        numbers = as_json(scores) | ({} if found is None else {'outside': found.numbers})
         arguments.json.write_text(
             json.dumps(numbers, indent=2, allow_nan=False) + '\n', encoding='utf-8')
     if arguments.out is not None:
@@ -162,6 +191,9 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
     else:
         source = find_config(arguments.config)
         config = load_config(source)
+        if arguments.held_out and not hasattr(config.data, 'test_runs'):
+            raise ParameterError(f'--held-out: {source} holds out states, and no runs; leave it '
+                                 'out')
         if isinstance(config, FieldConfig):
             _check_format(arguments, config.data)
             return motions_of(make_dataset(config.data, config.seed, source, given),
@@ -182,7 +214,11 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
         changes |= {'time': t, 'q': q, 'v': v, 'tau': tau}
     if arguments.joints is not None:
         changes['joints'] = arguments.joints.split(',')
-    return read_motions(source, data.model_copy(update=changes), names, given)
+    motions, description = read_motions(source, data.model_copy(update=changes), names, given)
+    if arguments.held_out:
+        motions = train_and_test(motions, data.test_runs)[1]
+        description += ', of which what a training with it holds out'
+    return motions, description
 
 
 def _check_format(arguments: Namespace, data: object) -> None:

@@ -17,7 +17,7 @@ from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
-    constant_velocity, Fan, linear_model, momentum, score)
+    constant_velocity, Fan, linear_model, momentum, score, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
@@ -87,6 +87,12 @@ def test_arrays_become_a_model_and_a_verdict_in_two_commands(tmp_path, capsys):
     evaluate.main([str(out), '--data', f'{data}:c', '--json', str(tmp_path / 'machine.json'),
                    '--horizons', '0.1', '0.5', '--baselines', f'{data}:a,b'])
     said = capsys.readouterr().out
+    evaluate.main([str(out), '--data', data, '--config', str(tmp_path / 'machine.yaml'),
+                   '--held-out', '--whole', '--json', str(tmp_path / 'whole.json')])
+    whole = json.loads((tmp_path / 'whole.json').read_text())
+    # What a training holds out, alone.
+    assert whole['horizons'] == found.model_dump()['horizons'] and [*whole['whole']] == ['c']
+    assert f'| c | 3.99 | {whole["whole"]["c"][0]:.4g} |' in capsys.readouterr().out
     assert '| linear model |' in said and '| rigid body |' not in said
     written = json.loads((tmp_path / 'machine.json').read_text())
     outside = written.pop('outside')
@@ -176,6 +182,9 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(tmp_path, capsys)
     (['--data', 'nothing.npz'], 'cannot be read'),
     (['--data', 'arm.npz', '--horizons', '-1'], 'expected positive numbers'),
     (['--data', 'arm.npz', '--keys', 'q'], 'expected those of t, q, v, tau'),
+    (['--data', 'arm.npz', '--from', '20'], '--from 20: expected a sample, .*, with --whole'),
+    (['--data', 'arm.npz', '--held-out'], '--held-out: .*; name it with --config'),
+    (['--config', 'pendulum', '--held-out'], 'holds out states, and no runs'),
 ])
 def test_evaluate_refuses_in_one_line(words, message):
     with pytest.raises((DataError, ParameterError), match=message) as problem:
@@ -192,6 +201,7 @@ def test_evaluate_refuses_in_one_line(words, message):
     (['--json', 'scene.yaml/file.json'], '--json scene.yaml/file.json: cannot be written'),
     (['--keys', 't,q,velocity'], 'no key a/velocity'),
     (['--keys', 't,q,q'], 'no coordinate moves'),
+    (['--whole', '--from', '59'], 'a has 60 samples; give a smaller --from'),
 ])
 def test_evaluate_refuses_what_motions_do_not_hold_in_one_line(
         tmp_path, monkeypatch, words, message):
@@ -288,6 +298,17 @@ def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the
     assert found.horizons[0.2] == pytest.approx(0.0, abs=1e-15)
     assert found.horizons[0.5] == pytest.approx(0.01, rel=1e-9)
     assert found.censored == 1.0  # 0.01^2 is far below a hundredth of the variance
+
+
+def test_whole_runs_are_simulated_once_from_the_sample_that_is_named():
+    motion, calls = linear_motion(1), []
+
+    def off(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+        calls.append((starts.tolist(), count))
+        return motion.q[starts[0]:][None] + 0.01
+    assert whole_records(off, [motion], 20) == {'linear': pytest.approx([0.01], rel=1e-9)}
+    assert calls == [([20], 379)]
+    assert np.isinf(whole_records(lambda *_: np.full((1, 400, 1), np.nan), [motion], 0)['linear'])
 
 
 def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():

@@ -53,6 +53,29 @@ def test_middleware_is_not_judged_where_no_index_tells_of_any(monkeypatch):
     check_ros_environment()
 
 
+def test_wheels_of_this_environment_are_found_or_what_is_missing_is_told(tmp_path, monkeypatch):
+    monkeypatch.delenv('AMENT_PREFIX_PATH')
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'empty'))
+    with pytest.raises(ParameterError, match='AMENT_PREFIX_PATH is not set, and .*; source'):
+        check_ros_environment()
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
+    check_ros_environment()
+    assert os.environ['AMENT_PREFIX_PATH'] == str(tmp_path)
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
+    with pytest.raises(ParameterError, match='rmw_mine.* is not installed'):
+        check_ros_environment()
+
+
+def test_simulator_runs_where_only_the_interpreter_tells_where_ros_is():
+    code = ("import os; os.environ.pop('AMENT_PREFIX_PATH', None); "
+            'from hnn_vi_ros.cli import simulator; simulator()')
+    result = subprocess.run(
+        [sys.executable, '-c', code, '--ros-args', '-p', 'duration:=0.1', '-p', 'record:=false',
+         '-p', 'rerun_sink:=none'], capture_output=True, text=True, timeout=120, check=False,
+        env={name: value for name, value in os.environ.items() if name != 'AMENT_PREFIX_PATH'})
+    assert (result.returncode, 'Traceback' in result.stderr) == (0, False), result.stderr
+
+
 def test_node_says_it_before_ros_ends_the_process():
     # The wheels' library ends the process, with status 102, while it is loaded.
     result = subprocess.run(

@@ -471,6 +471,35 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                   float(np.mean(np.concatenate(ended))), failed)
 
 
+def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> dict[str, np.ndarray]:
+    """
+    Return the root mean square error over each whole run, by its name, shape (d,).
+
+    Parameters
+    ----------
+    predict : callable
+        The predictions that are judged.
+    motions : sequence of Run
+        The measured motions.
+    first : int
+        The sample of each from whose smoothed state the one prediction begins.
+
+    Raises
+    ------
+    DataError
+        A run ends before that sample.
+
+    """
+    found = {}
+    for motion in motions:
+        if first >= len(motion.t) - 1:
+            raise DataError(f'{motion.name} has {len(motion.t)} samples; give a smaller --from')
+        q = predict(motion, np.array([first]), len(motion.t) - 1 - first)[0]
+        error = np.where(np.isfinite(q), q - motion.q[first:], np.inf)
+        found[motion.name] = np.sqrt(np.mean(error**2, axis=0))
+    return found
+
+
 def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
     """Return the scores of several predictions as a Markdown table."""
     first = next(iter(scores.values()))

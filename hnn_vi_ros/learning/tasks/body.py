@@ -471,9 +471,9 @@ def evaluate(arguments: Namespace) -> None:
         raise ParameterError(f'{arguments.model}: a model of the family lie_group is evaluated on '
                              'windows of the data of a training configuration; give it with '
                              '--config')
-    if arguments.out is not None or arguments.baselines is not None:
-        raise ParameterError('--out and --baselines: models of the family lie_group have none '
-                             'yet; leave them out')
+    if arguments.out is not None or arguments.baselines is not None or arguments.whole:
+        raise ParameterError('--out, --baselines and --whole: models of the family lie_group have '
+                             'none yet; leave them out')
     source, group = find_config(arguments.config), model.card.lie_group
     config = load_config(source)
     assert group is not None, 'asked of such models alone'

@@ -3,11 +3,14 @@
 """Check of the variables that ROS reads before any node: some of its libraries end the process."""
 
 from collections.abc import Iterator
+from importlib.util import find_spec
 import os
 from pathlib import Path
+import sys
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 
+_INDEX = 'share/ament_index'
 _RANGES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
 # Beyond it the ports of DDS are none of UDP (DDSI-RTPS 2.5, 9.6.1: 7400 + 250 d + 1 <= 65535).
 _LARGEST_DOMAIN = 232
@@ -17,8 +20,16 @@ def check_ros_environment() -> None:
     """
     Raise ParameterError, one line, where a variable of ROS has a value that ROS cannot take.
 
-    Some ROS ignores, or takes for another: a domain of -1, a range that is misspelt.
+    Some ROS ignores, or takes for another: a domain of -1, a range that is misspelt. Where nothing
+    says where ROS is, but its wheels are in this environment, that is where it is.
     """
+    if not os.environ.get('AMENT_PREFIX_PATH'):
+        if Path(sys.prefix, _INDEX).is_dir():
+            os.environ['AMENT_PREFIX_PATH'] = sys.prefix
+        elif find_spec('rclpy') is not None:
+            raise ParameterError(
+                f'AMENT_PREFIX_PATH is not set, and {sys.prefix} has no {_INDEX}; source the '
+                'setup file of ROS 2, or install its wheels into this environment')
     domain = os.environ.get('ROS_DOMAIN_ID', '')
     if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= _LARGEST_DOMAIN):
         raise ParameterError(f'ROS_DOMAIN_ID={domain!r} is no domain of ROS; set a number from 0 '
@@ -39,7 +50,7 @@ def check_ros_environment() -> None:
 def _middlewares() -> Iterator[str]:
     """Yield the names of the middlewares that the index of ament has; nothing without one."""
     for prefix in filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)):
-        folder = Path(prefix, 'share', 'ament_index', 'resource_index', 'rmw_typesupport')
+        folder = Path(prefix, _INDEX, 'resource_index', 'rmw_typesupport')
         if folder.is_dir():
             # The package that loads one of them is in the index as well.
             yield from (path.name for path in folder.iterdir()
