@@ -53,6 +53,34 @@ def test_machine_is_followed_as_well_as_the_page_says_and_by_others(name: str):
     assert (np.array(ours) <= references[measure]).all()
 
 
+def test_drive_is_the_physical_model_that_its_page_tells():
+    scene, config = load_scene('emps_drive'), load_machine(find_config('emps_drive'))
+    card = scene.create_hamiltonian().checkpoint.card
+    assert card.dataset.startswith(config.description) and card.name == 'emps_drive'
+    assert card.training_command.startswith(
+        'ros2 run hnn_vi_ros train --config emps_drive --data emps.npz')
+    assert card.mechanical.prior.kind == config.family.prior == 'free_particle'
+    assert not card.mechanical.prior.alone and card.mechanical.fade[0] > 0.0
+    # What was published for the error after 24.8 s bounds those after fractions of a second.
+    assert max(rms for rms, in card.prediction_error.horizons.values()) < 2e-3
+    assert card.prediction_error.failed == 0
+
+
+def test_drive_creeps_the_way_it_rubs_less_and_friction_takes_what_its_motor_gives():
+    scene = load_scene('emps_drive')
+    simulation = build(scene)
+    places = []
+    for _ in range(4):
+        simulation.advance(round(2.0 / scene.step_size))
+        places.append(simulation.q[0])
+    # After the first period, the same way in each: the drive repeats every 2 s.
+    ways = np.diff(places)
+    assert (ways > 5e-3).all() and np.ptp(ways) < 1e-3
+    # H is quadratic, whose change a step of implicit midpoint is the work: 8000 steps of 0.1 J
+    # are rounded.
+    assert abs(simulation.energy_balance) < 8000 * 0.1 * np.finfo(float).eps
+
+
 @pytest.mark.parametrize('name', MACHINES)
 def test_machine_swings_and_comes_to_rest_hanging(name: str):
     scene = load_scene(name)
