@@ -9,6 +9,9 @@ from hnn_vi_ros.files.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field
 
+# Units of forces, of momenta in base units.
+_FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m'}
+
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Errors = dict[str, list[float | None]]
 
@@ -82,7 +85,8 @@ class Domain:
                 break
             name, unit, p_unit = self._names[i % d]
             if i >= 2 * d:
-                name, unit = f'force {i - 2 * d + 1}', p_unit.removesuffix(' s')
+                name, unit = f'force {i - 2 * d + 1}', _FORCES.get(
+                    p_unit, p_unit.removesuffix(' s') if p_unit.endswith(' s') else f'{p_unit}/s')
             elif i >= d:
                 unit += '/s'
             at = values[excess[:, i].argmax(), i]

@@ -98,6 +98,9 @@ def test_domain_says_what_goes_beyond():
     assert not domain.excess(*inside, np.array([[0.5]])).any()
     beyond = domain.beyond(inside[0], np.array([[0.0, 30.0]]), np.array([[1.5]]))
     assert beyond == ['elbow to 30 rad/s, seen 15', 'force 1 to 1.5 N m, seen 1']
+    slide = Domain(DomainCard.of(q[:, :1], v[:, :1], np.array([[-1.0], [1.0]])), ['prismatic'], [
+        ('slide', 'm', 'kg m/s')])
+    assert slide.beyond(q[:1, :1], v[:1, :1], np.array([[3.0]])) == ['force 1 to 3 N, seen 1']
     guard = BoxGuard((q.T, v.T), None, domain)
 
     def look(step: int, velocity: float) -> Look:
