@@ -28,7 +28,7 @@ from hnn_vi_ros.learning.fit.config import (
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, judge, linear_model, names_of, outside, parts_of, predicted_by, score,
-    Scores, simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
+    simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.seen import domain_of
