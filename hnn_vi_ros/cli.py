@@ -20,7 +20,7 @@ from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES, module_of, parser_o
 from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files.resources import private_folder, usual_folder
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output, write_problem
-from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 
 # Import names of ROS 2, and the wheels that hold all of them.
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
@@ -148,7 +148,7 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
     try:
         if module.startswith('hnn_vi_ros.ros.'):
             # Before any library of ROS is loaded: some end the process.
-            check_ros_environment()
+            settle_ros_environment()
         # Libraries in C turn an interrupt of their import into errors of their own.
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
         found = import_module(module)

@@ -16,7 +16,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError, pip_command
 from hnn_vi_ros.files.resources import cache_folder, can_be_written, share_folder, shipped_names
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 from hnn_vi_ros.version import __version__
 
 # Import names with the names on PyPI: packages that simulating needs, and optional ones.
@@ -108,7 +108,7 @@ def _ros() -> Iterator[Finding]:
                       'source ROS 2 Jazzy, or take `make build` of the checkout')
         return
     try:
-        check_ros_environment()
+        settle_ros_environment()
     except ParameterError as problem:
         yield Finding('ROS 2', 'wrong', str(problem))
         return

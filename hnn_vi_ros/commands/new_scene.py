@@ -98,12 +98,14 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     locked = held(robot)
     try:
         tree = RigidBodyTree(str(urdf), locked=locked)
-        rotors = missing_rotors(tree)
+        # Rotors change how fast it falls, not where it rests.
+        rest = resting_state(tree)
+        rotors = missing_rotors(tree, rest)
         tree = RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
     except ValueError as problem:
         raise ModelError(f'{urdf}: {problem}') from problem
     name = file if file.startswith(SCHEME) else os.path.relpath(urdf, out.parent)
-    write_new_scene(out, scene_text(name, out, tree, locked, rotors), force)
+    write_new_scene(out, scene_text(name, out, tree, locked, rotors, rest), force)
     return out
 
 
@@ -185,14 +187,14 @@ def moving_state(tree: RigidBodyTree, rest: np.ndarray) -> np.ndarray:
     return np.round(rest + 0.2 * (np.where(near, high, middle) - rest), 6) + 0.0
 
 
-def missing_rotors(tree: RigidBodyTree) -> dict[str, float]:
+def missing_rotors(tree: RigidBodyTree, rest: np.ndarray) -> dict[str, float]:
     """
     Return rotor inertias for joints that feel next to none, which real motors have.
 
     Such a joint, whose inertia is below a thousandth of the largest of its kind, would make
     motions so fast that every other one waits for them.
     """
-    inertia = rates(tree, resting_state(tree))[1]
+    inertia = rates(tree, rest)[1]
     kinds = np.array([joint.kind == SLIDING for joint in tree.joints])
     largest = np.array([inertia[kinds == kind].max() for kind in kinds])
     return {joint.name: _round(1e-3 * most, up=True) for joint, own, most in zip(
@@ -230,11 +232,10 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, float],
-               rotors: dict[str, float]) -> str:
+               rotors: dict[str, float], rest: np.ndarray) -> str:
     """Return the YAML of the scene of a robot."""
-    joints, rest = tree.joints, resting_state(tree)
+    joints, q = tree.joints, moving_state(tree, rest)
     frequency, inertia = rates(tree, rest)
-    q = moving_state(tree, rest)
     damping, friction = (np.array([getattr(joint, name) for joint in joints])
                          for name in ('damping', 'friction'))
     periods = 2.0 * np.pi / frequency / _STEPS if frequency > 0.0 else math.inf
@@ -281,8 +282,8 @@ def _rotors(rotors: dict[str, float], first: str) -> str:
     if not rotors:
         return f'\n  # rotor_inertia: {{{first}: 0.1}}'
     named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())
-    return (' These joints move next to\n  # nothing else: a guess, a thousandth of what the '
-            f'heaviest moves.\n  rotor_inertia: {{{named}}}')
+    return ('\n  # Guessed for joints that carry next to nothing: a thousandth of the largest.\n'
+            f'  rotor_inertia: {{{named}}}')
 
 
 def _units(units: Iterable[str]) -> str:

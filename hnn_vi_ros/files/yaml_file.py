@@ -53,7 +53,8 @@ _FORMS = {
     'string_too_long': 'have at most {max_length} characters',
     'list_type': 'be a list, as in [a, b]',
     'dict_type': 'be keys and values, as in {{key: value}}',
-    'string_type': 'be text, in quotes if it looks like a number', 'bool_type': 'be true or false',
+    'string_type': 'be text, in quotes if it looks like a number',
+    'string_pattern_mismatch': 'match the pattern {pattern}', 'bool_type': 'be true or false',
     'int_type': 'be a whole number', 'int_from_float': 'be a whole number',
     'float_type': 'be a number'}
 # The first units in a description: 'h [s]; ...', 'k of each joint [N/m], [N m/rad]'.
@@ -156,7 +157,8 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
         message += f', not {_shown(first["input"])}'
     elif problem_type == 'missing':
         key = (*key, str(loc[-1]))
-        message = ': '.join(['required', *_descriptions(schema, loc)])
+        said = ' or '.join(_descriptions(schema, loc))
+        message = f'required: {said}' if said else 'required'
     else:
         message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
                                _units_at(schema, loc, key))
@@ -180,13 +182,13 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
     if words and len(problems) == 1:
         hint = did_you_mean(str(problems[0]['input']), words)
         return f'{shown} is unknown{hint}; valid: {", ".join(words)}'
-    told = [_FORMS[p['type']].format(**p.get('ctx', {})) if p['type'] in _FORMS else
-            re.sub('^Input should ', '', p['msg']) for p in problems]
-    # 'be a list or text', not 'be a list or be text'.
-    alike = all(text.startswith('be ') for text in told)
-    expected = ' or '.join(dict.fromkeys(text.removeprefix('be ') if alike else text
-                                         for text in told))
-    return f'must {"be " * alike}{expected}{_bracketed(units)}, not {shown}'
+    forms = [f'must {_FORMS[p["type"]].format(**p.get("ctx", {}))}' if p['type'] in _FORMS else
+             re.sub('^Input should be ', 'must be ', p['msg']) for p in problems]
+    if all(text.startswith('must be ') for text in forms):
+        # 'must be a number or a list', not 'must be a number or must be a list'.
+        forms = [text.removeprefix('must be ') for text in forms]
+        return f'must be {" or ".join(dict.fromkeys(forms))}{_bracketed(units)}, not {shown}'
+    return f'{" or ".join(dict.fromkeys(forms))}, not {shown}'
 
 
 def _shown(value: object) -> str:
@@ -195,10 +197,10 @@ def _shown(value: object) -> str:
         f'{repr(value)[:_LONGEST_VALUE]} ...'
 
 
-def _descriptions(schema: type[BaseModel], loc: tuple[int | str, ...]) -> set[str]:
+def _descriptions(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
     """Return what the schemas say of the key to which a pydantic location leads."""
     fields = (owner.model_fields.get(str(loc[-1])) for owner in _schemas_at(schema, loc[:-1]))
-    return {field.description for field in fields if field and field.description}
+    return [*dict.fromkeys(field.description for field in fields if field and field.description)]
 
 
 def _bracketed(units: Sequence[str]) -> str:

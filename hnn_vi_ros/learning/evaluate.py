@@ -49,7 +49,10 @@ def main(argv: Sequence[str]) -> None:
         return
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
-    motions, description = _motions(arguments, arguments.data, names)
+    motions, description, data = _motions(arguments, arguments.data, names)
+    if arguments.held_out:
+        motions = train_and_test(motions, data.test_runs)[1]
+        description += ', of which what a training with this configuration holds out'
     driven = any(motion.tau.any() for motion in motions)
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{description}: the motions were driven, but {arguments.model} has no '
@@ -93,9 +96,9 @@ def main(argv: Sequence[str]) -> None:
     print(text)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
     try:
-        more = {} if whole is None else {'whole': {
-            run: [x if math.isfinite(x) else None for x in rms.tolist()]
-            for run, rms in whole.items()}}
+        more: dict[str, Any] = {} if whole is None else {'whole': [
+            {'run': motion.name, 'rms': [x if math.isfinite(x) else None for x in rms.tolist()]}
+            for motion, rms in zip(motions, whole, strict=True)]}
         if found is not None:
             more['outside'] = found.numbers
         _write(arguments, as_json(scores) | more, f'{text}\n\n`{command}`', fans, hamiltonian)
@@ -129,13 +132,13 @@ def _check_options(arguments: Namespace) -> None:
             check_new(f'--{option}', path)
 
 
-def _whole(errors: dict[str, np.ndarray], motions: Sequence[Run], names: Sequence[str],
+def _whole(errors: Sequence[np.ndarray], motions: Sequence[Run], names: Sequence[str],
            first: int) -> str:
     """Return the errors over whole runs as a Markdown table."""
     lines = [f'Simulated once, from sample {first} of each run to its end:', '',
              f'| run | lasts [s] | RMS error: {", ".join(names)} |', '|---|---|---|']
-    for motion in motions:
-        rms = ' '.join(f'{value:.4g}' for value in errors[motion.name])
+    for motion, error in zip(motions, errors, strict=True):
+        rms = ' '.join(f'{value:.4g}' for value in error)
         lines.append(f'| {motion.name} | {motion.t[-1] - motion.t[first]:.3g} | {rms} |')
     return '\n'.join(lines)
 
@@ -181,8 +184,8 @@ def _left_out(effects: Sequence[Effect]) -> str:
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
-             ) -> tuple[list[Run], str]:
-    """Return measured motions, read as the options or a training configuration say."""
+             ) -> tuple[list[Run], str, RunData]:
+    """Return measured motions, read as the options or a configuration say; what these say."""
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
@@ -196,15 +199,15 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
                                  'out')
         if isinstance(config, FieldConfig):
             _check_format(arguments, config.data)
-            return motions_of(make_dataset(config.data, config.seed, source, given),
-                              RunData.model_validate(changes))
+            runs = RunData.model_validate(changes)
+            return *motions_of(make_dataset(config.data, config.seed, source, given), runs), runs
         if isinstance(config, BodyConfig):
             raise DataError(f'{source}: its data are motions of a body that turns, and '
                             f'{arguments.model} is of another family')
         if isinstance(config.data, ExcitationData):
             assert isinstance(config.family, RigidBodyChoice), 'checked with the configuration'
-            return excited_motions(config.data.model_copy(update=changes),
-                                   config.family.robot(names), config.seed)
+            return *excited_motions(config.data.model_copy(update=changes),
+                                    config.family.robot(names), config.seed), config.data
         data = config.data
     _check_format(arguments, data)
     if arguments.keys is not None:
@@ -214,11 +217,7 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
         changes |= {'time': t, 'q': q, 'v': v, 'tau': tau}
     if arguments.joints is not None:
         changes['joints'] = arguments.joints.split(',')
-    motions, description = read_motions(source, data.model_copy(update=changes), names, given)
-    if arguments.held_out:
-        motions = train_and_test(motions, data.test_runs)[1]
-        description += ', of which what a training with it holds out'
-    return motions, description
+    return *read_motions(source, data.model_copy(update=changes), names, given), data
 
 
 def _check_format(arguments: Namespace, data: object) -> None:

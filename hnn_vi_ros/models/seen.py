@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 # Units of forces, of momenta in base units.
-_FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m'}
+_FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m', '1': '1'}
 
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Errors = dict[str, list[float | None]]

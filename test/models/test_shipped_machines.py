@@ -61,12 +61,12 @@ def test_drive_is_the_physical_model_that_its_page_tells():
         'ros2 run hnn_vi_ros train --config emps_drive --data emps.npz')
     assert card.mechanical.prior.kind == config.family.prior == 'free_particle'
     assert not card.mechanical.prior.alone and card.mechanical.fade[0] > 0.0
-    # What was published for the error after 24.8 s bounds those after fractions of a second.
-    assert max(rms for rms, in card.prediction_error.horizons.values()) < 2e-3
+    # Half a second adds up less than the 24.8 s of the page's table, 2.82 mm.
+    assert max(rms for rms, in card.prediction_error.horizons.values()) < 2.82e-3
     assert card.prediction_error.failed == 0
 
 
-def test_drive_creeps_the_way_it_rubs_less_and_friction_takes_what_its_motor_gives():
+def test_drive_creeps_one_way_and_friction_takes_what_its_motor_gives():
     scene = load_scene('emps_drive')
     simulation = build(scene)
     places = []

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.ros.plumbing.environment import check_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 import pytest
 
 NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')
@@ -32,7 +32,7 @@ def middlewares(tmp_path, monkeypatch):
     ('RMW_IMPLEMENTATION', '')])
 def test_values_of_ros_pass(name, value, monkeypatch):
     monkeypatch.setenv(name, value)
-    check_ros_environment()
+    settle_ros_environment()
 
 
 @pytest.mark.parametrize('name, value, message', [
@@ -43,7 +43,7 @@ def test_values_of_ros_pass(name, value, monkeypatch):
 def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, value, message, monkeypatch):
     monkeypatch.setenv(name, value)
     with pytest.raises(ParameterError) as caught:
-        check_ros_environment()
+        settle_ros_environment()
     text = str(caught.value)
     assert text.startswith(f'{name}={value!r} is n') and message in text and '\n' not in text
 
@@ -51,20 +51,20 @@ def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, value, mess
 def test_middleware_is_not_judged_where_no_index_tells_of_any(monkeypatch):
     monkeypatch.setenv('AMENT_PREFIX_PATH', '/nowhere')
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
-    check_ros_environment()
+    settle_ros_environment()
 
 
 def test_wheels_of_this_environment_are_found_or_what_is_missing_is_told(tmp_path, monkeypatch):
     monkeypatch.delenv('AMENT_PREFIX_PATH')
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'empty'))
     with pytest.raises(ParameterError, match='AMENT_PREFIX_PATH is not set, and .*; source'):
-        check_ros_environment()
+        settle_ros_environment()
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
-    check_ros_environment()
+    settle_ros_environment()
     assert os.environ['AMENT_PREFIX_PATH'] == str(tmp_path)
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
     with pytest.raises(ParameterError, match='rmw_mine.* is not installed'):
-        check_ros_environment()
+        settle_ros_environment()
 
 
 @pytest.mark.skipif(not Path(sys.prefix, 'share', 'ament_index').is_dir(),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import math
 from typing import Any, Literal, NamedTuple, TypeVar
 
-from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.yaml_file import StrictModel
 import numpy as np
 from pydantic import Field
@@ -474,7 +474,19 @@ def run_of(run: Run) -> str:
 
 def train_and_test(runs: Sequence[Run], test_runs: Sequence[str]
                    ) -> tuple[list[Run], list[Run]]:
-    """Return runs to learn from and runs to judge by: those named, or the last fifth of each."""
+    """
+    Return runs to learn from and runs to judge by: those named, or the last fifth of each.
+
+    Raises
+    ------
+    DataError
+        One that is named is not among them.
+
+    """
+    names = list(dict.fromkeys(run_of(run) for run in runs))
+    for name in test_runs:
+        if name not in names:
+            raise DataError(f'data.test_runs: no run {name!r} among {listed(names)}')
     if test_runs:
         return ([run for run in runs if run_of(run) not in test_runs],
                 [run for run in runs if run_of(run) in test_runs])

@@ -471,9 +471,9 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                   float(np.mean(np.concatenate(ended))), failed)
 
 
-def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> dict[str, np.ndarray]:
+def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> list[np.ndarray]:
     """
-    Return the root mean square error over each whole run, by its name, shape (d,).
+    Return the root mean square error over each whole run, each of shape (d,).
 
     Parameters
     ----------
@@ -490,13 +490,13 @@ def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> dict[
         A run ends before that sample.
 
     """
-    found = {}
+    found = []
     for motion in motions:
         if first >= len(motion.t) - 1:
             raise DataError(f'{motion.name} has {len(motion.t)} samples; give a smaller --from')
         q = predict(motion, np.array([first]), len(motion.t) - 1 - first)[0]
         error = np.where(np.isfinite(q), q - motion.q[first:], np.inf)
-        found[motion.name] = np.sqrt(np.mean(error**2, axis=0))
+        found.append(np.sqrt(np.mean(error**2, axis=0)))
     return found
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check of the variables that ROS reads before any node: some of its libraries end the process."""
+"""The variables that ROS reads before any node: some of its libraries end the process."""
 
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -16,12 +16,17 @@ _RANGES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
 _LARGEST_DOMAIN = 232
 
 
-def check_ros_environment() -> None:
+def settle_ros_environment() -> None:
     """
-    Raise ParameterError, one line, where a variable of ROS has a value that ROS cannot take.
+    Set where ROS is, if only this environment tells, and check what ROS reads before any node.
 
-    Some ROS ignores, or takes for another: a domain of -1, a range that is misspelt. Where nothing
-    says where ROS is, but its wheels are in this environment, that is where it is.
+    ROS ignores some values, or takes them for others: a domain of -1, a range that is misspelt.
+
+    Raises
+    ------
+    ParameterError
+        A variable has a value that ROS cannot take, or nothing tells where ROS is.
+
     """
     if not os.environ.get('AMENT_PREFIX_PATH'):
         if Path(sys.prefix, _INDEX).is_dir():
