@@ -35,12 +35,12 @@ def test_absolute_angles_become_those_of_joints(tmp_path):
     hanging = np.stack([0.3 * np.sin(5.0 * t), 0.2 * np.cos(4.0 * t)], axis=1)
     rates = np.gradient(hanging, t, axis=0)
     (tmp_path / 'multiarm_pendulum').mkdir()
+    runs = ['train_00', 'val_00', 'val_01', 'val_02', 'val_03']
     np.savez(tmp_path / CASES['double'].file, dt=0.001, **{
         f'{run}/{key}': np.repeat(values, 10, axis=0)
-        for run in ('train_00', 'val_00') for key, values in (
-            ('q', hanging + np.pi), ('dq', rates))})
+        for run in runs for key, values in (('q', hanging + np.pi), ('dq', rates))})
     train, test = motions_of(CASES['double'], tmp_path, tmp_path)
-    assert [motion.name for motion in (*train, *test)] == ['train_00', 'val_00']
+    assert [motion.name for motion in (*train, *test)] == runs
     # Of one sample in ten, what was put there.
     np.testing.assert_allclose(np.cumsum(train[0].q, axis=1), hanging, atol=1e-12)
     np.testing.assert_allclose(np.cumsum(train[0].v, axis=1), rates, atol=1e-12)

@@ -152,7 +152,7 @@ def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch)
                  ('q', letter.q), ('dq_dt', letter.v), ('ddq_dt2', letter.a_smooth),
                  ('tau', letter.v))})
     (tmp_path / 'dfki_double_pendulum').mkdir()
-    for name, runs in (('sysid', ['1', '143524']),
+    for name, runs in (('sysid', ['1', '143524', '143704', '144115', '154548']),
                        ('later', ['acrobot_01', 'pendubot_01'])):
         # The later runs of the two tasks were sampled at different rates.
         np.savez(tmp_path / 'dfki_double_pendulum' / f'{name}.npz', **{
@@ -160,7 +160,7 @@ def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch)
                 one, 280, 0.0025 if one == 'pendubot_01' else 0.002).items()})
     (tmp_path / 'multiarm_pendulum').mkdir()
     np.savez(tmp_path / 'multiarm_pendulum' / 'double.npz', **{
-        key: values for one in ('train_00', 'val_00')
+        key: values for one in ('train_00', 'val_00', 'val_01', 'val_02', 'val_03')
         for key, values in run(one, 2100, 0.001).items() if key[-2:] != '/t'})
     out = tmp_path / 'docs'
     (out / 'learning').mkdir(parents=True)
