@@ -10,12 +10,11 @@ from typing import Any, BinaryIO, NamedTuple, TypeGuard
 import zlib
 
 import lz4.frame
+from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment, AttachmentIndex, Channel, ChunkIndex, DataEnd, Footer, Header, McapRecord, Message,
-    MessageIndex, Metadata, MetadataIndex, Schema, Statistics, SummaryOffset)
+from mcap.records import Channel, McapRecord, Message, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 import zstandard
 
@@ -26,12 +25,10 @@ PREFIX = struct.Struct('<BQ')
 # A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
 _CHUNK = struct.Struct('<QQQII')
 _SIZE = struct.Struct('<Q')
+# Chunks are not unpacked as records; messages have a faster reader.
 _READERS: dict[int, type[Any]] = {
-    Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
-    Opcode.MESSAGE_INDEX: MessageIndex, Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
-    Opcode.CHUNK_INDEX: ChunkIndex, Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex, Opcode.STATISTICS: Statistics,
-    Opcode.SUMMARY_OFFSET: SummaryOffset, Opcode.DATA_END: DataEnd, Opcode.FOOTER: Footer}
+    opcode: getattr(records, opcode.name.title().replace('_', ''))
+    for opcode in Opcode if opcode not in (Opcode.CHUNK, Opcode.MESSAGE)}
 # Where a name begins in records that may be as long as a message, in files without chunks; and the
 # counts of statistics, which have none.
 _NAMES = {Opcode.HEADER: 0, Opcode.METADATA: 0, Opcode.SCHEMA: 2, Opcode.CHANNEL: 4,
@@ -237,29 +234,32 @@ def unpack_zstd(data: bytes, most: int) -> bytes:
 
 def _in_order(data: bytes, most: int) -> bool:
     """Return whether unpacked records follow one another up to the end, and are not too many."""
-    place, size = 0, len(data)
-    while place + PREFIX.size <= size and most:
-        most -= 1
-        opcode, length = PREFIX.unpack_from(data, place)
-        if opcode == 0 or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD):
+    end = 0
+    for opcode, start, end in frames_in(data, most):
+        if opcode == 0 or (opcode == Opcode.MESSAGE and end - start < MESSAGE_HEAD):
             return False
-        place += PREFIX.size + length
-    return place == size
+    return end == len(data)
+
+
+def frames_in(data: bytes, most: int) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, start and end of so many unpacked records, the last one whole or not."""
+    end = 0
+    while end + PREFIX.size <= len(data) and most:
+        most -= 1
+        opcode, length = PREFIX.unpack_from(data, end)
+        start = end + PREFIX.size
+        end = start + length
+        yield opcode, start, end
 
 
 def records_in(data: bytes, most: int) -> Iterator[McapRecord]:
     """Yield the complete schemas, channels and messages among so many unpacked records."""
-    place, size = 0, len(data)
-    while place + PREFIX.size <= size and most:
-        most -= 1
-        opcode, length = PREFIX.unpack_from(data, place)
-        place += PREFIX.size
-        if place + length > size or opcode == 0:
+    for opcode, start, end in frames_in(data, most):
+        if end > len(data) or opcode == 0:
             return
-        record = decode(opcode, data[place:place + length])
+        record = decode(opcode, data[start:end])
         if isinstance(record, Schema | Channel | Message):
             yield record
-        place += length
 
 
 # What tells of a chunk before its data fits in so many bytes.

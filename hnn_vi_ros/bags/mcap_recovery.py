@@ -20,13 +20,14 @@ from hnn_vi_ros.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
 from hnn_vi_ros.bags.mcap_file import McapFile
 from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, crc_of, decode, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack, walk)
+    chunk_head, crc_of, decode, frames_in, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack,
+    walk)
 from hnn_vi_ros.bags.mcap_survey import Definitions, Indexed, Survey
 from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, MessageIndex, Schema
+from mcap.records import DataEnd, MessageIndex
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -195,21 +196,35 @@ def _agrees(stream: BinaryIO, indexed: Indexed) -> bool:
 
 def _messages(data: bytes) -> dict[int, list[tuple[int, int]]]:
     """Return time and place of each message among unpacked records, by channel."""
-    found: dict[int, list[tuple[int, int]]] = {}
-    place = 0
-    while place < len(data):
-        opcode, length = PREFIX.unpack_from(data, place)
+    found = defaultdict[int, list[tuple[int, int]]](list)
+    for opcode, start, _ in frames_in(data, len(data)):
         if opcode == Opcode.MESSAGE:
-            channel, time = MESSAGE.unpack_from(data, place + PREFIX.size)
-            found.setdefault(channel, []).append((time, place))
-        place += PREFIX.size + length
+            channel, time = MESSAGE.unpack_from(data, start)
+            found[channel].append((time, start - PREFIX.size))
     return {channel: sorted(some) for channel, some in found.items()}
 
 
 _CHUNK_SIZE = 256 * 1024
 
 
-def copy_messages(file: McapFile, target: BinaryIO) -> None:
+Stamps = dict[int, 'array[int]']
+
+
+def stamps_of(file: McapFile) -> Stamps:
+    """Return the log times [ns] of the messages of each channel, in the order of the file."""
+    stamps = {number: array('Q') for number in file.channels}
+    for message in file.messages():
+        stamps[message.channel_id].append(message.log_time)
+    return stamps
+
+
+def _extent(file: McapFile, stamps: Stamps) -> Extent:
+    every = [*filter(None, stamps.values())]
+    return Extent(file.name.name, sum(map(len, every)), min(map(min, every), default=NEVER),
+                  max(map(max, every), default=0))
+
+
+def copy_messages(file: McapFile, stamps: Stamps, target: BinaryIO) -> None:
     """
     Write a whole file with all channels, messages, attachments and metadata of another.
 
@@ -217,6 +232,8 @@ def copy_messages(file: McapFile, target: BinaryIO) -> None:
     ----------
     file : McapFile
         May break off, or be damaged.
+    stamps : dict of int to array
+        See ``stamps_of``.
     target : BinaryIO
         Empty.
 
@@ -231,17 +248,12 @@ def copy_messages(file: McapFile, target: BinaryIO) -> None:
         writer.add_attachment(attachment.create_time, attachment.log_time, attachment.name,
                               attachment.media_type, attachment.data)
     channels = _register(writer, file)
-    counts, first, last = dict.fromkeys(file.channels, 0), NEVER, 0
     for message in file.messages():
         writer.add_message(channels[message.channel_id], message.log_time, message.data,
                            message.publish_time, message.sequence)
-        counts[message.channel_id] += 1
-        first, last = min(first, message.log_time), max(last, message.log_time)
     # At the end, what the bag holds, as its recorder would have done.
-    topics = [describe_topic(channel, file.schemas.get(channel.schema_id))
-              for channel in file.channels.values()]
-    extent = Extent(file.name.name, sum(counts.values()), first, last)
-    described = bag_metadata([extent], topics, list(counts.values()), ros_distro(file))
+    described = bag_metadata([_extent(file, stamps)], [*_topics(file).values()],
+                             [*map(len, stamps.values())], ros_distro(file))
     writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(described)})
     writer.finish()
 
@@ -257,12 +269,16 @@ def _register(writer: Writer, file: McapFile) -> dict[int, int]:
             for number, channel in file.channels.items()}
 
 
-def describe_topic(channel: Channel, schema: Schema | None) -> Topic:
-    """Return the description of a channel by rosbag2."""
-    about = channel.metadata
-    return Topic(channel.topic, schema.name if schema else '',
-                 schema.data.decode(errors='replace') if schema else '',
-                 about.get('topic_type_hash', ''), about.get('offered_qos_profiles') or '[]')
+def _topics(file: McapFile) -> dict[int, Topic]:
+    """Return the description of each channel by rosbag2."""
+    found = {}
+    for number, channel in file.channels.items():
+        schema, about = file.schemas.get(channel.schema_id), channel.metadata
+        found[number] = Topic(
+            channel.topic, schema.name if schema else '',
+            schema.data.decode(errors='replace') if schema else '',
+            about.get('topic_type_hash', ''), about.get('offered_qos_profiles') or '[]')
+    return found
 
 
 def ros_distro(file: McapFile) -> str:
@@ -371,10 +387,11 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
     try:
         with open_file(path, path) as stream, _not_being_recorded(stream, path):
             file = McapFile(path, path, thorough=True)
-            recovery = _survey(file, stream)
+            stamps = stamps_of(file)
+            recovery = _survey(file, stamps, stream)
             if recovery.changed:
                 _refuse_if_nothing(file, recovery)
-                _write_anew(file, recovery, replace)
+                _write_anew(file, stamps, recovery, replace)
             if (bag.is_dir() or _is_bag(path)) and (
                     recovery.changed or not (path.parent / 'metadata.yaml').exists()):
                 describe(path.parent, [path])
@@ -400,14 +417,9 @@ def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
     yield
 
 
-def _survey(file: McapFile, stream: BinaryIO) -> Recovery:
+def _survey(file: McapFile, stamps: Stamps, stream: BinaryIO) -> Recovery:
     """Return what can be read of a file, and what is lost; it is to be changed if not whole."""
-    recovery, stamps = Recovery(file.path), defaultdict[int, 'array[int]'](lambda: array('Q'))
-    for message in file.messages():
-        stamps[message.channel_id].append(message.log_time)
-    recovery.messages = sum(map(len, stamps.values()))
-    recovery.first = min(map(min, stamps.values()), default=NEVER)
-    recovery.last = max(map(max, stamps.values()), default=0)
+    recovery = Recovery(file.path, *_extent(file, stamps)[1:])
     finished = is_finished(stream, file, recovery.messages)
     recovery.contradicted = 0 if finished else contradicted(stream, file.survey)
     recovery.altered = finished and not data_crc_holds(stream, file.survey)
@@ -444,14 +456,14 @@ def _refuse_if_nothing(file: McapFile, recovery: Recovery) -> None:
                              'can be read; it is left as it is')
 
 
-def _write_anew(file: McapFile, recovery: Recovery, replace: bool) -> None:
+def _write_anew(file: McapFile, stamps: Stamps, recovery: Recovery, replace: bool) -> None:
     """Write what can be read of a file into another, which then takes its place."""
     path = file.path.resolve()
     handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', suffix='.tmp', dir=path.parent)
     temporary = Path(name)
     try:
         with os.fdopen(handle, 'wb') as target:
-            copy_messages(file, target)
+            copy_messages(file, stamps, target)
             target.flush()
             os.fsync(target.fileno())
         _read_back(temporary, recovery.messages)
@@ -466,7 +478,7 @@ def _write_anew(file: McapFile, recovery: Recovery, replace: bool) -> None:
 def _read_back(path: Path, messages: int) -> None:
     """Read all of a file that was written; RecordingError unless every message is in it."""
     copy = McapFile(path, path, thorough=True)
-    found = sum(1 for _ in copy.messages())
+    found = sum(map(len, stamps_of(copy).values()))
     with open_file(path, path) as stream:
         if found != messages or not is_finished(stream, copy, messages) \
                 or not data_crc_holds(stream, copy.survey):
@@ -526,15 +538,10 @@ def describe(folder: Path, paths: Sequence[Path]) -> int:
     extents = []
     for path in paths:
         file = McapFile(path, path)
-        topics = {number: describe_topic(channel, file.schemas.get(channel.schema_id))
-                  for number, channel in file.channels.items()}
-        counts |= {topic: counts.get(topic, 0) for topic in topics.values()}
-        messages, first, last = 0, NEVER, 0
-        for message in file.messages():
-            counts[topics[message.channel_id]] += 1
-            messages += 1
-            first, last = min(first, message.log_time), max(last, message.log_time)
-        extents.append(Extent(path.name, messages, first, last))
+        stamps = stamps_of(file)
+        for number, topic in _topics(file).items():
+            counts[topic] = counts.get(topic, 0) + len(stamps[number])
+        extents.append(_extent(file, stamps))
     write_bag_metadata(folder, bag_metadata(
         extents, list(counts), list(counts.values()), ros_distro(file)))
     return sum(extent.messages for extent in extents)

@@ -313,7 +313,7 @@ def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
 
 def test_result_that_does_not_read_back_leaves_the_bag_as_it_is(tmp_path, killed, monkeypatch):
     monkeypatch.setattr('hnn_vi_ros.bags.mcap_recovery.copy_messages',
-                        lambda file, target: target.write(killed))
+                        lambda file, stamps, target: target.write(killed))
     bag = tmp_path / 'bag'
     bag.mkdir()
     (bag / 'bag_0.mcap').write_bytes(killed)
