@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record serialised messages as a rosbag2 folder that holds one MCAP file."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 import fcntl
 import os
 from pathlib import Path
@@ -100,7 +100,7 @@ class McapSink:
         origin = identity()
         hidden = self._path.with_name(f'.{self._path.name}.tmp')
         self._stream: BinaryIO | None = _create(hidden)
-        try:
+        with self._abandoning():
             self._writer = Writer(
                 self._stream, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
                 enable_data_crcs=True)
@@ -116,8 +116,6 @@ class McapSink:
             os.rename(hidden, self._path)
             # With the first tick, at once: of a run that began there is a sample.
             self._next_flush = 0.0
-        except OSError as problem:
-            raise self._abandon(problem) from problem
 
     def write(self, stamp_ns: int, payloads: Sequence[bytes]) -> None:
         """
@@ -139,15 +137,13 @@ class McapSink:
         self._check_open()
         # The format holds the sequence in 32 bits.
         sequence = self._ticks & 0xFFFFFFFF
-        try:
+        with self._abandoning():
             for channel, payload in zip(self._channels, payloads, strict=True):
                 self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
             self._ticks += 1
             self._extend_to(stamp_ns)
             if time.monotonic() >= self._next_flush:
                 self._flush()
-        except OSError as problem:
-            raise self._abandon(problem) from problem
 
     def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
         """
@@ -169,15 +165,13 @@ class McapSink:
 
         """
         self._check_open()
-        try:
+        with self._abandoning():
             if topic not in self._others:
                 self._others[topic] = [self._register(topic), 0]
             channel, count = self._others[topic]
             self._writer.add_message(channel, stamp_ns, payload, stamp_ns, count & 0xFFFFFFFF)
             self._others[topic][1] += 1
             self._extend_to(stamp_ns)
-        except OSError as problem:
-            raise self._abandon(problem) from problem
 
     def flush(self) -> None:
         """
@@ -191,12 +185,9 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        if self._stream is None:
-            return
-        try:
-            self._flush()
-        except OSError as problem:
-            raise self._abandon(problem) from problem
+        if self._stream is not None:
+            with self._abandoning():
+                self._flush()
 
     def close(self) -> None:
         """
@@ -210,15 +201,13 @@ class McapSink:
         """
         if self._stream is None:
             return
-        try:
+        with self._abandoning():
             self._flush()
             self._add_metadata()
             self._writer.finish()
             self._stream.close()
             self._stream = None
             write_bag_metadata(self._path.parent, self._metadata())
-        except OSError as problem:
-            raise self._abandon(problem) from problem
 
     def _attach(self, attachments: Mapping[str, bytes]) -> None:
         for name, data in attachments.items():
@@ -272,19 +261,23 @@ class McapSink:
         self._path.stat()
         self._next_flush = time.monotonic() + FLUSH_INTERVAL
 
-    def _abandon(self, problem: OSError) -> RecordingError:
-        """Abandon the file in its current state and return the error to raise."""
-        if self._stream is not None:
-            # Closing tries once more what has just failed; that failure is the one we report.
-            with suppress(OSError):
-                self._stream.close()
-            self._stream = None
-        kept = 'the file was removed'
-        if self._path.exists():
-            kept = ('what was written before is kept: free some space, then make it whole with: '
-                    f'{command("recover_bag")} {shlex.quote(str(self._path.parent))}')
-        return RecordingError(
-            f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
+    @contextmanager
+    def _abandoning(self) -> Iterator[None]:
+        """Abandon the file in its current state where it cannot be written any more."""
+        try:
+            yield
+        except OSError as problem:
+            if self._stream is not None:
+                # Closing tries once more what has just failed; that failure is the one we report.
+                with suppress(OSError):
+                    self._stream.close()
+                self._stream = None
+            kept = 'the file was removed'
+            if self._path.exists():
+                kept = ('what was written before is kept: free some space, then make it whole '
+                        f'with: {command("recover_bag")} {shlex.quote(str(self._path.parent))}')
+            raise RecordingError(f'{self._path}: the recording stopped ({_reason(problem)}); '
+                                 f'{kept}') from problem
 
 
 def _create(path: Path) -> BinaryIO:
