@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data to learn from: states (q, p) with their rates of change, measured, estimated or exact."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import Annotated, Literal
@@ -151,6 +152,17 @@ class Dataset:
         return windows
 
 
+def joined(motions: Sequence[dict[str, np.ndarray]], description: str) -> Dataset:
+    """Return the checked data of motions, each by columns; their blocks are numbered anew."""
+    blocks = 0
+    for number, part in enumerate(motions):
+        part['trajectory'] = np.full(len(part['t']), number)
+        part['block'] += blocks
+        blocks = part['block'].max(initial=blocks - 1) + 1
+    return Dataset(**{name: np.concatenate([part[name] for part in motions])
+                      for name in motions[0]}, description=description).checked()
+
+
 def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:
     """
     Return the matrix M of p = M dq/dt, shape (d, d).
@@ -211,8 +223,8 @@ class SmoothingSpline(StrictModel):
 Derivatives = SavitzkyGolay | SmoothingSpline
 
 
-def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window: int
-                  ) -> tuple[np.ndarray, np.ndarray]:
+def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window: int,
+                  where: str = '') -> tuple[np.ndarray, np.ndarray]:
     """
     Smooth measured values and estimate their derivative.
 
@@ -226,23 +238,34 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
         How to smooth.
     window : int
         Rows in the window of a SavitzkyGolay method.
+    where : str, optional
+        Where the values come from, for the message.
 
     Returns
     -------
     tuple of np.ndarray, shape (N, d)
         The smoothed values and their derivatives [1/s].
 
+    Raises
+    ------
+    DataError
+        They cannot be estimated.
+
     References
     ----------
     A. Savitzky, M. Golay, Analytical Chemistry 36 (1964), doi:10.1021/ac60214a047.
 
     """
-    if isinstance(method, SavitzkyGolay):
-        spacing = (t[-1] - t[0]) / (len(t) - 1)
-        smooth, rate = (savgol_filter(values, window, method.degree, deriv=order, delta=spacing,
-                                      axis=0) for order in (0, 1))
-        return smooth, rate
-    splines = [make_smoothing_spline(t, column, lam=method.smoothing) for column in values.T]
+    try:
+        if isinstance(method, SavitzkyGolay):
+            spacing = (t[-1] - t[0]) / (len(t) - 1)
+            smooth, rate = (savgol_filter(values, window, method.degree, deriv=order,
+                                          delta=spacing, axis=0) for order in (0, 1))
+            return smooth, rate
+        splines = [make_smoothing_spline(t, column, lam=method.smoothing) for column in values.T]
+    except (ValueError, np.linalg.LinAlgError) as problem:
+        raise DataError(f'{where}: the derivatives cannot be estimated ({problem}); look at its '
+                        'times and at data.derivatives') from problem
     return (np.stack([spline(t) for spline in splines], axis=-1),
             np.stack([spline.derivative()(t) for spline in splines], axis=-1))
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.data.dataset import (
-    Block, Dataset, Derivatives, differentiate, Mass, mass_matrix, Names, SavitzkyGolay,
+    Block, Dataset, Derivatives, differentiate, joined, Mass, mass_matrix, Names, SavitzkyGolay,
     time_blocks, UNEVENNESS)
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 import numpy as np
@@ -151,17 +151,9 @@ def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
     """
     trials, digest = _trials(path, data)
     trials.sort(key=lambda trial: trial.number)
-    parts, start = [], 0
-    for number, trial in enumerate(trials):
-        part = _rows(path, trial, data)
-        part['block'] += start
-        part['trajectory'] = np.full(len(part['t']), number)
-        start = part['block'].max(initial=start - 1) + 1
-        parts.append(part)
     rows = sum(len(trial.lines) for trial in trials)
-    return Dataset(
-        **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]},
-        description=f'{path.name} ({rows} rows, sha256 {digest[:16]})').checked()
+    return joined([_rows(path, trial, data) for trial in trials],
+                  f'{path.name} ({rows} rows, sha256 {digest[:16]})')
 
 
 def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
@@ -322,15 +314,10 @@ def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray
     for name, names in given.items():
         if names is not None:
             found[f'd{name}_dt'] = trial.stacked(names)
-            continue
-        assert data.derivatives is not None, 'checked with the configuration'
-        try:
+        else:
+            assert data.derivatives is not None, 'checked with the configuration'
             found[name], found[f'd{name}_dt'] = differentiate(
-                t, found[name], data.derivatives, window)
-        except (ValueError, np.linalg.LinAlgError) as problem:
-            raise DataError(f'{path}:{lines[0]}: the derivatives of this trial cannot be '
-                            f'estimated ({problem}); look at its times and at '
-                            'data.derivatives') from problem
+                t, found[name], data.derivatives, window, f'{path}:{lines[0]}')
     found['block'] = block if data.block is None else time_blocks(t, data.block)
     return {name: values[whole] for name, values in found.items()}
 
