@@ -8,6 +8,7 @@ expanded and no other file is read.
 """
 
 from dataclasses import dataclass, field
+from itertools import count
 from xml.parsers import expat
 
 from hnn_vi_ros.errors import HnnViRosError
@@ -62,11 +63,25 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
     """
     if len(text) > MAX_BYTES:
         raise error(f'{where}: more than {MAX_BYTES >> 20} MiB of XML')
-    parser, builder = expat.ParserCreate(), _Builder()
-    parser.StartElementHandler = lambda tag, attributes: builder.start(
-        tag, attributes, parser.CurrentLineNumber)
-    parser.EndElementHandler = builder.end
-    parser.StartDoctypeDeclHandler = builder.refuse_doctype
+    parser, numbers = expat.ParserCreate(), count(1)
+    # The elements that are open, within one that holds the root.
+    opened = [Element('', {}, 0)]
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(opened) > MAX_DEPTH:
+            raise _Refused(f'elements nested more than {MAX_DEPTH} deep')
+        if next(numbers) > MAX_ELEMENTS:
+            raise _Refused(f'more than {MAX_ELEMENTS} elements')
+        element = Element(tag, attributes, parser.CurrentLineNumber)
+        opened[-1].children.append(element)
+        opened.append(element)
+
+    def refuse_doctype(*_declaration: object) -> None:
+        raise _Refused('a document type declaration, which could expand without bound or name '
+                       'other files; remove it')
+
+    parser.StartElementHandler, parser.EndElementHandler = start, lambda _tag: opened.pop()
+    parser.StartDoctypeDeclHandler = refuse_doctype
     try:
         parser.Parse(text, True)
     except expat.ExpatError as problem:
@@ -75,41 +90,9 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
     except (_Refused, LookupError, ValueError) as problem:
         # The latter of an encoding that is not known, or not one of single bytes.
         raise error(f'{where}:{parser.CurrentLineNumber}: {one_line(problem)}') from problem
-    return builder.root
+    # There is one in all XML.
+    return opened[0].children[0]
 
 
 class _Refused(Exception):
     """A document that is not read."""
-
-
-class _Builder:
-    """Elements as the parser meets them."""
-
-    def __init__(self) -> None:
-        self._open = [Element('', {}, 0)]
-        self._count = 0
-
-    @property
-    def root(self) -> Element:
-        """Return the outermost element; there is one in all XML."""
-        return self._open[0].children[0]
-
-    def start(self, tag: str, attributes: dict[str, str], line: int) -> None:
-        """Add an element, and open it."""
-        self._count += 1
-        if len(self._open) > MAX_DEPTH:
-            raise _Refused(f'elements nested more than {MAX_DEPTH} deep')
-        if self._count > MAX_ELEMENTS:
-            raise _Refused(f'more than {MAX_ELEMENTS} elements')
-        element = Element(tag, attributes, line)
-        self._open[-1].children.append(element)
-        self._open.append(element)
-
-    def end(self, _tag: str) -> None:
-        """Close the element that was opened last."""
-        self._open.pop()
-
-    def refuse_doctype(self, *_declaration: object) -> None:
-        """Refuse what could define entities."""
-        raise _Refused('a document type declaration, which could expand without bound or name '
-                       'other files; remove it')

@@ -137,14 +137,20 @@ def _unpacked_size(path: Path) -> int:
 
 def _networks(path: Path, state: object) -> dict[str, Layers]:
     found: dict[str, dict[tuple[int, str], np.ndarray]] = {}
-    items = _items(path, state)
-    _check_tensors(path, items)
-    for name, tensor in items:
+    if not isinstance(state, Mapping) or not state or not all(
+            isinstance(name, str) and isinstance(tensor, torch.Tensor)
+            for name, tensor in state.items()):
+        raise ModelError(f'{path}: holds {type(state).__name__}, not tensors by name; {_SHAPES}')
+    _check_tensors(path, state)
+    for name, tensor in state.items():
         match = _NAME.fullmatch(name)
         if match is None:
             raise ModelError(f'{path}: holds {name[:80]!r}; {_SHAPES}')
+        array = tensor.detach().resolve_neg().double().numpy().copy()
+        if not np.isfinite(array).all():
+            raise ModelError(f'{path}: {name} holds values that are not finite numbers')
         network = found.setdefault((match[1] or '').removesuffix('.'), {})
-        network[int(match[2]), match[3]] = _array(path, name, tensor)
+        network[int(match[2]), match[3]] = array
     return {name: _layers(path, f'{name}.' if name else '', network)
             for name, network in found.items()}
 
@@ -167,18 +173,10 @@ def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -
     return Layers(tuple(weights), tuple(biases))
 
 
-def _items(path: Path, state: object) -> list[tuple[str, torch.Tensor]]:
-    if not isinstance(state, Mapping) or not state or not all(
-            isinstance(name, str) and isinstance(tensor, torch.Tensor)
-            for name, tensor in state.items()):
-        raise ModelError(f'{path}: holds {type(state).__name__}, not tensors by name; {_SHAPES}')
-    return list(state.items())
-
-
-def _check_tensors(path: Path, items: Sequence[tuple[str, torch.Tensor]]) -> None:
+def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
     """Refuse other than plain tensors of real numbers, and too many, before any is copied."""
     total = 0
-    for name, tensor in items:
+    for name, tensor in tensors.items():
         kinds = {'a meta tensor, without values': tensor.is_meta,
                  'a nested tensor': tensor.is_nested,
                  'a sparse tensor': tensor.layout != torch.strided,
@@ -193,13 +191,6 @@ def _check_tensors(path: Path, items: Sequence[tuple[str, torch.Tensor]]) -> Non
     if total > MAX_BYTES:
         raise ModelError(f'{path}: its tensors take more than {MAX_BYTES >> 20} MiB in double '
                          'precision, which no network needs')
-
-
-def _array(path: Path, name: str, tensor: torch.Tensor) -> np.ndarray:
-    array = tensor.detach().resolve_neg().double().numpy().copy()
-    if not np.isfinite(array).all():
-        raise ModelError(f'{path}: {name} holds values that are not finite numbers')
-    return array
 
 
 BODIES = ('so3', 'se3')

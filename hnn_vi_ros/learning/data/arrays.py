@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured runs from arrays in an .npz file: of machines, and of bodies that turn."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import errno
 import os
 from pathlib import Path
@@ -102,13 +102,11 @@ class BodyMotions(NamedTuple):
 
     def at(self, times: slice) -> 'BodyMotions':
         """Return the motions at some instants."""
-        x, R, v, u = (part[times] for part in self[:4])
-        return self._replace(x=x, R=R, v=v, u=u)
+        return self._each(lambda part: part[times])
 
     def of(self, rows: torch.Tensor) -> 'BodyMotions':
         """Return some of the motions."""
-        x, R, v, u = (part[:, rows] for part in self[:4])
-        return self._replace(x=x, R=R, v=v, u=u)
+        return self._each(lambda part: part[:, rows])
 
     def windows(self, count: int) -> 'BodyMotions':
         """Return all windows of ``count`` intervals, overlapping, as motions."""
@@ -116,10 +114,13 @@ class BodyMotions(NamedTuple):
         if count >= length:
             raise DataError(f'windows of {count} intervals are longer than the motions, of '
                             f'{length - 1}; lower windows')
-        x, R, v, u = (torch.cat([
+        return self._each(lambda part: torch.cat([
             part[i:length - count + i][:, None] for i in range(count + 1)], dim=1)
-            .transpose(0, 1).flatten(1, 2) for part in self[:4])
-        return self._replace(x=x, R=R, v=v, u=u)
+            .transpose(0, 1).flatten(1, 2))
+
+    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> 'BodyMotions':
+        x, R, v, u = map(change, self[:4])
+        return BodyMotions(x, R, v, u, self.interval)
 
 
 class Archive:
