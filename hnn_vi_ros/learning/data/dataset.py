@@ -473,16 +473,14 @@ def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndar
 def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
                  ) -> tuple[np.ndarray, np.ndarray]:
     """Return q and p of shape (samples, d), drawn again until all are within the bounds."""
-    q = _draw(data.box.q, data, rng)
-    p = _momenta(data, hamiltonian, q, _draw(data.box.p, data, rng))
-    bad = ~_is_within(data, hamiltonian, q, p)
+    q, p = np.empty((2, data.samples, len(data.box.q)))
+    again = np.arange(data.samples)
     for _ in range(_MOST_DRAWS):
-        if not bad.any():
-            return q, p
-        again = np.flatnonzero(bad)
         q[again] = _draw(data.box.q, data, rng)[again]
         p[again] = _momenta(data, hamiltonian, q[again], _draw(data.box.p, data, rng)[again])
-        bad[again] = ~_is_within(data, hamiltonian, q[again], p[again])
+        again = again[~_is_within(data, hamiltonian, q[again], p[again])]
+        if not len(again):
+            return q, p
     raise DataError(f'data.radius = {data.radius}, data.energy = {data.energy}: too little of '
                     'data.box is within these bounds; give wider ones or a smaller box')
 
