@@ -79,14 +79,6 @@ class SqliteFile(Source):
                 len(data or b'') for topic, _, data in rows if topic not in self.channels)
         return messages
 
-    def attachment(self, name: str) -> bytes | None:
-        """See Source."""
-        return None
-
-    def metadata(self, name: str) -> dict[str, str]:
-        """See Source."""
-        return {}
-
     def _taken(self, rows: Iterable[tuple[int, int, bytes]]) -> list[tuple[int, int, bytes]]:
         """Return rows within a limit: a file of any size may hold what computes large ones."""
         taken, size = [], 0

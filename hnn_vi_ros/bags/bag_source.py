@@ -76,10 +76,10 @@ class Source(ABC):
     def read(self, piece: Piece) -> Iterable[Message]:
         """Return the messages of a piece that can be read, all of known channels."""
 
-    @abstractmethod
     def attachment(self, name: str) -> bytes | None:
         """Return a file that is kept with the messages; None if there is none of this name."""
+        return None
 
-    @abstractmethod
     def metadata(self, name: str) -> dict[str, str]:
         """Return the newest metadata of a name; empty if there is none."""
+        return {}

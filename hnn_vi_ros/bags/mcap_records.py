@@ -263,7 +263,7 @@ def records_in(data: bytes, most: int) -> Iterator[McapRecord]:
 
 
 # What tells of a chunk before its data fits in so many bytes.
-_HEAD = 64
+HEAD = 64
 # Records below 4 GiB: an opcode, and the length's upper half, which is zero.
 _START = re.compile(rb'(?=[\x01-\x0f].{4}\x00{4})', re.DOTALL)
 _WINDOW = 2**20
@@ -358,7 +358,7 @@ class _Finder:
             Whether no record is known to end here: then what follows must be one in any case.
 
         """
-        head = self._read(place, _HEAD)
+        head = self._read(place, HEAD)
         if len(head) < PREFIX.size:
             return None
         opcode, length = PREFIX.unpack_from(head)
@@ -378,7 +378,7 @@ class _Finder:
     def after(self, place: int) -> int:
         """Return where the next record begins, the size of the stream if none does."""
         # In a chunk that is not packed there are records that are not believed by themselves.
-        return self._search(place + 1, within_chunk=_is_chunk(self._read(place, _HEAD)))
+        return self._search(place + 1, within_chunk=_is_chunk(self._read(place, HEAD)))
 
     def _search(self, place: int, within_chunk: bool = False) -> int:
         # Beyond what any damage takes, nothing more is understood.

@@ -18,11 +18,10 @@ from typing import BinaryIO, NamedTuple
 from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
-from hnn_vi_ros.bags.mcap_file import McapFile
+from hnn_vi_ros.bags.mcap_file import Definitions, Indexed, McapFile, Survey
 from hnn_vi_ros.bags.mcap_records import (
     chunk_head, crc_of, decode, frames_in, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack,
     walk)
-from hnn_vi_ros.bags.mcap_survey import Definitions, Indexed, Survey
 from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
