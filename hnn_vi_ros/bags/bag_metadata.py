@@ -122,7 +122,10 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
     return {
         'version': METADATA_VERSION, 'storage_identifier': 'mcap', **extent,
         'topics_with_message_count': [
-            {'topic_metadata': _topic_metadata(topic), 'message_count': count}
+            {'topic_metadata': {
+                'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
+                'offered_qos_profiles': qos_profiles(topic.offered_qos_profiles),
+                'type_description_hash': topic.type_hash}, 'message_count': count}
             for topic, count in zip(topics, counts, strict=True)],
         # These two speak of compression around the file; the chunks' own is the file's affair.
         'compression_format': '', 'compression_mode': '',
@@ -213,9 +216,3 @@ def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str
         # Not as we write it.
         return []
     return found
-
-
-def _topic_metadata(topic: Topic) -> dict[str, Any]:
-    return {'name': topic.name, 'type': topic.type, 'serialization_format': 'cdr',
-            'offered_qos_profiles': qos_profiles(topic.offered_qos_profiles),
-            'type_description_hash': topic.type_hash}
