@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What an MCAP file holds, finished, cut off or damaged.
+Content of an MCAP file, finished, cut off or damaged.
 
 ``survey`` finds its records, places and definitions without opening its chunks; ``McapFile`` opens
 those that it must, and reads the messages.
