@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
-    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
@@ -154,8 +154,7 @@ class ReplayNode(RobustNode):
 
     def wait_for_delivery(self, received: Sequence[int]) -> None:
         """Let matched subscribers receive what is still on its way; signals shorten it."""
-        if late := wait_for_delivery(set(self._publishers_of.values()), received):
-            self.get_logger().warning(UNDELIVERED.format(late))
+        wait_for_delivery(self, set(self._publishers_of.values()), received)
 
     def report(self) -> str:
         """Return how many messages were published, and how late."""
