@@ -4,37 +4,10 @@
 
 from abc import ABC, abstractmethod
 import math
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
+from hnn_vi_ros.simulation import Sample
 import numpy as np
-
-
-class Observed(Protocol):
-    """State that guards look at; a Sample is one."""
-
-    @property
-    def step(self) -> int: ...
-
-    @property
-    def q(self) -> np.ndarray: ...
-
-    @property
-    def p(self) -> np.ndarray: ...
-
-    @property
-    def dH_dq(self) -> np.ndarray: ...
-
-    @property
-    def dH_dp(self) -> np.ndarray: ...
-
-    @property
-    def energy(self) -> float: ...
-
-    @property
-    def modified_energy(self) -> float: ...
-
-    @property
-    def work(self) -> float: ...
 
 
 class Look(NamedTuple):
@@ -48,6 +21,10 @@ class Look(NamedTuple):
     energy: float
     modified_energy: float
     work: float = 0.0
+
+
+# The state that guards look at.
+Observed = Sample | Look
 
 
 class Alarm(NamedTuple):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards of the steps: their cost, unsolved equations, and steps that another method took."""
 
+from typing import ClassVar
+
 from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -50,66 +52,62 @@ class CostGuard(Guard):
                      'step_size or another integrator', '1')
 
 
-class SolutionGuard(Guard):
+class CountGuard(Guard):
     """
-    No solver comes to another solution of a step than that which is connected to h = 0.
+    Base of guards: a count of the simulation stays zero.
 
     Parameters
     ----------
     simulation : Simulation
         Whose steps are counted.
 
+    Attributes
+    ----------
+    counted : str
+        Attribute of the simulation that holds the count.
+    message : str
+        Line of the alarm, with a place for the count.
+
     """
 
-    kind = 'several solutions'
-    remedy = 'use a smaller step_size: below the fold the equation has one solution'
+    counted: ClassVar[str]
+    message: ClassVar[str]
 
     def __init__(self, simulation: Simulation):
         self._simulation, self._seen = simulation, 0
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""
-        before, self._seen = self._seen, self._simulation.several_solutions
+        before, self._seen = self._seen, getattr(self._simulation, self.counted)
         return self.renew(sample) if before == 0 < self._seen else None
 
-    def renew(self, sample: Observed) -> Alarm | None:
+    def renew(self, sample: Observed) -> Alarm:
         """See Guard."""
-        count = self._simulation.several_solutions
+        count = getattr(self._simulation, self.counted)
         # Those who look at a path afterwards see the counts of its end.
-        return Alarm(self.kind, self._simulation.steps, count, 0,
-                     'the equation of a step has several solutions, of which the one connected to '
-                     f'h = 0 is taken, in {count} steps so far; use a smaller step_size', '1')
+        return Alarm(self.kind, self._simulation.steps, count, 0, self.message.format(count), '1')
 
 
-class RescueGuard(Guard):
+class SolutionGuard(CountGuard):
+    """No solver comes to another solution of a step than that which is connected to h = 0."""
+
+    kind = 'several solutions'
+    remedy = 'use a smaller step_size: below the fold the equation has one solution'
+    counted = 'several_solutions'
+    message = ('the equation of a step has several solutions, of which the one connected to '
+               'h = 0 is taken, in {} steps so far; use a smaller step_size')
+
+
+class RescueGuard(CountGuard):
     """
     The scene's method takes all steps: none in sub-steps or by the midpoint rule.
 
     Each change of method leaves H where it is, but moves what the method itself conserves.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Whose steps are counted.
-
     """
 
     kind = 'rescued steps'
     remedy = ('use a smaller step_size, or a method whose equations can be solved at this '
               'one')
-
-    def __init__(self, simulation: Simulation):
-        self._simulation, self._seen = simulation, 0
-
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        before, self._seen = self._seen, self._simulation.rescued
-        return self.renew(sample) if before == 0 < self._seen else None
-
-    def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        count = self._simulation.rescued
-        # Those who look at a path afterwards see the counts of its end.
-        return Alarm(self.kind, self._simulation.steps, count, 0,
-                     f'{count} steps so far were taken otherwise than by the integrator, as '
-                     'on_failure says; use a smaller step_size or another integrator', '1')
+    counted = 'rescued'
+    message = ('{} steps so far were taken otherwise than by the integrator, as on_failure '
+               'says; use a smaller step_size or another integrator')

@@ -9,7 +9,6 @@ from textwrap import fill
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros.settings import (
     BRIDGE_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
-from hnn_vi_ros.sweeps import arguments as sweeps
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
@@ -77,11 +76,6 @@ def rerun_bridge() -> Parser:
     parser.add_argument('--trust-code', action='store_true', help=(
         'run Python code that a scene names, which others may have written'))
     return parser
-
-
-def sweep() -> Parser:
-    """Return the parser of ``sweep``; the sweeps that write bags run from here."""
-    return sweeps.sweep()
 
 
 def hover() -> Parser:

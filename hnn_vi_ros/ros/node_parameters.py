@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of a node: those given at its start, declared, checked, and changed later."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
@@ -164,16 +164,6 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     return settings(**values)
 
 
-class Adjustable(Protocol):
-    """Part of a node that follows changes of its parameters."""
-
-    def check(self, settings: Any) -> None:
-        """Raise ParameterError if changed settings do not fit."""
-
-    def apply(self, settings: Any) -> None:
-        """Go on with changed settings."""
-
-
 class Parameters:
     """
     The parameters of a node: declared, checked, and changed only where they may.
@@ -184,6 +174,10 @@ class Parameters:
     ----------
     node : Node
         Whose parameters they are.
+    check : callable
+        Raises ParameterError if changed settings do not fit the run, if there is one.
+    apply : callable
+        Lets the run, if there is one, go on with changed settings.
 
     Attributes
     ----------
@@ -191,8 +185,6 @@ class Parameters:
         What they are worth.
     configured : bool
         Whether a configured run uses them.
-    run : Adjustable or None
-        It receives changes while it runs.
 
     Raises
     ------
@@ -201,27 +193,25 @@ class Parameters:
 
     """
 
-    def __init__(self, node: Node):
+    def __init__(self, node: Node, check: Callable[[Settings], None],
+                 apply: Callable[[Settings], None]):
         self.settings = declare_parameters(node, Settings)
         self.configured = False
-        self.run: Adjustable | None = None
+        self._check_run, self._apply_to_run = check, apply
         node.add_pre_set_parameters_callback(_with_doubles)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
 
     def _check(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         try:
-            settings = self._changed(parameters)
-            if self.run is not None:
-                self.run.check(settings)
+            self._check_run(self._changed(parameters))
         except ParameterError as problem:
             return SetParametersResult(successful=False, reason=str(problem))
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         self.settings = self._changed(parameters)
-        if self.run is not None:
-            self.run.apply(self.settings)
+        self._apply_to_run(self.settings)
 
     def _changed(self, parameters: Sequence[Parameter]) -> Settings:
         """Return all with changes, or raise ParameterError; other parameters are ROS's."""

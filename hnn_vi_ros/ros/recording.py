@@ -61,20 +61,16 @@ class Sink(ABC):
     ----------
     name : str
         By which /diagnostics tells where it goes.
+    target : Path, str or int
+        Where it goes while it is open: a path, a URL or a port.
+    greeting : str
+        Line to log once all sinks are open; empty for none.
 
     """
 
     name: str
-
-    @property
-    @abstractmethod
-    def target(self) -> str:
-        """Return where an open sink goes: a path, a URL or a port."""
-
-    @property
-    def greeting(self) -> str:
-        """Return what is logged once all sinks are open; empty for nothing."""
-        return ''
+    target: Path | str | int
+    greeting: str = ''
 
     @abstractmethod
     def open(self, begin: Beginning) -> bool:  # noqa: A003
@@ -136,16 +132,6 @@ class BagOutput(Sink):
         self._begun_at: bytes
         self._sink: McapSink
 
-    @property
-    def target(self) -> str:
-        """See Sink."""
-        return str(self._bags[-1])
-
-    @property
-    def greeting(self) -> str:
-        """See Sink."""
-        return f'recording to {self.target}'
-
     def open(self, begin: Beginning) -> bool:  # noqa: A003
         """See Sink."""
         self._begin, self._bags = begin, []
@@ -201,7 +187,8 @@ class BagOutput(Sink):
         # Stamped with the state that the bag begins at, from which on it acts.
         sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=scene)))
         sink.flush()
-        self._sink = sink
+        self._sink, self.target = sink, self._bags[-1]
+        self.greeting = f'recording to {self.target}'
 
 
 VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
@@ -231,24 +218,14 @@ class PictureOutput(Sink):
     def __init__(self, settings: Settings, box: tuple[np.ndarray, np.ndarray], files: RunFiles):
         self._settings, self._box, self._files = settings, box, files
         self._path: Path | None = None
-        self._target: Path | str | int
+        if settings.rerun_sink == 'serve':
+            self.greeting = f'rerun viewers can connect to {VIEWER_URL}'
         if settings.rerun_sink != 'none':
             # Imported here: a run without a picture starts without the viewer's libraries. One
             # that lacks them ends before anything is recorded.
             with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
                 from hnn_vi_ros.viewer.rerun_sink import RerunSink
             self._make = RerunSink
-
-    @property
-    def target(self) -> str:
-        """See Sink."""
-        return str(self._target)
-
-    @property
-    def greeting(self) -> str:
-        """See Sink."""
-        serves = self._settings.rerun_sink == 'serve'
-        return f'rerun viewers can connect to {VIEWER_URL}' if serves else ''
 
     def open(self, begin: Beginning) -> bool:  # noqa: A003
         """See Sink."""
@@ -257,13 +234,13 @@ class PictureOutput(Sink):
             return False
         if settings.rerun_sink == 'file':
             self._path = self._files.free(settings.rerun_path, 'recording.rrd', scene.name)
-            self._target = self._path
+            self.target = self._path
         else:
-            self._target = SERVER_PORT if settings.rerun_sink == 'serve' else (
+            self.target = SERVER_PORT if settings.rerun_sink == 'serve' else (
                 settings.rerun_path or VIEWER_URL)
         pace = settings.real_time_factor
         self._sink = self._make(
-            scene.name, self._target, simulation.hamiltonian, simulation.q.copy(),
+            scene.name, self.target, simulation.hamiltonian, simulation.q.copy(),
             simulation.p.copy(), box=self._box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=simulation.step_size,
@@ -376,7 +353,7 @@ class Recording:
             raise RecordingError(f'{self._bag.target}: is being recorded already')
         self._bag.start()
         self._open.insert(0, self._bag)
-        return self._bag.target
+        return str(self._bag.target)
 
     def stop_bag(self) -> str:
         """Complete the bag and return its absolute path, or raise RecordingError."""
@@ -389,7 +366,7 @@ class Recording:
         except RecordingError as problem:
             self._give_up(problem)
             raise
-        return self._bag.target
+        return str(self._bag.target)
 
     def flush(self) -> None:
         """Hand the files to the operating system, where no sample follows for a while."""
@@ -415,7 +392,7 @@ class Recording:
     @property
     def targets(self) -> dict[str, str]:
         """Return where each open sink goes."""
-        return {sink.name: sink.target for sink in self._open}
+        return {sink.name: str(sink.target) for sink in self._open}
 
     def close(self, ended: bool = True) -> bool:
         """Close what is open, at the end or to continue; return whether all was recorded."""

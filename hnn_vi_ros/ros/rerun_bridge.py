@@ -24,7 +24,7 @@ from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ro
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
-from hnn_vi_ros.ros.topics.diagnostics import COMPONENT, ERROR
+from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
 from hnn_vi_ros.run.look_ahead import look_ahead
@@ -126,7 +126,7 @@ class BridgePicture:
             if status.name == f'{simulator[1:]}: health' and 'alarm' in values:
                 self._sink.event(f'{values["alarm"]}: {status.message}',
                                  'ERROR' if status.level == ERROR else 'WARN')
-            elif status.name == f'{simulator[1:]}: {COMPONENT}':
+            elif status.name == f'{simulator[1:]}: {EVENT}':
                 stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
                 self._sink.event(status.message, 'INFO', (
                     stamp, math.floor(stamp * 1e-9 / self._step_size)))
@@ -246,7 +246,7 @@ class RerunBridge(RobustNode):
                                  'of a node, such as /hnn_simulator') from problem
 
         def tell(message: DiagnosticArray) -> None:
-            self._tell(message, simulator)
+            self._show(BridgePicture.tell, message, simulator)
 
         return {
             f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
@@ -275,9 +275,9 @@ class RerunBridge(RobustNode):
     def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
         for message, state in run.in_order(channels):
             if state is not None:
-                self._show(state)
+                self._show(BridgePicture.show, state)
             else:
-                self._tell(run.decoded(message, DiagnosticArray), run.node)
+                self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
 
     def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
         """Show the samples of a bag of before ~/state."""
@@ -296,7 +296,7 @@ class RerunBridge(RobustNode):
                 # An alarm belongs to the sample of its time, which is there by now.
                 self._show_tick(tick)
                 tick = {}
-                self._tell(content, run.node)
+                self._show(BridgePicture.tell, content, run.node)
             else:
                 tick[name] = content
         self._show_tick(tick)
@@ -341,7 +341,7 @@ class RerunBridge(RobustNode):
             self.destroy_subscription(subscription)
         self._tick_subscriptions.clear()
         try:
-            self._show(decode_state(payload))
+            self._show(BridgePicture.show, decode_state(payload))
         except ValueError as problem:
             self.get_logger().error(
                 f'~/state is no state: {problem}', throttle_duration_sec=1.0)
@@ -368,20 +368,15 @@ class RerunBridge(RobustNode):
                 del self._open[min(self._open)]
         return keep
 
-    def _show(self, state: State) -> None:
+    def _show(self, show: Callable[..., None], *what: Any) -> None:
+        """Hand something to a method of BridgePicture, if there is a picture."""
         if self._picture is not None:
             with self._end_if_lost():
-                self._picture.show(state)
+                show(self._picture, *what)
 
     def _show_tick(self, tick: dict[str, Any]) -> None:
-        if self._picture is not None and NEEDED <= tick.keys():
-            with self._end_if_lost():
-                self._picture.show_tick(tick)
-
-    def _tell(self, message: DiagnosticArray, simulator: str) -> None:
-        if self._picture is not None:
-            with self._end_if_lost():
-                self._picture.tell(message, simulator)
+        if tick.keys() >= NEEDED:
+            self._show(BridgePicture.show_tick, tick)
 
     @contextmanager
     def _end_if_lost(self) -> Iterator[None]:

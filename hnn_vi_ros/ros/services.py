@@ -309,9 +309,9 @@ def service_name(interface: str) -> str:
     return re.sub('(?<!^)(?=[A-Z])', '_', interface).lower()
 
 
-def offer_simulation_interfaces(node: Node, simulator: Simulator, group: CallbackGroup) -> bool:
+def offer_simulation_interfaces(node: Node, simulator: Simulator, group: CallbackGroup) -> None:
     """
-    Create the services if simulation_interfaces can be imported; return whether it can.
+    Create the services if simulation_interfaces can be imported.
 
     Its versions differ: what the installed one does not have is neither served nor reported.
 
@@ -332,7 +332,7 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
         if not (problem.name or '').startswith(_INTERFACES):
             raise
         # Not installed: std_srvs do the same under other names.
-        return False
+        return
     offered = {name: kind for name in INTERFACES
                if (kind := getattr(types, name, None) or getattr(actions, name, None))}
     services = SimulationServices(messages, simulator, offered)
@@ -342,7 +342,6 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
         else:
             name = service_name(interface)
             node.create_service(kind, f'~/{name}', services.answering(name), callback_group=group)
-    return True
 
 
 class SimulationServices:

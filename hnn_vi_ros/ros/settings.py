@@ -80,19 +80,15 @@ class Specification:
         return 'expected true or false' if isinstance(self.default, bool) else 'expected a string'
 
 
-def parameter(default: Value, description: str, unit: str = '', smallest: float = -math.inf,
-              largest: float = math.inf, choices: tuple[str, ...] = (),
-              changes: str = UNCONFIGURED) -> Any:
+def parameter(default: Value, *words: Any, **more: Any) -> Any:
     """Return the field of a parameter, whose name is the field's; see Specification."""
-    return field(default=default, metadata={
-        'description': description, 'unit': unit, 'smallest': smallest, 'largest': largest,
-        'choices': choices, 'changes': changes})
+    return field(default=default,
+                 metadata={'item': Specification('', default, *words, **more)})
 
 
 def specifications(settings: type) -> tuple[Specification, ...]:
     """Return the parameters that a class of settings declares."""
-    return tuple(Specification(item.name, getattr(settings, item.name), **item.metadata)
-                 for item in fields(settings))
+    return tuple(replace(item.metadata['item'], name=item.name) for item in fields(settings))
 
 
 @dataclass(frozen=True)
@@ -219,9 +215,6 @@ def shown(value: Value) -> str:
 
 def help_of(item: Specification) -> str:
     """Return what the help of an executable says of a parameter: meaning, values, default."""
-    values = f' ({item.expected.removeprefix("expected ")})' if _is_limited(item) else ''
+    limited = item.choices or type(item.default) in (int, float)
+    values = f' ({item.expected.removeprefix("expected ")})' if limited else ''
     return f'{item.description}{values}; default: {shown(item.default).strip("`")}'
-
-
-def _is_limited(item: Specification) -> bool:
-    return bool(item.choices) or type(item.default) in (int, float)

@@ -67,7 +67,7 @@ class SimulatorNode(ManagedNode):
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
         self._prepared: Prepared | None = None
-        self._declared = Parameters(self)
+        self._declared = Parameters(self, self.check, self.apply)
         refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
         offer_services(self, self)
 
@@ -112,7 +112,6 @@ class SimulatorNode(ManagedNode):
             self.destroy_timer(progress)
         self.control = Control(self, self.run, discovery, settings)
         # Those that were changed meanwhile count as well.
-        self._declared.run = self
         self.apply(self.settings)
         if not prepared.simulation.rescue_ready:
             self.spinner.create_task(self._compile_rest, prepared.simulation)
@@ -169,13 +168,15 @@ class SimulatorNode(ManagedNode):
         return self.exit_status or 0
 
     def check(self, settings: Settings) -> None:
-        """Raise ParameterError if changed parameters do not fit the run."""
-        self._driven.run.check(settings)
+        """Raise ParameterError if changed parameters do not fit the run, if there is one."""
+        if self.control is not None:
+            self.control.run.check(settings)
 
     def apply(self, settings: Settings) -> None:
-        """Go on with changed parameters."""
-        self._driven.run.apply(settings)
-        self._driven.set_period()
+        """Go on with changed parameters, if there is a run."""
+        if self.control is not None:
+            self.control.run.apply(settings)
+            self.control.set_period()
 
     @property
     def _driven(self) -> Control:
@@ -217,7 +218,7 @@ class SimulatorNode(ManagedNode):
             self.control.close()
         if self.topics is not None:
             self.topics.close()
-        self.run = self.control = self.topics = self._declared.run = self._prepared = None
+        self.run = self.control = self.topics = self._prepared = None
         self._declared.configured, self._stage = False, ''
 
 

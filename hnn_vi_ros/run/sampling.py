@@ -15,14 +15,14 @@ _LAST_SECOND = 2**31 - 1
 
 
 @cache
-def _nanoseconds(step_size: float) -> Fraction:
+def nanoseconds_of(step_size: float) -> Fraction:
     """Return h in its decimal form, not its rounded binary one [ns]."""
     return Fraction(repr(step_size)) * 10**9
 
 
 def stamp_of(step: int, step_size: float, origin: int = 0) -> int:
     """Return the stamp of a step from that of step 0 [ns]: a count of steps, never a sum."""
-    return origin + round(step * _nanoseconds(step_size))
+    return origin + round(step * nanoseconds_of(step_size))
 
 
 def steps_between(rate: float, step_size: float) -> int:
@@ -96,7 +96,7 @@ class Sampler:
         """Return how many samples can still be stamped."""
         step = self._simulation.steps
         left = _LAST_SECOND * 10**9 - self._origin
-        return max(0, (left // _nanoseconds(self._simulation.step_size) - step) // self.every)
+        return max(0, (left // nanoseconds_of(self._simulation.step_size) - step) // self.every)
 
     @property
     def stamp(self) -> int:

@@ -15,7 +15,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.inputs import read_joints, read_path
-from hnn_vi_ros.ros.topics.messages import TrajectoryFeedback
+from hnn_vi_ros.ros.topics.messages import encode_feedback
 from hnn_vi_ros.ros.topics.topics import LONGEST_REASON
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation import Simulation
@@ -135,7 +135,7 @@ def test_feedback_is_the_reference_what_is_and_their_difference(arm):
     simulation.set_command(read_path(path((1.0, [0.5, -0.5])), 0))
     simulation.advance(100)
     sample = Sampler(simulation, 100.0).sample()
-    payload, = TrajectoryFeedback(simulation).encode(sample)
+    payload, = encode_feedback(simulation)(sample)
     message = deserialize_message(payload, JointTrajectory)
     assert message.joint_names == NAMES[::-1] and stamp(message) == sample.stamp
     reference, actual, error = message.points

@@ -9,6 +9,7 @@ import time
 
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 # How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
@@ -21,8 +22,6 @@ _SETTLED = 0.5
 # Limit on the delivery of the last messages [s], and how often signals are looked for.
 _DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
 _DELIVERY_TURN = 0.1
-# Logged when that was too short.
-UNDELIVERED = 'a subscriber was too slow to receive all that was published of {}'
 
 
 def freeze_memory() -> None:
@@ -63,23 +62,22 @@ class Discovery:
         return now >= self._until or (found > 0 and now - self._since > _SETTLED)
 
 
-def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) -> str:
+def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Sequence[int]
+                      ) -> None:
     """
     Let matched subscribers receive what is still on its way, as long as they may need.
 
-    Who is slow has ten seconds at the end of a run, and one where a signal has ended it.
+    Who is slow has ten seconds at the end of a run, and one where a signal has ended it; what
+    some subscriber lacks then is logged.
 
     Parameters
     ----------
+    node : Node
+        That logs it.
     publishers : iterable of Publisher
         Whose messages they are.
     received : sequence of int
         The signals that came, to which a handler adds.
-
-    Returns
-    -------
-    str
-        Topics whose messages some subscriber still lacks; empty for none.
 
     """
     begin, late = time.monotonic(), []
@@ -88,7 +86,9 @@ def wait_for_delivery(publishers: Iterable[Publisher], received: Sequence[int]) 
             if time.monotonic() - begin > (_DELIVERY_AFTER_SIGNAL if received else _DELIVERY):
                 late.append(publisher.topic_name)
                 break
-    return ', '.join(late)
+    if late:
+        node.get_logger().warning('a subscriber was too slow to receive all that was published '
+                                  f'of {", ".join(late)}')
 
 
 def take_once(executor: SingleThreadedExecutor) -> bool:

@@ -4,8 +4,8 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, islice
-from queue import Full, Queue
 import threading
 import time
 
@@ -23,46 +23,37 @@ _LONGEST_STEP = 5.0
 
 def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
     """Return what yields what an iterator yields; a thread asks it in advance, from now on."""
-    batches: Queue[list[Recorded] | BaseException | None] = Queue(_BATCHES)
-    given_up = threading.Event()
-
-    def put(item: list[Recorded] | BaseException | None) -> None:
-        while not given_up.is_set():
-            try:
-                return batches.put(item, timeout=0.1)
-            except Full:
-                continue
-
-    def read() -> None:
-        batch: list[Recorded] = []
-        size = 0
-        try:
-            for message in messages:
-                batch.append(message)
-                size += len(message.data)
-                if len(batch) == _MESSAGES or size > _BYTES:
-                    put(batch)
-                    batch, size = [], 0
-                    if given_up.is_set():
-                        return
-        except Exception as problem:
-            put(batch)
-            put(problem)
-        else:
-            put(batch)
-            put(None)
+    reader = ThreadPoolExecutor(1, 'read ahead')
+    batches = deque(reader.submit(_batch, messages) for _ in range(_BATCHES))
 
     def take() -> Iterator[Recorded]:
         try:
-            while (batch := batches.get()) is not None:
-                if isinstance(batch, BaseException):
-                    raise batch
+            while True:
+                batch, problem = batches.popleft().result()
                 yield from batch
+                if problem is not None:
+                    raise problem
+                if not batch:
+                    return
+                batches.append(reader.submit(_batch, messages))
         finally:
-            given_up.set()
-
-    threading.Thread(target=read, name='read ahead', daemon=True).start()
+            reader.shutdown(wait=False, cancel_futures=True)
     return take()
+
+
+def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | None]:
+    """Return the next messages, none at the end, and what kept more from being read."""
+    batch: list[Recorded] = []
+    size = 0
+    try:
+        for message in messages:
+            batch.append(message)
+            size += len(message.data)
+            if len(batch) == _MESSAGES or size > _BYTES:
+                break
+    except Exception as problem:
+        return batch, problem
+    return batch, None
 
 
 def _begun(messages: Iterator[Recorded]) -> Iterator[Recorded]:

@@ -4,7 +4,6 @@
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 import math
 from pathlib import Path
@@ -17,9 +16,9 @@ from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.remapped_topics import own_topics
+from hnn_vi_ros.ros.topics.remapped_topics import attached, own_topics
 from hnn_vi_ros.run.held_state import STATE_FILE
-from hnn_vi_ros.run.sampling import steps_between
+from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene, ONE_RUN, only_scene
 from hnn_vi_ros.simulation import Simulation
@@ -108,12 +107,13 @@ class RecordedRun:
         self._topics = own_topics(self.reader)
         self.node, self._names = self._find_node()
         self._where = f'{self.reader.path}: its scene'
+        kept = attached(self.reader, 'scene.yaml')
         self.scene, self.described = described_scene(
-            self._described(), self._where, trust_code)
+            self._published_scene() if kept is None else kept, self._where, trust_code)
+        assert self.scene.step_size is not None, 'a recorded scene has one'
+        self._step_size = self.scene.step_size
         self.origin = self._count('origin')
         self.first_step = self._count('first_step')
-        step_size = Fraction(repr(self.scene.step_size))
-        self._step_size, self._nanoseconds = float(step_size), step_size * 10**9
 
     @property
     def names(self) -> dict[int, str]:
@@ -219,31 +219,23 @@ class RecordedRun:
     @cached_property
     def own(self) -> bool:
         """Return whether the simulator recorded the bag: then it holds all samples of the run."""
-        try:
-            return bool(self.reader.attachment('scene.yaml'))
-        except RecordingError:
-            return False
+        return bool(attached(self.reader, 'scene.yaml'))
 
     @property
     def held_state(self) -> bytes | None:
         """Return the state of a simulation at the start of a bag begun in the middle of a run."""
-        try:
-            return self.reader.attachment(STATE_FILE)
-        except RecordingError:
-            return None
+        return attached(self.reader, STATE_FILE)
 
     @property
     def spacing(self) -> int | None:
         """Return the time from sample to sample that was asked for [ns]; None if not recorded."""
-        try:
-            text = self.reader.attachment('parameters.yaml')
-        except RecordingError:
+        if (text := attached(self.reader, 'parameters.yaml')) is None:
             return None
         where = f'{self.reader.path}: its parameters'
         rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')
         try:
             if isinstance(rate, float | int) and 0 < rate < math.inf:
-                spacing = round(steps_between(rate, self._step_size) * self._nanoseconds)
+                spacing = stamp_of(steps_between(rate, self._step_size), self._step_size)
                 if spacing < _LONGEST:
                     return spacing
         except (OverflowError, ZeroDivisionError):
@@ -253,11 +245,11 @@ class RecordedRun:
 
     def stamp_of(self, step: int) -> int:
         """Return the stamp of a step [ns]."""
-        return self.origin + round(step * self._nanoseconds)
+        return stamp_of(step, self._step_size, self.origin)
 
     def step_of(self, stamp: int) -> int:
         """Return the step of a stamp; RecordingError if it is not that of a whole one."""
-        step = round((stamp - self.origin) / self._nanoseconds)
+        step = round((stamp - self.origin) / nanoseconds_of(self._step_size))
         if self.stamp_of(step) != stamp or step < self.first_step:
             raise RecordingError(
                 f'{self.reader.path}: the stamp {stamp} ns is no whole number of steps of '
@@ -288,14 +280,8 @@ class RecordedRun:
             raise RecordingError(f'{self._where}: {name} is no count')
         return value
 
-    def _described(self) -> bytes | str:
-        """Return the text of the scene that is kept with the bag, else that of ~/scene."""
-        try:
-            return self.reader.attachment('scene.yaml')
-        except RecordingError:
-            return self._published_scene()
-
     def _published_scene(self) -> str:
+        """Return the text of ~/scene, for want of a scene that is kept with the bag."""
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
         text = only_scene(((self.decoded(message, String).data, message.time) for message

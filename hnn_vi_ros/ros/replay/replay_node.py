@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
-    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, UNDELIVERED, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
@@ -107,6 +107,10 @@ class ReplayNode(RobustNode):
 
     Attributes
     ----------
+    reader : BagReader
+        Of the bag.
+    publishers_of : dict
+        The publisher of each channel of it.
     player : Player
         Which publishes, once ``start_when_discovered`` has started it.
 
@@ -123,24 +127,24 @@ class ReplayNode(RobustNode):
                 Parameter(name, value=value) for name, value in values.items()],
                 automatically_declare_parameters_from_overrides=True)
         settings = declare_parameters(self, ReplaySettings)
-        self._reader = BagReader(bag)
-        topics = {CLOCK_TOPIC, *(found.topic for found in self._reader.channels.values())}
+        self.reader = BagReader(bag)
+        topics = {CLOCK_TOPIC, *(found.topic for found in self.reader.channels.values())}
         refuse_unknown(self, REPLAY_PARAMETERS, [
             Endpoint(name, 'publisher') for name in sorted(topics) if _is_topic(name)], arguments)
-        self._publishers_of = self._open(settings)
-        first = self._reader.first + round(settings.start_offset * 1e9)
-        last = self._reader.last
+        self.publishers_of = self._open(settings)
+        first = self.reader.first + round(settings.start_offset * 1e9)
+        last = self.reader.last
         if first > last:
             raise ParameterError(
                 f'parameter start_offset = {settings.start_offset:g}: the bag is '
-                f'{(last - self._reader.first) * 1e-9:g} s long')
+                f'{(last - self.reader.first) * 1e-9:g} s long')
         if settings.duration:
             last = min(last, first + round(settings.duration * 1e9))
         tell_time = self._open_clock() if settings.publish_clock else None
         self.player = Player(
             lambda: read_ahead(chain(
-                self._latched(first), self._reader.messages(self._publishers_of, first, last))),
-            self._publish, tell_time,
+                self._latched(first), self.reader.messages(self.publishers_of, first, last))),
+            lambda message: self.publishers_of[message.channel].publish(message.data), tell_time,
             first, last, settings.rate, settings.loop, settings.start_paused)
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
@@ -152,11 +156,6 @@ class ReplayNode(RobustNode):
         """Return whether playing has begun."""
         return self._timer.is_canceled()
 
-    def wait_for_delivery(self, received: Sequence[int]) -> None:
-        """Let matched subscribers receive what is still on its way; signals shorten it."""
-        if late := wait_for_delivery(set(self._publishers_of.values()), received):
-            self.get_logger().warning(UNDELIVERED.format(late))
-
     def report(self) -> str:
         """Return how many messages were published, and how late."""
         player, late = self.player, ''
@@ -165,15 +164,10 @@ class ReplayNode(RobustNode):
                 f'{name} {value:.3f} ms' for name, value in errors.items())
         return f'{player.published} messages published{late}'
 
-    @property
-    def damage(self) -> str:
-        """Return what is to be reported of parts of the bag that could not be read."""
-        return self._reader.damage
-
     def _open(self, settings: ReplaySettings) -> dict[int, Publisher]:
         """Create the publishers, one for each topic; return them by channel."""
         wanted = [name.strip() for name in settings.topics.split(',') if name.strip()]
-        known = sorted({channel.topic for channel in self._reader.channels.values()})
+        known = sorted({channel.topic for channel in self.reader.channels.values()})
         if unknown := [name for name in wanted if name not in known]:
             raise ParameterError(f'parameter topics: {unknown[0]!r} is not in the bag; it holds: '
                                  f'{listed(known) or "none"}')
@@ -182,7 +176,7 @@ class ReplayNode(RobustNode):
             left_out |= self._heard()
         topics: dict[str, Publisher] = {}
         publishers: dict[int, Publisher] = {}
-        for number, channel in self._reader.channels.items():
+        for number, channel in self.reader.channels.items():
             name = channel.topic
             if name in left_out or (wanted and name not in wanted):
                 continue
@@ -193,13 +187,13 @@ class ReplayNode(RobustNode):
             except RecordingError as problem:
                 self.get_logger().warning(f'{name} is left out: {problem}')
         if not publishers:
-            raise RecordingError(f'{self._reader.path}: holds no topic that can be published')
+            raise RecordingError(f'{self.reader.path}: holds no topic that can be published')
         return publishers
 
     def _heard(self) -> set[str]:
         """Return the commands that a recorded simulator heard: they would drive one that runs."""
-        topics = own_topics(self._reader)
-        heard = {self._reader.channels[number].topic for name, number in topics.items()
+        topics = own_topics(self.reader)
+        heard = {self.reader.channels[number].topic for name, number in topics.items()
                  for one in INPUTS if name.endswith(one.topic[1:])
                  and f'{name.removesuffix(one.topic[1:])}/scene' in topics}
         for name in sorted(heard):
@@ -209,11 +203,11 @@ class ReplayNode(RobustNode):
 
     def _latched(self, first: int) -> Iterator[Recorded]:
         """Yield what is latched when playing begins: those who subscribe then must have it."""
-        latched = [number for number, publisher in self._publishers_of.items()
+        latched = [number for number, publisher in self.publishers_of.items()
                    if publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL]
-        if first > self._reader.first:
+        if first > self.reader.first:
             newest = {message.channel: message for message
-                      in self._reader.messages(latched, last=first - 1)}
+                      in self.reader.messages(latched, last=first - 1)}
             yield from (message._replace(time=first) for message in newest.values())
 
     def _open_clock(self) -> Callable[[int], None]:
@@ -222,8 +216,8 @@ class ReplayNode(RobustNode):
         return lambda stamp: clock.publish(clock_message(stamp))
 
     def _publisher(self, number: int) -> Publisher:
-        channel = self._reader.channels[number]
-        schema = self._reader.schemas.get(channel.schema_id)
+        channel = self.reader.channels[number]
+        schema = self.reader.schemas.get(channel.schema_id)
         if channel.message_encoding != 'cdr' or schema is None:
             raise RecordingError(f'its messages are encoded as {channel.message_encoding!r}, '
                                  'expected cdr')
@@ -238,12 +232,9 @@ class ReplayNode(RobustNode):
         except (RuntimeError, ValueError, InvalidTopicNameException) as problem:
             raise RecordingError(' '.join(str(problem).split())) from problem
 
-    def _publish(self, message: Recorded) -> None:
-        self._publishers_of[message.channel].publish(message.data)
-
     def _count_subscribers(self) -> int:
         return sum(publisher.get_subscription_count()
-                   for publisher in self._publishers_of.values())
+                   for publisher in self.publishers_of.values())
 
     def _start_when_discovered(self) -> None:
         if self._discovery.over:
@@ -320,10 +311,10 @@ def _play(node: ReplayNode, received: Sequence[int]) -> int:
         executor.spin_once(timeout_sec=0.1)
     if node.started:
         player.stop()
-    node.wait_for_delivery(received)
+    wait_for_delivery(node, set(node.publishers_of.values()), received)
     node.get_logger().info(node.report())
-    if node.damage:
-        node.get_logger().warning(node.damage)
+    if node.reader.damage:
+        node.get_logger().warning(node.reader.damage)
     node.destroy_node()
     if player.problem is not None:
         if isinstance(player.problem, HnnViRosError | OSError):

@@ -224,7 +224,8 @@ class RunStatus:
             if record.largest > tolerance.error:
                 level, message = WARN, self._monitor.over_tolerance()
         return Status('energy', level, message, {
-            **_energies(sample), 'energy_scale [J]': self._monitor.energy_scale,
+            'H [J]': _of(sample, 'energy'), 'modified_H [J]': _of(sample, 'modified_energy'),
+            'work [J]': _of(sample, 'work'), 'energy_scale [J]': self._monitor.energy_scale,
             f'energy_error [{record.unit}]': _of(sample, 'energy_error'),
             'modified_energy_band [J]': record.band,
             f'drift_per_hour [{record.unit}/h]': record.drift_per_hour, **allowed})
@@ -236,11 +237,6 @@ class RunStatus:
             level, message = ERROR, recording.problem
         return Status('recorder', level, message, {
             **recording.targets, 'samples [1]': recording.samples})
-
-
-def _energies(sample: Sample | None) -> dict[str, float]:
-    return {'H [J]': _of(sample, 'energy'), 'modified_H [J]': _of(sample, 'modified_energy'),
-            'work [J]': _of(sample, 'work')}
 
 
 def _of(sample: Sample | None, field: str) -> float:

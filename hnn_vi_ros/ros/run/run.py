@@ -21,7 +21,8 @@ from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
-from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EventTopic
+from hnn_vi_ros.ros.topics.diagnostics import (
+    DiagnosticsPublisher, EVENT, OK, state_values, Status)
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
@@ -30,7 +31,7 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample
-from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.simulation.stepping import RescuePending
 import numpy as np
 from rclpy.node import Node
@@ -65,7 +66,7 @@ class Run:
         self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
         self._scene, self.recording = prepared.scene, prepared.recording
         self._chosen = prepared.chosen
-        simulation = watched(prepared.simulation, prepared.scene)
+        self._watched = simulation = watched(prepared.simulation, prepared.scene)
         self._members = prepared.members
         uncertainty = prepared.scene.uncertainty
         self._spread = None if self._members is None or uncertainty is None else SpreadTopic(
@@ -89,8 +90,8 @@ class Run:
             Material(self.simulation, monitor, prepared.box, self._scene.mechanism,
                      settings.frame_id, bool(self._scene.events), self._spread),
             lambda: self.sampler.stamp, self.recording.write_other)
-        self._events = EventTopic(
-            node, partial(topics.send, EVENTS), self._scene.name, simulation)
+        self._events = DiagnosticsPublisher(
+            node, partial(topics.send, EVENTS), self._scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)
         for line in prepared.log_lines:
@@ -195,7 +196,7 @@ class Run:
                           'such steps is being compiled, once', 'WARN')
             return None
         except StoppedByEvent as stop:
-            self._events.hand_out(self.sampler, self.recording)
+            self._hand_out_events()
             self._stop(0, f'stopped by the event {stop.event.when}')
             return 0
         except StepFailure as failure:
@@ -209,7 +210,7 @@ class Run:
                 self._stop(1, f'stopped {where}')
             return 0
         self._waits = False
-        self._events.hand_out(self.sampler, self.recording)
+        self._hand_out_events()
         if n == self._batch:
             self._batch = 2 * n if seconds < 0.2 * LONGEST_CALL else max(1, n // 2)
         if self.at_sample:
@@ -217,6 +218,25 @@ class Run:
             if simulation.steps >= self._last_step:
                 self._stop(0, self.sampler.end)
         return taken
+
+    def _hand_out_events(self) -> None:
+        """
+        Publish, record, show and log the events since the last call.
+
+        Each is one message with one status, stamped with its own time. The status' message
+        describes the event; its values are the condition, the direction, the time, the named q and
+        p, and H, with all their digits.
+        """
+        if not isinstance(self._watched, WatchedSimulation):
+            return
+        for event in self._watched.take_events():
+            (stamp, step), text = self.sampler.place_of(event.t), str(event)
+            self._events.publish([Status(EVENT, OK, text, {
+                'when': event.when, 'direction': event.direction, 't [s]': repr(stamp / 1e9)}
+                | state_values(self.simulation.hamiltonian.coordinates, event.q, event.p)
+                | {'H [J]': repr(event.energy)})], stamp)
+            self.recording.event(text, 'INFO', (stamp, step))
+            log(self._node, text, 'INFO')
 
     def _hand_out(self) -> None:
         """Publish, record and show a sample; the log gets the very bytes that are published."""

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.bags.cdr import MOMENTUM
+from hnn_vi_ros.bags.cdr import MOMENTUM, Template
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Report, Twin
 from hnn_vi_ros.effects.commands import Command, Observation
@@ -13,8 +13,8 @@ from hnn_vi_ros.guards.bounds import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
-from hnn_vi_ros.ros.topics.messages import named_numbers
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.ros.topics.messages import encode_numbers, named_numbers
+from hnn_vi_ros.simulation import Simulation
 
 
 class SpreadTopic:
@@ -38,25 +38,19 @@ class SpreadTopic:
     def __init__(self, members: Members, hamiltonian: Hamiltonian, limit: float):
         self._members = members
         names, momenta = columns(hamiltonian.coordinates)
-        labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
-        self._labels = labels
-        self._template = named_numbers(labels)
+        self._labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
+        # Of a sample that tells the spread.
+        self.encode = encode_numbers(
+            named_numbers(self._labels),
+            lambda sample: None if sample.spread is None else [sample.spread], stamped=True)
         assert hamiltonian.box is not None, 'of a learned Hamiltonian there is one'
         self._box, self._limit = hamiltonian.box, limit
-        self.guard = self.make_guard()
+        self.make_guard()
 
     def make_guard(self) -> SpreadGuard:
         """Return what watches a run from its start on."""
         self.guard = SpreadGuard(lambda: self._members.spread, self._box, self._limit)
         return self.guard
-
-    def encode(self, sample: Sample) -> list[bytes]:
-        """Return the message of a sample, if it tells the spread."""
-        if sample.spread is None:
-            return []
-        self._template.numbers[0][:] = sample.spread
-        self._template.set_stamp(sample.stamp)
-        return [self._template.serialized()]
 
     def status(self) -> Status:
         """Return how far the members are apart."""
@@ -106,7 +100,7 @@ class TwinTopic:
                  ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int]):
         self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
-        self._template = named_numbers(labels)
+        self._template = Template(named_numbers(labels))
 
     def begin(self, simulation: Simulation) -> None:
         """See Companion."""

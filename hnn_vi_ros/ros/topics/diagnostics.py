@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The health of a run on /diagnostics, and its events, for the tools that every robot has."""
+"""Statuses on /diagnostics, and of events and answers, for the tools that every robot has."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -8,15 +8,12 @@ from typing import NamedTuple
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.phase_space import columns, Coordinate
-from hnn_vi_ros.ros.plumbing.rclpy_internals import log
-from hnn_vi_ros.ros.recording import Recording
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.events import WatchedSimulation
 import numpy as np
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+# The component of events.
+EVENT = 'event'
 
 
 class Status(NamedTuple):
@@ -85,45 +82,3 @@ def state_values(coordinates: Sequence[Coordinate], q: np.ndarray, p: np.ndarray
 
 def _shown(value: object) -> str:
     return f'{value:.6g}' if isinstance(value, float) else str(value)
-
-
-COMPONENT = 'event'
-
-
-class EventTopic:
-    """
-    Topic of events: each is one message with one status, stamped with its own time.
-
-    The status' message describes the event; its values are the condition, the direction, the
-    time, the named q and p, and H, with all their digits.
-
-    Parameters
-    ----------
-    node : Node
-        The simulator.
-    send : callable
-        Publishes and records a message: the bytes, and its stamp in the bag [ns].
-    scene : str
-        Name of the scene.
-    simulation : Simulation or WatchedSimulation
-        The latter where the scene has events.
-
-    """
-
-    def __init__(self, node: Node, send: Callable[[bytes, int | None], None], scene: str,
-                 simulation: Simulation | WatchedSimulation):
-        self._node, self._simulation = node, simulation
-        self._publisher = DiagnosticsPublisher(node, send, scene)
-
-    def hand_out(self, sampler: Sampler, recording: Recording) -> None:
-        """Publish, record, show and log the events since the last call."""
-        if not isinstance(self._simulation, WatchedSimulation):
-            return
-        for event in self._simulation.take_events():
-            (stamp, step), text = sampler.place_of(event.t), str(event)
-            self._publisher.publish([Status(COMPONENT, OK, text, {
-                'when': event.when, 'direction': event.direction, 't [s]': repr(stamp / 1e9)}
-                | state_values(self._simulation.hamiltonian.coordinates, event.q, event.p)
-                | {'H [J]': repr(event.energy)})], stamp)
-            recording.event(text, 'INFO', (stamp, step))
-            log(self._node, text, 'INFO')

@@ -24,7 +24,7 @@ from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # Makes the messages of a sample on one topic, serialised: usually one.
@@ -40,7 +40,7 @@ def encode_state(coordinates: Sequence[Coordinate]) -> Encode:
     """Return the encoder of ~/state: q, p, dp/dt, H and the work, by their names."""
     names, momenta = columns(coordinates)
     labels, turning = state_names(names, momenta), rotations(coordinates)
-    template = named_numbers(labels)
+    template = Template(named_numbers(labels))
     q, p, dp_dt, scalars = np.split(
         template.numbers[0], [len(names), len(labels) - 2 - len(momenta), len(labels) - 2])
 
@@ -53,24 +53,40 @@ def encode_state(coordinates: Sequence[Coordinate]) -> Encode:
     return encode
 
 
+def encode_numbers(message: Any, values: Callable[[Sample], Sequence[Any] | None],
+                   stamped: bool = False) -> Encode:
+    """
+    Return the encoder of a message in which only numbers change.
+
+    Parameters
+    ----------
+    message : message
+        All messages share its strings and lengths.
+    values : callable
+        Returns what its numbers and lists of numbers are for a sample, in the order of its fields;
+        None for no message.
+    stamped : bool, optional
+        Whether it begins with a header, which takes the stamp of the sample.
+
+    """
+    template = Template(message)
+
+    def encode(sample: Sample) -> list[bytes]:
+        found = values(sample)
+        if found is None:
+            return []
+        # A message whose lists are all empty has no numbers.
+        for numbers, own in zip(template.numbers, found, strict=bool(template.numbers)):
+            numbers[:] = own
+        if stamped:
+            template.set_stamp(sample.stamp)
+        return [template.serialized()]
+    return encode
+
+
 def encode_array(names: Sequence[str], values: Callable[[Sample], np.ndarray]) -> Encode:
     """Return the encoder of an array, whose label names its entries."""
-    template = Template(array_message(names))
-
-    def encode(sample: Sample) -> list[bytes]:
-        template.numbers[0][:] = values(sample)
-        return [template.serialized()]
-    return encode
-
-
-def encode_energy(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return the encoder of ~/energy."""
-    template = Template(Float64())
-
-    def encode(sample: Sample) -> list[bytes]:
-        template.numbers[0][0] = sample.energy
-        return [template.serialized()]
-    return encode
+    return encode_numbers(array_message(names), lambda sample: [values(sample)])
 
 
 def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
@@ -85,22 +101,15 @@ def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
     of_q, of_p = (slice(None) if len(scalar) == len(coordinates) else [
         own.index(name) for name in scalar] for own in columns(coordinates))
     zeros = array('d', [0.0] * len(scalar))
-    template = Template(JointState(name=scalar, position=zeros, velocity=zeros, effort=zeros))
-
-    def encode(sample: Sample) -> list[bytes]:
-        # A message without joints has no numbers.
-        if scalar:
-            position, velocity, effort = template.numbers
-            position[:], velocity[:] = sample.q[of_q], sample.dH_dp[of_p]
-            effort[:] = 0.0 if sample.motors is None else sample.motors[of_p]
-        template.set_stamp(sample.stamp)
-        return [template.serialized()]
-    return encode
+    return encode_numbers(
+        JointState(name=scalar, position=zeros, velocity=zeros, effort=zeros),
+        lambda sample: (sample.q[of_q], sample.dH_dp[of_p], 0.0 if sample.motors is None
+                        else sample.motors[of_p]), stamped=True)
 
 
-def named_numbers(labels: Sequence[str]) -> Template:
-    """Return the template of a list of numbers with names and a stamp, as joint states."""
-    return Template(JointState(name=list(labels), position=array('d', [0.0] * len(labels))))
+def named_numbers(labels: Sequence[str]) -> JointState:
+    """Return a list of numbers with names and a stamp, as joint states."""
+    return JointState(name=list(labels), position=array('d', [0.0] * len(labels)))
 
 
 def array_message(names: Sequence[str]) -> Float64MultiArray:
@@ -290,9 +299,11 @@ class AccuracyEncoder:
         return [self._message.serialized()]
 
 
-class TrajectoryFeedback:
+def encode_feedback(simulation: Simulation) -> Encode:
     """
-    Serialise ~/joint_trajectory_state: three points, the reference, what is, and their difference.
+    Return the encoder of ~/joint_trajectory_state, while the servo follows a path.
+
+    Its three points are the reference, what is, and their difference.
 
     Parameters
     ----------
@@ -300,29 +311,24 @@ class TrajectoryFeedback:
         With a servo, whose joints are always the same.
 
     """
+    motors = simulation.motors
+    assert motors.aim is not None, 'of a servo'
+    names = list(motors.aim.names)
+    zeros = array('d', [0.0] * len(names))
 
-    def __init__(self, simulation: Simulation):
-        assert simulation.motors.aim is not None, 'of a servo'
-        self._motors, names = simulation.motors, simulation.motors.aim.names
-        zeros = array('d', [0.0] * len(names))
-        self._template = Template(JointTrajectory(joint_names=list(names), points=[
-            JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
-            JointTrajectoryPoint(positions=zeros, velocities=zeros, effort=zeros),
-            JointTrajectoryPoint(positions=zeros, velocities=zeros)]))
-
-    def encode(self, sample: Sample) -> list[bytes]:
-        """Return the message of a sample, the newest one, if the servo follows a path there."""
-        aim = self._motors.aim
+    def values(sample: Sample) -> tuple[np.ndarray, ...] | None:
+        aim = motors.aim
         if aim is None or not aim.on_path:
-            return []
+            return None
         position, velocity = sample.q[aim.columns], sample.dH_dp[aim.columns]
         effort = np.zeros(len(aim.names)) if sample.motors is None else sample.motors[aim.columns]
-        for numbers, values in zip(self._template.numbers, (
-                *aim.targets, position, velocity, effort, aim.targets[0] - position,
-                aim.targets[1] - velocity), strict=True):
-            numbers[:] = values
-        self._template.set_stamp(sample.stamp)
-        return [self._template.serialized()]
+        return (*aim.targets, position, velocity, effort, aim.targets[0] - position,
+                aim.targets[1] - velocity)
+
+    return encode_numbers(JointTrajectory(joint_names=names, points=[
+        JointTrajectoryPoint(positions=zeros, velocities=zeros, accelerations=zeros),
+        JointTrajectoryPoint(positions=zeros, velocities=zeros, effort=zeros),
+        JointTrajectoryPoint(positions=zeros, velocities=zeros)]), values, stamped=True)
 
 
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)

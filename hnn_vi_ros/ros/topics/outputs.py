@@ -13,8 +13,8 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic
 from hnn_vi_ros.ros.topics.inputs import NEWEST, OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import (
-    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_energy, encode_joints,
-    encode_state, TrajectoryFeedback)
+    AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_feedback, encode_joints,
+    encode_numbers, encode_state)
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Simulation
@@ -153,7 +153,8 @@ OUTPUTS = (
            encode_array(columns(coordinates)[0], lambda sample: sample.q)),
     Output('~/p', Float64MultiArray, TICKS, recorded='tick', encoder=lambda coordinates:
            encode_array(columns(coordinates)[1], lambda sample: sample.p)),
-    Output('~/energy', Float64, TICKS, recorded='tick', encoder=encode_energy),
+    Output('~/energy', Float64, TICKS, recorded='tick', encoder=lambda coordinates:
+           encode_numbers(Float64(), lambda sample: [sample.energy])),
     Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints), ACCURACY,
     Output('~/odometry', Odometry, TICKS,
            lambda settings, run: run and run.simulation.hamiltonian.rotations,
@@ -163,7 +164,7 @@ OUTPUTS = (
            _markers),
     Output('~/joint_trajectory_state', JointTrajectory, TICKS,
            lambda settings, run: run and run.simulation.motors.aim is not None,
-           lambda run, publisher: TrajectoryFeedback(run.simulation).encode, 'apart'),
+           lambda run, publisher: encode_feedback(run.simulation), 'apart'),
     Output('~/uncertainty', JointState, TICKS, lambda settings, run: run and run.spread,
            lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,

@@ -144,13 +144,11 @@ def _marker(name: str, frame_id: str, part: Part) -> Marker:
     color = marker.color
     color.r, color.g, color.b = (channel / 255.0 for channel in part.color)
     color.a = 1.0
-    if isinstance(part, Line):
+    if isinstance(part, (Line, Trail)):
         marker.type = Marker.LINE_STRIP
         marker.scale.x = 2.0 * part.radius
-        marker.points = [Point() for _ in range(part.points.shape[-2])]
-    elif isinstance(part, Trail):
-        marker.type = Marker.LINE_STRIP
-        marker.scale.x = 2.0 * part.radius
+        if isinstance(part, Line):
+            marker.points = [Point() for _ in range(part.points.shape[-2])]
     else:
         marker.type = Marker.SPHERE if isinstance(part, Ball) else Marker.CUBE
         half_sizes = 3 * (part.radius,) if isinstance(part, Ball) else part.half_size

@@ -10,7 +10,7 @@ from typing import Any
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
-from hnn_vi_ros.ros.plumbing.graph import UNDELIVERED, wait_for_delivery
+from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, create_subscription, Endpoint
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH
@@ -174,9 +174,8 @@ class Topics:
 
     def wait_for_delivery(self, received: Sequence[int]) -> None:
         """Let matched subscribers receive what is still on its way; signals shorten it."""
-        if late := wait_for_delivery([self._publishers[output.topic] for output in (
-                *self._ticks, DIAGNOSTICS)], received):
-            self._node.get_logger().warning(UNDELIVERED.format(late))
+        wait_for_delivery(self._node, [self._publishers[output.topic] for output in (
+            *self._ticks, DIAGNOSTICS)], received)
 
     @property
     def _ticks(self) -> list[Output]:
