@@ -311,7 +311,12 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
             best, bound = (found, parts), found.tried[parts].cost
     if best is None:
         raise CalibrationError(_refusal(tolerance, base, searches))
-    return _choice(problem, *best, known, largest_step)
+    found, parts = best
+    trial, h = found.tried[parts], base / parts
+    return Choice(found.method.kind, h, trial.error, trial.checked,
+                  _seconds(problem, found.method, h, trial), trial.cost,
+                  dict(found.method.arguments), known.energy_scale,
+                  largest_step if parts == 1 else None)
 
 
 def _candidates(known: PathSurvey) -> Iterator[Method]:
@@ -330,15 +335,6 @@ def _first_step(method: Method, known: PathSurvey) -> float:
         # Its steps are shortened where it takes them, by the force to the power of 3/4.
         step *= (known.strongest / method.arguments['force']) ** 0.75
     return step
-
-
-def _choice(problem: InitialValueProblem, found: StepSearch, parts: int, known: PathSurvey,
-            largest_step: float | None) -> Choice:
-    trial, h = found.tried[parts], found.base / parts
-    return Choice(found.method.kind, h, trial.error, trial.checked,
-                  _seconds(problem, found.method, h, trial), trial.cost,
-                  dict(found.method.arguments), known.energy_scale,
-                  largest_step if parts == 1 else None)
 
 
 def _seconds(problem: InitialValueProblem, method: Method, h: float, trial: Trial) -> float:

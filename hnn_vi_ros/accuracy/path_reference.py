@@ -2,12 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path that trials are measured against, and how far it can be known."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.accuracy.trials import (
-    carried, ENOUGH, FAILED, InitialValueProblem, PathSurvey, Tolerance, Trial)
+    InitialValueProblem, judged, PathSurvey, Tolerance, Trial)
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
@@ -309,20 +310,13 @@ class PathJudge:
         every, apart = instants.met(round(instants.base / simulation.step_size))
         reference = states[apart - 1::apart]
         extent = len(reference) * apart * instants.gap
-        most = min(4.0 * PATIENCE * self._limit, bound * extent)
-        errors: list[float] = []
-        cost, done = math.inf, 0
-        while done < len(reference):
-            more = min(_CHUNK, len(reference) - done)
-            try:
-                found = np.hstack(simulation.record(more, every))
-            except StepFailure:
-                return FAILED
-            errors.append(float(np.abs(found - reference[done:done + more]).max()))
-            done += more
-            cost = simulation.gradients / simulation.time
-            dear = simulation.gradients > most and done < len(reference)
-            if dear or errors[-1] > ENOUGH * self.tolerance.error:
-                return Trial(max(errors), simulation.time, cost, False, dear)
-        return Trial(carried(errors, simulation.time, self.tolerance.horizon, 1.0),
-                     simulation.time, cost)
+
+        def errors() -> Iterator[float]:
+            for done in range(0, len(reference), _CHUNK):
+                part = reference[done:done + _CHUNK]
+                found = np.hstack(simulation.record(len(part), every))
+                yield float(np.abs(found - part).max())
+
+        # Rounding of the time does not count: it is over at the last instant.
+        return judged(simulation, errors(), self.tolerance, extent * (1.0 - 1e-9),
+                      min(4.0 * PATIENCE * self._limit, bound * extent), 1.0)

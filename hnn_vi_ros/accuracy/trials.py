@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs that measure error and cost of a method at a step size, and the survey of a path."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from typing import Any, Protocol
@@ -224,32 +224,57 @@ class EnergyJudge:
         h = simulation.step_size
         steps = math.ceil(self.tolerance.horizon / h * (1.0 - 1e-12))
         every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
-        count = math.ceil(steps / every)
-        most = min(4.0 * self._limit, bound * self._extent)
-        start = simulation.energy
-        errors: list[float] = []
-        while simulation.steps < every * count:
-            try:
-                errors.append(self._next(simulation, every, count, start))
-            except StepFailure:
-                return FAILED
-            cost = simulation.gradients / simulation.time
-            dear = simulation.gradients > most and simulation.time < self._extent
-            if dear or max(errors) > ENOUGH * self.tolerance.error:
-                return Trial(max(errors), simulation.time, cost, False, dear)
-            if simulation.gradients > self._limit and simulation.time >= self._extent:
-                break
-        return Trial(carried(errors, simulation.time, self.tolerance.horizon, 0.0),
-                     simulation.time, cost)
+        return judged(simulation, self._errors(simulation, every, math.ceil(steps / every)),
+                      self.tolerance, self._extent, min(4.0 * self._limit, bound * self._extent),
+                      0.0, self._limit)
 
-    def _next(self, simulation: Simulation, every: int, count: int, start: float) -> float:
-        """Return the largest error of the next samples."""
-        if not self._conservative:
-            simulation.advance(every)
-            return abs(simulation.energy_balance) / self._scale
-        more = min(_CHUNK, count - simulation.steps // every)
-        energy = simulation.hamiltonian.energy(*simulation.record(more, every))
-        return float(np.abs(energy - start).max()) / self._scale
+    def _errors(self, simulation: Simulation, every: int, count: int) -> Iterator[float]:
+        """Yield the largest error of the next samples, of ``count`` that are ``every`` apart."""
+        start = simulation.energy
+        while (left := count - simulation.steps // every) > 0:
+            if self._conservative:
+                energy = simulation.hamiltonian.energy(
+                    *simulation.record(min(_CHUNK, left), every))
+                yield float(np.abs(energy - start).max()) / self._scale
+            else:
+                simulation.advance(every)
+                yield abs(simulation.energy_balance) / self._scale
+
+
+def judged(simulation: Simulation, errors: Iterable[float], tolerance: Tolerance, extent: float,
+           most: float, least: float, enough: float = math.inf) -> Trial:
+    """
+    Return what the errors of a simulation show, which is taken on by asking for the next.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Where it begins.
+    errors : iterable of float
+        The largest of some more samples each, up to the horizon.
+    tolerance : Tolerance
+        What must be held.
+    extent : float
+        Simulated time that must be seen [s].
+    most, enough : float
+        Gradients that it may take up to there, and from which on no more than that is seen.
+    least : float
+        See ``carried``.
+
+    """
+    seen: list[float] = []
+    try:
+        for error in errors:
+            seen.append(error)
+            time, cost = simulation.time, simulation.gradients / simulation.time
+            dear = simulation.gradients > most and time < extent
+            if dear or error > ENOUGH * tolerance.error:
+                return Trial(max(seen), time, cost, False, dear)
+            if simulation.gradients > enough and time >= extent:
+                break
+    except StepFailure:
+        return FAILED
+    return Trial(carried(seen, time, tolerance.horizon, least), time, cost)
 
 
 def carried(errors: list[float], t: float, horizon: float, least: float) -> float:

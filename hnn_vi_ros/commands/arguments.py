@@ -9,6 +9,13 @@ from hnn_vi_ros.command_line import complete_by, named, Parser, seconds
 SHELLS = ('bash', 'zsh', 'tcsh')
 
 
+def _add_run(parser: Parser) -> None:
+    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
+        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
+    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
+                        help='simulated time [s] (default: 10)')
+
+
 def run() -> Parser:
     """Return the parser of ``run``."""
     parser = Parser('run', (
@@ -16,10 +23,7 @@ def run() -> Parser:
             'hnn run pendulum',
             'hnn run kepler --duration 100 --integrator gauss8 --step-size 0.02 --csv kepler.csv',
             'hnn run double_pendulum --plot motion.png --animate motion.gif --rerun motion.rrd'])
-    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
-    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
-                        help='simulated time [s] (default: 10)')
+    _add_run(parser)
     parser.add_argument('--step-size', type=seconds, metavar='SECONDS',
                         help="h [s], in place of the scene's")
     complete_by(parser.add_argument('--integrator', metavar='NAME', help=(
@@ -76,12 +80,9 @@ def cost() -> Parser:
         'units. Where no\npath is known so long, as in chaos, it is that of the energy, over the '
         'size of the energies in play.\nTimes are those of the processor. Exit status: 0; 1 if '
         'no method holds --error.'))
-    complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
+    _add_run(parser)
     parser.add_argument('--error', type=float, metavar='E', help=(
         'say what to take for an error of this size'))
-    parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
-                        help='simulated time [s] (default: 10)')
     parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
         'processor time that may be taken, about, compilation included [s] (default: 60)'))
     parser.add_argument('--plot', type=Path, metavar='FILE', help=(

@@ -19,15 +19,13 @@ from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 from hnn_vi_ros.version import __version__
 
-# Import names with the names on PyPI: packages that simulating needs, and optional ones.
-_NEEDED = {'numpy': 'numpy', 'numba': 'numba', 'llvmlite': 'llvmlite', 'scipy': 'scipy',
-           'pydantic': 'pydantic', 'yaml': 'PyYAML', 'safetensors': 'safetensors',
-           'mcap': 'mcap', 'contourpy': 'contourpy'}
-_OPTIONAL = {'rerun': ('rerun-sdk', 'the viewer'), 'matplotlib': ('matplotlib', 'figures'),
-             'torch': ('torch', 'training'),
-             'pandas': ('pandas', 'to_dataframe'), 'xarray': ('xarray', 'to_xarray'),
-             'pyarrow': ('pyarrow', 'sweeps'), 'ray': ('ray', 'sweep --ray'),
-             'shtab': ('shtab', 'completion')}
+# Import names of packages that simulating needs, and of optional ones; names on PyPI that differ.
+_NEEDED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetensors', 'mcap',
+           'contourpy')
+_OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
+             'pandas': 'to_dataframe', 'xarray': 'to_xarray', 'pyarrow': 'sweeps',
+             'ray': 'sweep --ray', 'shtab': 'completion'}
+_ON_PYPI = {'rerun': 'rerun-sdk', 'yaml': 'PyYAML'}
 
 
 class Finding(NamedTuple):
@@ -62,17 +60,13 @@ def _here() -> Iterator[Finding]:
 
 
 def _packages() -> Iterator[Finding]:
-    for module, name in _NEEDED.items():
-        if find_spec(module) is None:
-            yield Finding(name, 'wrong', f'absent; install it with: {pip_command(module)}')
-        else:
+    for module in (*_NEEDED, *_OPTIONAL):
+        name, what = _ON_PYPI.get(module, module), _OPTIONAL.get(module)
+        if find_spec(module) is not None:
             yield Finding(name, 'ok', _version(name))
-    for module, (name, what) in _OPTIONAL.items():
-        if find_spec(module) is None:
-            yield Finding(
-                name, 'absent', f'only for {what}; install it with: {pip_command(module)}')
         else:
-            yield Finding(name, 'ok', _version(name))
+            state, reason = ('absent', f'only for {what}') if what else ('wrong', 'absent')
+            yield Finding(name, state, f'{reason}; install it with: {pip_command(module)}')
 
 
 def _version(name: str) -> str:
@@ -85,15 +79,9 @@ def _version(name: str) -> str:
 def _kernels() -> Finding:
     """Look where compiled code is kept: in the package's own folders, or in that of the user."""
     package = Path(__file__).resolve().parents[1]
-    chosen = os.environ.get('NUMBA_CACHE_DIR')
-    if chosen:
-        folder = Path(chosen)
-    elif os.access(package, os.W_OK):
-        folder = package
-    else:
-        folder = cache_folder() / 'numba'
-    files = [file for suffix in ('nbi', 'nbc') for file in folder.rglob(f'*.{suffix}')] \
-        if folder.is_dir() else []
+    usual = package if os.access(package, os.W_OK) else cache_folder() / 'numba'
+    folder = Path(os.environ.get('NUMBA_CACHE_DIR') or usual)
+    files = [*folder.rglob('*.nb[ic]')]
     size = sum(file.stat().st_size for file in files) / 1e6
     if not can_be_written(folder):
         return Finding('kernel cache', 'wrong', f'{folder} cannot be written: each start compiles '

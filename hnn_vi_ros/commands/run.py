@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate a scene without ROS, and draw, show or keep its trajectory."""
 
-from argparse import Namespace
 from collections.abc import Callable, Mapping
 from functools import partial
 import os
@@ -85,22 +84,18 @@ def main(argv: list[str]) -> int:
     options = arguments.run().parse_args(argv)
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
     check_outputs(paths)
-    trajectory = _simulated(options)
+    try:
+        trajectory = simulate(
+            options.scene, options.duration, step_size=options.step_size,
+            integrator=options.integrator, every=options.every)
+    except ValueError as problem:
+        raise ParameterError(str(problem)) from problem
     print(trajectory)
     for event in trajectory.events:
         print(f'event {event}')
     write_outputs(paths, {option: partial(write, trajectory)
                           for option, write in _WRITERS.items()})
     return 0
-
-
-def _simulated(options: Namespace) -> Trajectory:
-    try:
-        return simulate(
-            options.scene, options.duration, step_size=options.step_size,
-            integrator=options.integrator, every=options.every)
-    except ValueError as problem:
-        raise ParameterError(str(problem)) from problem
 
 
 def _write_csv(trajectory: Trajectory, path: Path) -> None:

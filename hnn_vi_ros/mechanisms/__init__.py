@@ -379,30 +379,20 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-MECHANISMS: dict[str, Mechanism] = {
-    'bouncing_mass': bouncing_mass,
-    'cartesian_pendulum': cartesian_pendulum,
-    'charged_particle': charged_particle,
-    'double_pendulum': double_pendulum,
-    'henon_heiles': henon_heiles,
-    'kepler': kepler,
-    'mass_spring': mass_spring,
-    'pendulum': pendulum,
-    'spring_chain': spring_chain,
-    'turning_body': turning_body,
+# Each mechanism, and the numbers of columns of q that it draws.
+_COLUMNS: dict[Mechanism, Sequence[int]] = {
+    bouncing_mass: (1,),
+    cartesian_pendulum: (2, 3),
+    charged_particle: (2,),
+    double_pendulum: (2,),
+    henon_heiles: (2,),
+    kepler: (2,),
+    mass_spring: (1,),
+    pendulum: (1,),
+    spring_chain: range(2, 2 * MOST_PAIRS + 1, 2),
+    turning_body: (4, 7),
 }
+MECHANISMS = {draw.__name__: draw for draw in _COLUMNS}
+COORDINATES = {draw.__name__: columns for draw, columns in _COLUMNS.items()}
 # Those of bodies that turn.
 TURNING = frozenset(('turning_body',))
-# The numbers of columns of q that each of them draws.
-COORDINATES: dict[str, Sequence[int]] = {
-    'bouncing_mass': (1,),
-    'cartesian_pendulum': (2, 3),
-    'charged_particle': (2,),
-    'double_pendulum': (2,),
-    'henon_heiles': (2,),
-    'kepler': (2,),
-    'mass_spring': (1,),
-    'pendulum': (1,),
-    'spring_chain': range(2, 2 * MOST_PAIRS + 1, 2),
-    'turning_body': (4, 7),
-}

@@ -36,12 +36,6 @@ class Frame:
     p: tuple[float, float]
 
 
-def frames_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-              box: tuple[np.ndarray, np.ndarray] | None, count: int) -> list[Frame]:
-    """Return what :func:`frame_of` chooses for each of the first coordinates."""
-    return [frame_of(axis, hamiltonian, q0, p0, box) for axis in range(count)]
-
-
 def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
             box: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
     """Return the lowest and the highest q, shape (2, d), with the attitudes of the start."""

@@ -172,19 +172,15 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
     stream.log('/world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
     for name, part in parts.items():
         still: rr.AsComponents
-        if isinstance(part, Line):
+        if isinstance(part, Line | Trail):
+            strips = [part.points] if isinstance(part, Line) and not part.moves else None
             still = rr.LineStrips3D.from_fields(
-                strips=None if part.moves else [part.points], radii=[part.radius],
-                colors=[part.color])
-        elif isinstance(part, Trail):
-            still = rr.LineStrips3D.from_fields(radii=[part.radius], colors=[part.color])
-        elif isinstance(part, Ball):
-            still = rr.Ellipsoids3D.from_fields(
-                centers=None if part.moves else [part.center], half_sizes=[3 * [part.radius]],
-                colors=[part.color], fill_mode=rr.components.FillMode.Solid)
+                strips=strips, radii=[part.radius], colors=[part.color])
         else:
-            still = rr.Boxes3D.from_fields(
-                centers=None if part.moves else [part.center], half_sizes=[part.half_size],
+            kind, half_size = (rr.Ellipsoids3D, 3 * (part.radius,)) if isinstance(
+                part, Ball) else (rr.Boxes3D, part.half_size)
+            still = kind.from_fields(
+                centers=None if part.moves else [part.center], half_sizes=[half_size],
                 colors=[part.color], fill_mode=rr.components.FillMode.Solid)
         stream.log(part_path(name), still, static=True, strict=True)
 

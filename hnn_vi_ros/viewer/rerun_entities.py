@@ -15,7 +15,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
-from hnn_vi_ros.viewer.phase_portrait import fitted, frames_of
+from hnn_vi_ros.viewer.phase_portrait import fitted, frame_of
 from hnn_vi_ros.viewer.rerun_blueprint import PALETTE
 import numpy as np
 import rerun as rr
@@ -362,7 +362,7 @@ class Portraits:
                  side: float):
         self._recording, self._hamiltonian, self._boxed = recording, hamiltonian, box is not None
         self._start, self._side = (q0, p0), side
-        self._frames = frames_of(hamiltonian, q0, p0, box, count)
+        self._frames = [frame_of(axis, hamiltonian, q0, p0, box) for axis in range(count)]
         # The newest (q, p) of each, and the lowest and highest: shapes (count, 2), (count, 2, 2).
         self._last: np.ndarray | None = None
         self._path = np.tile([np.inf, -np.inf], (count, 2, 1))

@@ -155,10 +155,6 @@ def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(m
     assert calibrate(mine, tolerance).gradients_per_simulated_second <= 1.5 * least
 
 
-def test_there_are_twenty_held_back_pairs():
-    assert len(PAIRS) >= 20
-
-
 def test_step_divides_the_time_between_two_samples():
     choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-4, 100.0), 0.01)
     parts = 0.01 / choice.step_size

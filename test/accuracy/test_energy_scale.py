@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
 
+from helpers import kepler_orbit
 from hnn_vi_ros.accuracy.diagnostics import (
     energy_band, energy_scale, EnergyScale, rounding_walk, secular_change)
 from hnn_vi_ros.effects import EFFECTS
@@ -32,23 +33,12 @@ def path(motion: Motion, periods: float) -> tuple[np.ndarray, np.ndarray]:
     return states[:, 0], states[:, 1]
 
 
-def orbit(eccentricity: float, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the exact orbit of kepler() between two mean anomalies, by Kepler's equation."""
-    mean = np.linspace(start, end, 4001)
-    E = mean + eccentricity * np.sin(mean)
-    for _ in range(50):
-        E -= (E - eccentricity * np.sin(E) - mean) / (1.0 - eccentricity * np.cos(E))
-    minor, rate = np.sqrt(1.0 - eccentricity ** 2), 1.0 / (1.0 - eccentricity * np.cos(E))
-    return (np.stack([np.cos(E) - eccentricity, minor * np.sin(E)], axis=1),
-            np.stack([-np.sin(E) * rate, minor * np.cos(E) * rate], axis=1))
-
-
 @pytest.mark.parametrize('eccentricity', [0.0, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize('start', [0.0, np.pi, 2.0])
 def test_energy_scale_of_an_orbit_does_not_depend_on_where_it_starts(eccentricity, start):
     """The virial theorem makes it 2 abs(H) = 1 J over whole periods."""
-    scale = energy_scale(HAMILTONIANS['kepler'](), *orbit(
-        eccentricity, start, start + 6.0 * np.pi))
+    scale = energy_scale(HAMILTONIANS['kepler'](), *kepler_orbit(
+        np.linspace(start, start + 6.0 * np.pi, 4001), eccentricity))
     # A circle never turns energy over, so that its potential counts too: the largest value of
     # (1 / r + v^2) / 2 = 1. Else the mean leaves out up to a sample of 1.3 ms at a pericentre
     # where v^2 is 199.
@@ -57,7 +47,8 @@ def test_energy_scale_of_an_orbit_does_not_depend_on_where_it_starts(eccentricit
 
 def test_energy_scale_is_of_a_period_after_one_period():
     """From the pericentre, where abs(q . H_q) + abs(p . H_p) is 29 J, it comes down in time."""
-    scale = energy_scale(HAMILTONIANS['kepler'](), *orbit(0.9, 0.0, 2.0 * np.pi))
+    scale = energy_scale(HAMILTONIANS['kepler'](), *kepler_orbit(
+        np.linspace(0.0, 2.0 * np.pi, 4001), 0.9))
     assert scale == pytest.approx(1.0, abs=0.03)
 
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 
 from hnn_vi_ros.commands.scene_tool import lyapunov_line, main
-from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.run.scene_report import measure_effects
@@ -165,11 +164,6 @@ def test_explain_says_why_a_lyapunov_time_is_not_measured():
     assert line.startswith('Lyapunov time: not measured: thermostat, impact')
 
 
-def test_explain_answers_a_wrong_scene_with_a_typed_error():
-    with pytest.raises(SceneError, match='nothing'):
-        main(['--explain', 'nothing'])
-
-
 def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():
     parts = load_scene('exact_harmonic_oscillator').parts()
     costs = measure_effects(parts, batches=3, batch_time=1e-3)
@@ -185,10 +179,6 @@ def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effe
         'initial_state: {q: [1.0], p: [0.0]}\n')
     costs = measure_effects(load_scene(path).parts(), batches=3, batch_time=2e-3)
     assert costs.total > 0.0 and math.isnan(costs.bare) and math.isnan(costs.added['damping'])
-
-
-def test_scene_schema_holds_every_field_of_the_scene():
-    assert list(SCHEMA['properties']) == list(Scene.model_fields)
 
 
 def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):

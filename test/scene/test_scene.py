@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
 from hypothesis import given, HealthCheck, settings, strategies
@@ -75,16 +75,6 @@ print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), fi
     result = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                             timeout=120, check=False)
     assert (result.returncode, result.stderr) == (0, '[]\n')
-
-
-@pytest.mark.parametrize('name', shipped_names('scene'))
-def test_shipped_scene_is_valid(name):
-    assert load_scene(name).name == name
-
-
-def test_unknown_scene_names_the_shipped_ones():
-    with pytest.raises(SceneError, match='harmonic_oscillator'):
-        load_scene('pendulumm')
 
 
 @pytest.mark.parametrize('old, new, expected', [

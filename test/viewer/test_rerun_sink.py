@@ -57,6 +57,19 @@ def record(path: Path, count: int, **options) -> list[Sample]:
     return samples
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / 'recording.rrd'
+
+
+@pytest.fixture(scope='module')
+def drawn(tmp_path_factory) -> tuple[Path, list[Sample], dict]:
+    """Record a mass on a spring once; give the file, the samples, and the entities in it."""
+    path = tmp_path_factory.mktemp('drawn') / 'recording.rrd'
+    samples = record(path, 50, interval=0, mechanism=MECHANISMS['mass_spring'])
+    return path, samples, read(path)
+
+
 def still_entities(path: Path) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(path).stream() if chunk.is_static}
 
@@ -69,10 +82,8 @@ def test_recording_is_accepted_by_the_viewers_own_check(tmp_path: Path):
     assert check.returncode == 0, check.stderr
 
 
-def test_recording_holds_every_entity_and_a_blueprint(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
-    record(path, 50, interval=0, mechanism=MECHANISMS['mass_spring'])
-    entities = read(path)
+def test_recording_holds_every_entity_and_a_blueprint(drawn):
+    path, _, entities = drawn
     assert set(entities) == {*SERIES, *DRAWN}
     assert all(len(rows['step']) == 50 for rows in entities.values())
     assert {'/phase/x', '/phase/x/contours', '/phase/x/frame', '/phase/x/labels', '/world/wall',
@@ -81,8 +92,7 @@ def test_recording_holds_every_entity_and_a_blueprint(tmp_path: Path):
     assert len(RrdReader(path).blueprints()) == 2
 
 
-def test_frame_in_a_closed_recording_holds_the_path(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_frame_in_a_closed_recording_holds_the_path(path: Path):
     sink = RerunSink('test', path, HarmonicOscillator(), np.array([1.0]), np.array([0.0]),
                      interval=0)
     for sample in oscillate(3):
@@ -98,16 +108,13 @@ def test_frame_in_a_closed_recording_holds_the_path(tmp_path: Path):
     assert after[1] == pytest.approx(-0.125, rel=1e-6)
 
 
-def test_recording_without_a_mechanism_has_no_world(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_recording_without_a_mechanism_has_no_world(path: Path):
     record(path, 5)
     assert not any(entity.startswith('/world') for entity in {*read(path), *still_entities(path)})
 
 
-def test_values_and_times_read_back_equal_those_written(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
-    samples = record(path, 50, interval=0, mechanism=MECHANISMS['mass_spring'])
-    entities = read(path)
+def test_values_and_times_read_back_equal_those_written(drawn):
+    _, samples, entities = drawn
     expected = ([s.q[0] for s in samples], [s.p[0] for s in samples],
                 [s.energy for s in samples], [s.modified_energy for s in samples],
                 [s.energy_error for s in samples])
@@ -119,8 +126,7 @@ def test_values_and_times_read_back_equal_those_written(tmp_path: Path):
         assert rows['ros_time'] == [EPOCH + s.stamp for s in samples]
 
 
-def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(path: Path):
     sink = open_sink(path, interval=0, conservative=False)
     for sample in oscillate(3):
         sink.write(replace(sample, work=-0.1 * sample.step))
@@ -130,8 +136,8 @@ def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(tm
     assert entities['/energy/work']['Scalars:scalars'] == [[0.0], [-0.1], [-0.2]]
 
 
-def test_recording_shows_the_invariants_by_their_names(tmp_path: Path):
-    path, oscillator = tmp_path / 'recording.rrd', HarmonicOscillator()
+def test_recording_shows_the_invariants_by_their_names(path: Path):
+    oscillator = HarmonicOscillator()
     oscillator.invariants = {'twice_x': lambda q, p: 2.0 * q[0], 'p': lambda q, p: p[0]}
     sink = RerunSink('test', path, oscillator, np.array([1.0]), np.array([0.0]), box=BOX,
                      interval=0)
@@ -156,12 +162,10 @@ def test_label_of_the_energy_error_says_what_it_is(relative, conservative, modif
     assert ('/energy/modified' in labels) is (conservative and modified)
 
 
-def test_trail_joins_each_state_to_the_one_before(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
-    samples = record(path, 50, interval=0)
+def test_trail_joins_each_state_to_the_one_before(drawn):
+    _, samples, entities = drawn
     # Positions are float32 in the viewer.
     states = np.array([[s.q[0], s.p[0]] for s in samples], dtype=np.float32)
-    entities = read(path)
     points = np.array(entities['/phase/x/state']['Points2D:positions'])[:, 0]
     segments = np.array(entities['/phase/x/trail']['LineStrips2D:strips'])[:, 0]
     np.testing.assert_array_equal(points, states)
@@ -169,28 +173,24 @@ def test_trail_joins_each_state_to_the_one_before(tmp_path: Path):
     np.testing.assert_array_equal(segments[1:, 0], states[:-1])
 
 
-def test_mass_is_drawn_where_q_is(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
-    samples = record(path, 50, interval=0, mechanism=MECHANISMS['mass_spring'])
-    centers = np.array(read(path)['/world/mass']['Boxes3D:centers'])[:, 0]
+def test_mass_is_drawn_where_q_is(drawn):
+    _, samples, entities = drawn
+    centers = np.array(entities['/world/mass']['Boxes3D:centers'])[:, 0]
     np.testing.assert_array_equal(centers[:, 0], np.float32([s.q[0] for s in samples]))
 
 
-def test_decimation_keeps_one_sample_an_interval_and_the_last(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_decimation_keeps_one_sample_an_interval_and_the_last(path: Path):
     record(path, 100, interval=4 * STEP)
     assert read(path)['/state/q']['step'] == [*range(0, 100, 4), 99]
 
 
-def test_decimation_keeps_its_mean_rate_when_the_samples_do_not_fit(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_decimation_keeps_its_mean_rate_when_the_samples_do_not_fit(path: Path):
     record(path, 1001)
     # 30 Hz from 100 Hz over 10 s: samples 0 to 1000 give 301 rows, the last one included.
     assert len(read(path)['/state/q']['step']) == 301
 
 
-def test_events_stand_at_the_newest_sample(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_events_stand_at_the_newest_sample(path: Path):
     sink = open_sink(path)
     sink.event('start')
     for sample in oscillate(12):
@@ -203,9 +203,8 @@ def test_events_stand_at_the_newest_sample(tmp_path: Path):
     assert rows['step'] == [0, 11]
 
 
-def test_events_before_the_first_sample_stand_at_the_initial_state(tmp_path: Path):
+def test_events_before_the_first_sample_stand_at_the_initial_state(path: Path):
     """After a reset, or of a run that is resumed, that is not at zero."""
-    path = tmp_path / 'recording.rrd'
     sink = open_sink(path, begin=(5_000_000_000, 7))
     sink.event('reset')
     sink.close()
@@ -213,8 +212,7 @@ def test_events_before_the_first_sample_stand_at_the_initial_state(tmp_path: Pat
     assert (rows['sim_time'], rows['step']) == ([5_000_000_000], [7])
 
 
-def test_timing_stands_at_the_newest_sample_and_nothing_unknown_is_shown(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_timing_stands_at_the_newest_sample_and_nothing_unknown_is_shown(path: Path):
     sink = open_sink(path)
     sink.timing((1.0, 2.0), 1.0)
     for sample in oscillate(12):
@@ -230,8 +228,7 @@ def test_timing_stands_at_the_newest_sample_and_nothing_unknown_is_shown(tmp_pat
         assert entity in still_entities(path)
 
 
-def test_existing_file_is_refused_and_left_alone(tmp_path: Path):
-    path = tmp_path / 'recording.rrd'
+def test_existing_file_is_refused_and_left_alone(path: Path):
     path.write_text('precious')
     with pytest.raises(RecordingError, match='exists'):
         open_sink(path)
@@ -304,9 +301,9 @@ def test_close_says_soon_that_the_viewer_is_gone(viewer: tuple[str, subprocess.P
     assert time.monotonic() - started < 8.0
 
 
-def test_file_of_an_hour_is_sent_in_few_pieces_and_none_waits_long(tmp_path, monkeypatch):
+def test_file_of_an_hour_is_sent_in_few_pieces_and_none_waits_long(path, monkeypatch):
     """Each piece costs 20 kB of memory until the file is closed: these, 3.4 MB."""
-    clock, path = [0.0], tmp_path / 'recording.rrd'
+    clock = [0.0]
     monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
     sink = open_sink(path, interval=1)
     for n, sample in enumerate(oscillate(36_000)):
@@ -324,8 +321,8 @@ def test_file_of_an_hour_is_sent_in_few_pieces_and_none_waits_long(tmp_path, mon
 
 @pytest.mark.parametrize('call', ['event', 'timing'])
 def test_what_comes_without_a_sample_is_sent_when_it_is_time_and_takes_the_rest_along(
-        tmp_path, monkeypatch, call):
-    clock, path = [0.0], tmp_path / 'recording.rrd'
+        path, monkeypatch, call):
+    clock = [0.0]
     monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: clock[0]))
     sink = open_sink(path, interval=1)
     for sample in oscillate(3):
@@ -340,8 +337,7 @@ def test_what_comes_without_a_sample_is_sent_when_it_is_time_and_takes_the_rest_
     sink.close()
 
 
-def test_samples_that_no_clock_holds_back_do_not_pile_up(tmp_path, monkeypatch):
-    path = tmp_path / 'recording.rrd'
+def test_samples_that_no_clock_holds_back_do_not_pile_up(path, monkeypatch):
     monkeypatch.setattr(rerun_sink, 'time', SimpleNamespace(monotonic=lambda: 0.0))
     record(path, 3 * rerun_sink.MOST_PENDING, interval=1)
     sizes = [chunk.num_rows for chunk in RrdReader(path).stream()
@@ -392,16 +388,16 @@ def test_blueprints_of_one_scene_have_the_same_paths(tmp_path):
     assert paths[0] == paths[1] and len(paths[0]) > 10
 
 
-def test_close_twice_is_harmless(tmp_path: Path):
-    sink = open_sink(tmp_path / 'recording.rrd')
+def test_close_twice_is_harmless(path: Path):
+    sink = open_sink(path)
     for sample in oscillate(1000):
         sink.write(sample)
     sink.close()
     sink.close()
 
 
-def test_closed_recording_takes_no_events(tmp_path: Path):
-    sink = open_sink(tmp_path / 'recording.rrd')
+def test_closed_recording_takes_no_events(path: Path):
+    sink = open_sink(path)
     sink.close()
     with pytest.raises(RecordingError, match='closed'):
         sink.event('too late')
