@@ -27,7 +27,7 @@ from hnn_vi_ros.learning.fit.config import (
     BodyConfig, ExcitationData, excited_motions, FieldConfig, find_config, load_config)
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
-    as_json, Fan, judge, linear_model, names_of, outside, parts_of, predicted_by, score,
+    as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
     simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -70,15 +70,15 @@ def main(argv: Sequence[str]) -> None:
     known = None if arguments.baselines is None else \
         _motions(arguments, arguments.baselines, names)[0]
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
-    asked = motions, arguments.horizons, arguments.every, arguments.longest
-    scores, fans = judge(simulation, effects, *asked)
+    others = dict[str, Predict]()
     if known is not None:
-        others = {'linear model': linear_model(known)}
+        others['linear model'] = linear_model(known)
         if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
             # Fitted by the default windows of training.
             rigid = best_rigid_body(Trajectory(), known)
             others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
-        scores |= {name: score(other, *asked) for name, other in others.items()}
+    scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
+                         arguments.longest, others)
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
             'median of the valid prediction time,\nand what the energy changes by over each '
@@ -97,7 +97,7 @@ def main(argv: Sequence[str]) -> None:
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
     try:
         more: dict[str, Any] = {} if whole is None else {'whole': [
-            {'run': motion.name, 'rms': [x if math.isfinite(x) else None for x in rms.tolist()]}
+            {'run': motion.name, 'rms': finite(rms)}
             for motion, rms in zip(motions, whole, strict=True)]}
         if found is not None:
             more['outside'] = found.numbers

@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
     AnyConfig, BodyConfig, FieldConfig, find_config, load_config, MachineConfig)
 from hnn_vi_ros.learning.fit.loop import Fit, Keeper, kept, member_files, members_kept
-from hnn_vi_ros.learning.judging.ensemble import check_count
+from hnn_vi_ros.learning.judging.ensemble import check_count, combined
 from hnn_vi_ros.learning.judging.report import Outputs, write_report
 from hnn_vi_ros.learning.tasks import Task
 from hnn_vi_ros.learning.tasks.body import BodyTask
@@ -74,7 +74,7 @@ def main(argv: Sequence[str]) -> None:
             members.append(task.describe(problem, own, name, command))
             if not k:
                 first, history = problem, fit.history
-    checkpoint = members[0] if count == 1 else task.combined(members, model.stem)
+    checkpoint = members[0] if count == 1 else combined(members, model.stem, task.box)
     seconds = time.perf_counter() - begun
     with kept(model, checkpoint):
         judged = task.judged(checkpoint, first)

@@ -13,7 +13,7 @@ from hnn_vi_ros.integrators.gauss import Tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.lockstep.gradient import make_gradient
-from hnn_vi_ros.lockstep.steps import first_state, Progress, State, step_of, System
+from hnn_vi_ros.lockstep.steps import first_state, State, step_of, System
 from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
@@ -167,30 +167,29 @@ class LockstepEnsemble:
         state = first_state(self._system, self._integrator, z)
         out = np.full((len(samples), 2 * d, m), np.nan)
         counts, failures = Counts(*np.zeros((4, m), dtype=np.int64)), dict[int, StepFailure]()
-        progress = Progress(*torch.zeros((2, m), dtype=torch.int64, device=self._device))
         rows, steps, last = np.arange(m), 0, samples[-1] if samples else 0
         while steps < last and len(rows):
             steps += 1
-            state = self._advanced(state, progress, steps, rows, counts, failures)
+            state = self._advanced(state, steps, rows, counts, failures)
             if len(failures) > m - len(rows):
                 left = [k for k, row in enumerate(rows) if row not in failures]
                 chosen = torch.tensor(left, dtype=torch.int64, device=self._device)
-                _count(counts, rows, progress)
-                state, rows, progress = state.of(chosen), rows[left], progress.of(chosen)
+                state, rows = state.of(chosen), rows[left]
             if steps in samples:
                 out[samples.index(steps)][:, rows] = state.z.cpu().numpy()
-        _count(counts, rows, progress)
         for k, steps in enumerate(samples):
             if steps == 0:
                 out[k] = z.cpu().numpy()
         q_out, p_out = out.transpose(0, 2, 1)[..., :d], out.transpose(0, 2, 1)[..., d:]
         return Recorded(np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
 
-    def _advanced(self, state: State, progress: Progress, steps: int, rows: np.ndarray,
-                  counts: Counts, failures: dict[int, StepFailure]) -> State:
+    def _advanced(self, state: State, steps: int, rows: np.ndarray, counts: Counts,
+                  failures: dict[int, StepFailure]) -> State:
         """Return the state after so many steps: the last step may be one that Simulation took."""
         heed()
-        state, outcome = self._take_one(state, progress, steps)
+        state, outcome, gradients = self._take_one(state)
+        more = gradients > counts.costliest[rows]
+        counts.costliest[rows[more]], counts.at[rows[more]] = gradients[more], steps
         for k in (outcome != OK).nonzero()[:, 0].tolist():
             row = int(rows[k])
             try:
@@ -204,16 +203,13 @@ class LockstepEnsemble:
             state.carry[:, k], state.counts[:, k] = 0.0, 0
         return state
 
-    def _take_one(self, state: State, progress: Progress, steps: int
-                  ) -> tuple[State, torch.Tensor]:
-        """Take a step of each; return the states after it, or before one that is not solved."""
+    def _take_one(self, state: State) -> tuple[State, torch.Tensor, np.ndarray]:
+        """Return the states after a step, or before one not solved; outcomes and gradients."""
         after, outcome, gradients = self._step(self._system, state)
         finite = (after.z.isfinite() & after.slope.isfinite()).all(dim=0)
         outcome = torch.where((outcome == OK) & ~finite, NOT_FINITE, outcome)
-        taken = outcome == OK
-        more = gradients > progress.most
-        progress.most[more], progress.at[more] = gradients[more], steps
-        return after._replace(z=torch.where(taken, after.z, state.z)), outcome
+        z = torch.where(outcome == OK, after.z, state.z)
+        return after._replace(z=z), outcome, gradients.cpu().numpy()
 
     def _take_alone(self, z: np.ndarray, row: int, steps: int, counts: Counts
                     ) -> tuple[np.ndarray, np.ndarray]:
@@ -230,10 +226,3 @@ class LockstepEnsemble:
         if alone.costliest[0] > counts.costliest[row]:
             counts.costliest[row], counts.at[row] = alone.costliest[0], steps
         return np.append(alone.q, alone.p), np.append(alone.dH_dq, alone.dH_dp)
-
-
-def _count(counts: Counts, rows: np.ndarray, progress: Progress) -> None:
-    """Enter what the costliest steps of some trajectories took."""
-    found, ends = progress.most.cpu().numpy(), progress.at.cpu().numpy()
-    more = found > counts.costliest[rows]
-    counts.costliest[rows[more]], counts.at[rows[more]] = found[more], ends[more]

@@ -80,6 +80,7 @@ class Solved(NamedTuple):
 class Iteration(ABC):
     """Rule that makes the next iterate of the last ones; of the trajectories that are left."""
 
+    # Whether the iteration may go on where it hardly contracts.
     patient = False
 
     @abstractmethod
@@ -102,20 +103,6 @@ class Iteration(ABC):
     @abstractmethod
     def keep(self, chosen: torch.Tensor) -> None:
         """Forget all trajectories but those chosen, by their places."""
-
-
-class FixedPoint(Iteration):
-    """x = G(x), as the paper does."""
-
-    patient = True
-
-    def improved(self, k: int, value: torch.Tensor, defect: torch.Tensor, changed: torch.Tensor
-                 ) -> torch.Tensor:
-        """See Iteration."""
-        return value
-
-    def keep(self, chosen: torch.Tensor) -> None:
-        """See Iteration."""
 
 
 class Secant(Iteration):
@@ -144,9 +131,18 @@ class Secant(Iteration):
 
 
 class Anderson(Iteration):
-    """Anderson's method of depth 3; a least-squares problem for each trajectory."""
+    """
+    Anderson's method, with a least-squares problem for each trajectory.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    depth : int
+        Earlier evaluations that are combined; with 0 it is x = G(x), as the paper does.
+
+    """
+
+    def __init__(self, depth: int = DEPTH) -> None:
+        self._depth, self.patient = depth, not depth
         # The last evaluations, the newest first; and from which iteration on they may be combined.
         self._old: list[tuple[torch.Tensor, torch.Tensor]] = []
         self._origin: torch.Tensor | None = None
@@ -157,11 +153,11 @@ class Anderson(Iteration):
         if self._origin is None:
             self._origin = torch.ones_like(changed, dtype=torch.int64)
         self._origin = torch.where(changed, k, self._origin)
-        depth = (k - self._origin).clamp_max(min(len(value), DEPTH))
+        depth = (k - self._origin).clamp_max(min(len(value), self._depth))
         x, weights, used = value, *self._projected(defect, depth)
         for j in range(len(weights) - 1, -1, -1):
             x = torch.where(used[j], x - weights[j] * (value - self._old[j][0]), x)
-        self._old = [(value, defect), *self._old[:DEPTH - 1]]
+        self._old = [(value, defect), *self._old][:self._depth]
         return x
 
     def _projected(self, defect: torch.Tensor, depth: torch.Tensor
@@ -338,25 +334,6 @@ class State(NamedTuple):
                      self.counts[:, chosen], tuple(a[..., chosen] for a in self.earlier))
 
 
-class Progress(NamedTuple):
-    """
-    Counts of m trajectories, each of shape (m,), changed in place.
-
-    Parameters
-    ----------
-    most, at : torch.Tensor
-        The most gradients of a step, and its number.
-
-    """
-
-    most: torch.Tensor
-    at: torch.Tensor
-
-    def of(self, chosen: torch.Tensor) -> 'Progress':
-        """Return that of some trajectories."""
-        return Progress(*(part[chosen] for part in self))
-
-
 class Stepped(NamedTuple):
     """
     Result of a step.
@@ -404,9 +381,9 @@ class System(NamedTuple):
 
     def iteration(self) -> Iteration:
         """Return the method's solver, before its first iteration."""
-        if self.options.solve is fixed_point:
-            return FixedPoint()
-        return Secant() if self.options.solve is secant else Anderson()
+        if self.options.solve is secant:
+            return Secant()
+        return Anderson(0) if self.options.solve is fixed_point else Anderson()
 
     def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
         """Solve an equation; one that may have another solution is in doubt."""

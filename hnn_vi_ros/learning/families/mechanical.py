@@ -269,9 +269,7 @@ def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     """
     S, on_diagonal = network.root_inertia, network.on_diagonal
     inputs, layers = _layers(network.mass, network.mass_features, q)
-    last, scale = network.mass.linears[-1], network.mass.output_scale
-    y = scale * last(layers[-1].a)
-    y_rates = scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T)
+    y, y_rates = _outputs(network.mass, layers)
     share = torch.sigmoid(y)
     rise = torch.where(on_diagonal, share, 1.0)
     L, u = network.matrix(network.positive(y)), (S * v)[:, :, None]
@@ -306,6 +304,13 @@ def _layers(network: Perceptron, features: Features, q: torch.Tensor
         a = torch.tanh(linear(a))
         layers.append(Layer(a, 1.0 - a.square(), tangents @ linear.weight.T))
     return inputs, layers
+
+
+def _outputs(network: Perceptron, layers: list[Layer]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the outputs, (N, k), and their derivatives by the features, (m, N, k)."""
+    last, scale = network.linears[-1], network.output_scale
+    return (scale * last(layers[-1].a),
+            scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T))
 
 
 def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tensor, torch.Tensor],
@@ -504,11 +509,9 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
-        x, slope = self.mass_features(q)
-        y, tangents = _with_tangents(
-            self.mass, x, slope[:, None, :] * self.mass_features.of_feature)
+        y, rates = _outputs(self.mass, _layers(self.mass, self.mass_features, q)[1])
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
-        return self.positive(y), rises[:, None, :] * tangents
+        return self.positive(y), rises[:, None, :] * rates.transpose(0, 1)
 
     def positive(self, y: torch.Tensor) -> torch.Tensor:
         """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
@@ -712,15 +715,3 @@ def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | R
         assert structure.angles is not None, 'a chain has them'
         return PlanarChain(structure.angles, inertia)
     return ExactPrior(structure.prior)
-
-
-def _with_tangents(network: Perceptron, x: torch.Tensor, tangents: torch.Tensor
-                   ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return outputs (N, k) and their derivatives (N, m, k) along m tangents (N, m, n) of x."""
-    a, tangents = (x - network.centre) / network.scale, tangents / network.scale
-    *hidden, last = network.linears
-    for linear in hidden:
-        a = torch.tanh(linear(a))
-        tangents = (1.0 - a.square())[:, None, :] * (tangents @ linear.weight.T)
-    scale = network.output_scale
-    return scale * last(a), scale * (tangents @ last.weight.T)

@@ -37,6 +37,8 @@ INTERVAL, LEAST_GAIN = 20, 1e-6
 # L-BFGS gets this loss for a point without a finite one, so that its line search shortens the
 # step.
 _TOO_FAR = 1e30
+# What a saved run tells of its progress.
+_KEPT = 'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best'
 _REMEDY = 'lower learning_rate, and look for outliers in the data'
 
 
@@ -303,11 +305,9 @@ class Fit:
     def state(self) -> dict[str, Any]:
         """Return all that the next steps depend on: tensors, numbers and lists of them."""
         adam = not isinstance(self._optimiser, torch.optim.LBFGS)
-        return {'weights': self.module.state_dict(), 'history': asdict(self.history),
-                'losses': self.losses, 'stage': self._stage, 'taken': self._taken,
-                'before': self._before, 'least': self._least, 'waited': self._waited,
-                'best': self._best, 'loss_at_best': self._loss_at_best,
-                'optimiser': self._optimiser.state_dict(),
+        return {**{name: getattr(self, f'_{name}') for name in _KEPT},
+                'weights': self.module.state_dict(), 'history': asdict(self.history),
+                'losses': self.losses, 'optimiser': self._optimiser.state_dict(),
                 'schedule': self._schedule.state_dict() if adam else None,
                 'drawn_from': self._drawn_from,
                 'generator': None if self._generator is None else self._generator.get_state()}
@@ -319,10 +319,8 @@ class Fit:
         self.module.load_state_dict(state['weights'])
         self.history = LossHistory(**state['history'])
         self.losses.update(state['losses'])
-        self._stage, self._taken, self._waited = (
-            state[name] for name in ('stage', 'taken', 'waited'))
-        self._before, self._least, self._best, self._loss_at_best = (
-            state[name] for name in ('before', 'least', 'best', 'loss_at_best'))
+        for name in _KEPT:
+            setattr(self, f'_{name}', state[name])
         if self._generator is not None:
             # The stage draws again what it is about, then batches go on where they were.
             self._generator.set_state(state['drawn_from'])

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluation of a model: simulated freely from measured states, and compared."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
@@ -531,17 +532,20 @@ def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
     return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
 
 
+def finite(values: Iterable[float]) -> list[float | None]:
+    """Return numbers for JSON, which has no infinity: None for one that is not finite."""
+    return [float(value) if math.isfinite(value) else None for value in values]
+
+
 def numbers(scores: Scores) -> dict[str, Any]:
     """Return scores for JSON, which has no infinity: None for an error that has no bound."""
-    def known(value: float) -> float | None:
-        return value if math.isfinite(value) else None
-    return {'horizons': {f'{horizon:.15g}': [known(value) for value in rms.tolist()]
+    return {'horizons': {f'{horizon:.15g}': finite(rms)
                          for horizon, rms in scores.horizons.items()},
             'valid_prediction_time': scores.valid_prediction_time,
             'censored': scores.censored, 'failed': scores.failed,
-            'energy_mismatch': scores.energy_mismatch and {
-                f'{horizon:.15g}': known(value)
-                for horizon, value in scores.energy_mismatch.items()}}
+            'energy_mismatch': scores.energy_mismatch and dict(zip(
+                (f'{horizon:.15g}' for horizon in scores.energy_mismatch),
+                finite([*scores.energy_mismatch.values()]), strict=True))}
 
 
 class Outside(NamedTuple):
@@ -579,8 +583,8 @@ class Outside(NamedTuple):
     def numbers(self) -> dict[str, Any]:
         """Return all of it for JSON."""
         return {'share': self.share, 'beyond': self.beyond, 'errors': {
-            where: {f'{horizon:.15g}': [x if math.isfinite(x) else None for x in rms.tolist()]
-                    for horizon, rms in found.items()} for where, found in self.errors.items()}}
+            where: {f'{horizon:.15g}': finite(rms) for horizon, rms in found.items()}
+            for where, found in self.errors.items()}}
 
 
 def outside(domain: Domain, fans: Sequence[Fan], horizons: Sequence[float]) -> Outside:
@@ -667,14 +671,16 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
 
 
 def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Run],
-          horizons: Sequence[float], every: float, longest: float
+          horizons: Sequence[float], every: float, longest: float,
+          others: Mapping[str, Predict] = MappingProxyType({})
           ) -> tuple[dict[str, Scores], list[Fan]]:
-    """Return the scores of a model, and of constant velocity for scale; and its predictions."""
+    """Return the scores of a model, of constant velocity for scale, and others; and its fans."""
     variance = variance_of(motions)
     predict = simulated(simulation, motions[0].spacing, max(horizons), variance)
     fans = fans_of(predict, motions, horizons, every, longest)
-    scores = {'model': score_fans(fans, horizons, variance),
-              'constant velocity': score(constant_velocity, motions, horizons, every, longest)}
+    scores = {'model': score_fans(fans, horizons, variance)} | {
+        name: score(other, motions, horizons, every, longest)
+        for name, other in {'constant velocity': constant_velocity, **others}.items()}
     if not unaccounted(effects):
         mismatch = energy_mismatch(
             [balance(simulation.hamiltonian, effects, motion) for motion in motions],

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.judging.report import Judged
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, widths_of
-from hnn_vi_ros.models.model_card import CoordinateCard, ModelCard
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.version import __version__
 import numpy as np
 
@@ -30,6 +30,8 @@ class Task(ABC):
 
     # The name of the picture in the report.
     picture: ClassVar[str]
+    # The box of an ensemble; by default the mean of its members' boxes.
+    box: Box | None = None
 
     @abstractmethod
     def __init__(self, source: Path, config: Any, given: Sequence[str], ensemble: bool):
@@ -46,10 +48,6 @@ class Task(ABC):
     @abstractmethod
     def describe(self, problem: Any, config: Any, name: str, command: str) -> Checkpoint:
         """Return a trained model with its card."""
-
-    @abstractmethod
-    def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
-        """Return members as one model."""
 
     @abstractmethod
     def judged(self, checkpoint: Checkpoint, problem: Any) -> Judged:

@@ -213,7 +213,8 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
             raise DataError('input_map: an input is never used in the data, which say nothing '
                             'of what it does; leave it out of them')
         others = np.hstack([before, np.ones((len(a), 1))])
-        rates = np.linalg.lstsq(np.hstack([_inputs(motions), others]), a, rcond=None)[0]
+        inputs = torch.cat([motion.u[:-1].flatten(0, 1) for motion in motions]).numpy()
+        rates = np.linalg.lstsq(np.hstack([inputs, others]), a, rcond=None)[0]
         first = inertia[:, None] * rates[:len(size)].T
     scales = BodyScales(
         0.5 * (seen.max(axis=0) + seen.min(axis=0)), np.where(half > _LEAST, half, 0.0), velocity,
@@ -227,10 +228,6 @@ def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
     states = torch.cat([motion.R[:-1].flatten(2), motion.v[:-1]], dim=2)
     rates = (motion.v[1:] - motion.v[:-1]) / motion.interval
     return states.flatten(0, 1).numpy(), rates.flatten(0, 1).numpy()
-
-
-def _inputs(motions: Sequence[BodyMotions]) -> np.ndarray:
-    return torch.cat([motion.u[:-1].flatten(0, 1) for motion in motions]).numpy()
 
 
 def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> list[tuple[
@@ -283,12 +280,9 @@ def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMo
 def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> torch.Tensor:
     """Return the mean squared errors in units of the usual velocities."""
     errors, unit = window_errors(network, config, windows), network.velocity_unit.square()
-    turning, total = unit[-1], []
-    total.append(errors['turning'] / turning)
-    total.append(errors['attitude'] / (config.time_scale**2 * turning))
+    total = [errors['turning'] / unit[-1], errors['attitude'] / (config.time_scale**2 * unit[-1])]
     if 'place' in errors:
-        total.append(errors['velocity'] / unit[0])
-        total.append(errors['place'] / (config.time_scale**2 * unit[0]))
+        total += [errors['velocity'] / unit[0], errors['place'] / (config.time_scale**2 * unit[0])]
     return torch.stack(total).sum()
 
 
@@ -413,10 +407,6 @@ class BodyTask(Task):
             config, network.layers(), name, command, family='lie_group', lie_group=network.card,
             scheme=scheme, box=box, dataset=f'{config.description} {self._description}'.lstrip()
             + _scale(network, self._train), losses=problem.losses)
-
-    def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
-        """Refuse: momenta of members have no mean; see Task."""
-        raise AssertionError('an ensemble is refused before')
 
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
         """Return the model, and the errors of windows as text; see Task."""

@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.judging.ensemble import (
-    calibrated, combined, ensemble_text, field_calibration, held_out, resampled)
+    calibrated, ensemble_text, field_calibration, held_out, resampled)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import described, Task
@@ -300,6 +300,7 @@ class FieldTask(Task):
         self._dataset = make_dataset(config.data, config.seed, source, given)
         self._known, self._test = held_out(config, self._dataset) if ensemble else (
             self._dataset, None)
+        self.box = self._known.box
 
     def arrays(self) -> Iterator[np.ndarray]:
         """Yield the arrays of the data; see Task."""
@@ -315,10 +316,6 @@ class FieldTask(Task):
         """Return a trained model with its card; see Task."""
         problem.to('cpu')
         return describe(problem, config, name, command)
-
-    def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
-        """Return members as one model, whose box is that of all data; see Task."""
-        return combined(members, name, self._known.box)
 
     def judged(self, checkpoint: Checkpoint, problem: FieldProblem) -> Judged:
         """Return the model with the error of its energy, where that is known; see Task."""

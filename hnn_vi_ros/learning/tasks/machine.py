@@ -21,10 +21,10 @@ from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
-    calibrated, combined, drafted, ensemble_text, kept_and_held, machine_calibration,
+    calibrated, drafted, ensemble_text, kept_and_held, machine_calibration,
     resampled_blocks)
 from hnn_vi_ros.learning.judging.evaluation import (
-    balance, judge, linear_model, numbers, outside, own_effects, predicted_by, score, simulated,
+    balance, judge, linear_model, numbers, outside, own_effects, predicted_by, simulated,
     simulation_of, table, variance_of, verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
@@ -103,10 +103,6 @@ class MachineTask(Task):
         return describe(problem.module, config, self._train, self._description, problem.losses,
                         name, command, self._selection, self._delay * self._train[0].spacing)
 
-    def combined(self, members: list[Checkpoint], name: str) -> Checkpoint:
-        """Return members as one model; see Task."""
-        return combined(members, name)
-
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
         """Return the model with its prediction errors, and the baselines' errors; see Task."""
         checkpoint = with_energy_error(checkpoint, self._test)
@@ -119,12 +115,6 @@ class MachineTask(Task):
         horizons = [horizon for horizon in _HORIZONS if any(
             motion.t[-1] - motion.t[0] >= horizon for motion in test)]
         hamiltonian, effects = _parts_of(checkpoint)
-        asked = test, horizons, _EVERY, _LONGEST
-        scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
-                             effects, *asked)
-        domain = domain_of(hamiltonian)
-        prediction = PredictionError.model_validate(numbers(scores['model']))
-        card = checkpoint.card.model_copy(update={'prediction_error': prediction})
         print('for comparison, a plain network of (q, v, tau):', flush=True)
         plain = PlainNetwork(network.structure.kinds, config.hidden, scales_of(
             self._train, config.family.input_map == 'learned'), config.seed)
@@ -133,7 +123,11 @@ class MachineTask(Task):
         if 'prismatic' not in network.structure.kinds:
             rigid = best_rigid_body(config.windows, self._train)
             others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
-        scores |= {name: score(other, *asked) for name, other in others.items()}
+        scores, fans = judge(simulation_of(hamiltonian, ImplicitMidpoint(), effects, test),
+                             effects, test, horizons, _EVERY, _LONGEST, others)
+        domain = domain_of(hamiltonian)
+        card = checkpoint.card.model_copy(update={
+            'prediction_error': PredictionError.model_validate(numbers(scores['model']))})
         text = '\n\n'.join(filter(None, (
             table(scores, [coordinate.name for coordinate in config.coordinates]),
             verdict(scores), '' if domain is None else outside(domain, fans, horizons).text,
