@@ -10,7 +10,9 @@ from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, Features, see, see_change)
 from hnn_vi_ros.models.outputs import output_tangents, PackedOutputs, part_gradient, weigh
-from hnn_vi_ros.models.priors import Prior
+from hnn_vi_ros.models.priors import (
+    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_potential,
+    subtract_turned_mass)
 from hnn_vi_ros.models.roots import (
     evaluate_root, transposed_product, turn_root, weigh_entries, weigh_entry_changes)
 from hnn_vi_ros.networks import perceptron
@@ -105,8 +107,9 @@ def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> fl
     see(potential.seen, q)
     x = potential.seen.inputs
     half = x.size // 2
-    energy = (perceptron.energy(potential.network, x[:half], x[half:])
-              + prior.potential(prior.own, q))
+    energy = perceptron.energy(potential.network, x[:half], x[half:])
+    if prior.present:
+        energy += prior_potential(prior, q)
     for i in range(p.size):
         energy += 0.5 * p[i] * v[i]
     return energy
@@ -241,7 +244,8 @@ def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
     for i in range(d):
         for j in range(i + 1):
             u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
-    prior.subtract_turned_mass(prior.own, q, v_q, work.v, scale, u_v)
+    if prior.present:
+        subtract_turned_mass(prior, q, v_q, work.v, scale, u_v)
 
 
 @part(error_model='numpy')
@@ -262,7 +266,8 @@ def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarr
     _seen_gradient(outputs.network, seen)
     add_covector(seen, -1.0, seen.cotangent, product_q)
     _differentiate_potential(parameters.potential, q, v_q, product_q)
-    prior.add_slope_change(prior.own, q, work.v, v_q, v_change, product_q)
+    if prior.present:
+        add_prior_slope_change(prior, q, work.v, v_q, v_change, product_q)
 
 
 @part(error_model='numpy')
@@ -296,7 +301,8 @@ def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
             factor[i, j] = mass.floor if i == j else 0.0
             for k in range(j + 1):
                 factor[i, j] += L[i, k] * L[j, k]
-    prior.add_mass(prior.own, q, mass.scale, factor)
+    if prior.present:
+        add_mass(prior, q, mass.scale, factor)
 
 
 @part(error_model='numpy')
@@ -322,4 +328,5 @@ def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarr
     dH_dq[:] = 0.0
     add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq)
     add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq)
-    prior.add_slope(prior.own, q, work.v, dH_dq)
+    if prior.present:
+        add_prior_slope(prior, q, work.v, dH_dq)
