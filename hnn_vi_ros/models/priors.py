@@ -4,7 +4,6 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient, tree_kernel
@@ -53,15 +52,12 @@ class Prior(NamedTuple):
 def prior_of(card: MechanicalCard) -> Prior:
     """Return the prior of a card."""
     d = len(card.kinds)
-    kernel = _nothing(d) if card.prior is None else _kernel(card.prior, card.angles)
+    # Where there is none, a kernel whose functions are neither called nor, hence, compiled.
+    kernel = create('free_particle', {'mass': 1.0}).kernel if card.prior is None else \
+        _kernel(card.prior, card.angles)
     target = by_address(kernel).parameters
     assert isinstance(target, Target)
     return Prior(card.prior is not None, target, *np.zeros((2, d, d)), *np.zeros((6, d)))
-
-
-def _nothing(d: int) -> Kernel:
-    """Return a kernel whose functions are neither called nor, hence, compiled."""
-    return FreeParticle(names=[f'x{i}' for i in range(d)]).kernel
 
 
 def _kernel(prior: PriorCard, angles: list[list[float]]) -> Kernel:
