@@ -2,48 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
-from typing import NamedTuple
-
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_outputs, PackedOutputs, part_gradient, root_of, weigh)
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
+from hnn_vi_ros.models.outputs import pack_outputs, root_of
+from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
 import numpy as np
-
-
-class ControlAffineParameters(NamedTuple):
-    """
-    Parameters of the functions of a control-affine network; ``_v`` marks changes.
-
-    Parameters
-    ----------
-    root : PackedOutputs
-        The network of the entries of A.
-    potential : PackedPerceptron
-        That of V.
-    A, A_v, c, c_v : np.ndarray, shape (d (d + 1) / 2,)
-        Space for the entries of A, and for p_i u_j, by which their derivatives are weighed.
-    u, u_v : np.ndarray, shape (d,)
-        Space for A^T p.
-    more_q, more_p : np.ndarray, shape (d,)
-        Space for a term of a sum.
-
-    """
-
-    root: PackedOutputs
-    potential: PackedPerceptron
-    A: np.ndarray
-    A_v: np.ndarray
-    c: np.ndarray
-    c_v: np.ndarray
-    u: np.ndarray
-    u_v: np.ndarray
-    more_q: np.ndarray
-    more_p: np.ndarray
 
 
 class ControlAffineHamiltonian(LearnedHamiltonian):
@@ -71,9 +35,10 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         d = self.dimension
-        parameters = ControlAffineParameters(
+        places = np.argwhere(np.tri(d))
+        parameters = RootParameters(
             pack_outputs(self.checkpoint, 'mass_inverse'), self._packed('potential', 'q'),
-            *np.zeros((4, d * (d + 1) // 2)), *np.zeros((4, d)))
+            places, np.ones(d), 0.0, False, RootWork.empty(2 * d, len(places), d))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
@@ -87,96 +52,34 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray) -> float:
-    A, u = parameters.A, parameters.u
-    evaluate_outputs(parameters.root, q, p, A)
-    _times_transposed(A, p, u)
-    energy = perceptron.energy(parameters.potential, q, p)
-    for j in range(p.size):
-        energy += 0.5 * u[j] * u[j]
-    return energy
+def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
+    z, d = parameters.work.z, q.size
+    z[:d], z[d:] = q, p
+    return energy(parameters)
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-    root, more_q, more_p = parameters.root, parameters.more_q, parameters.more_p
-    d = more_q.size
-    part_gradient(parameters.potential, q, p, dH_dq, dH_dp)
+    z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
+    d = v.size
     for a in range(0, q.size, d):
-        b = a + d
-        _first_order(parameters, q[a:b], p[a:b])
-        _times(parameters.A, parameters.u, dH_dp[a:b])
-        weigh(root, parameters.c)
-        part_gradient(root.network, q[a:b], p[a:b], more_q, more_p)
-        for i in range(d):
-            dH_dq[a + i] += more_q[i]
+        z[:d], z[d:] = q[a:a + d], p[a:a + d]
+        first_order(parameters)
+        dH_dq[a:a + d], dH_dp[a:a + d] = c[:d], v
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray,
+def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
-    """Differentiate the lines of _gradient along (v_q, v_p)."""
-    root, A, A_v = parameters.root, parameters.A, parameters.A_v
-    c, c_v, u, u_v = parameters.c, parameters.c_v, parameters.u, parameters.u_v
-    more_q, more_p, d = parameters.more_q, parameters.more_p, parameters.u.size
-    perceptron.hessian_vector(parameters.potential, q, p, v_q, v_p, product_q, product_p)
+    z, z_v, c_v, v_v = (parameters.work.z, parameters.work.z_v, parameters.work.c_v,
+                        parameters.work.v_v)
+    d = v_v.size
     for a in range(0, q.size, d):
         b = a + d
-        _first_order(parameters, q[a:b], p[a:b])
-        weigh(root, c)
-        perceptron.hessian_vector(root.network, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
-                                  more_q, more_p)
-        for i in range(d):
-            product_q[a + i] += more_q[i]
-        output_tangents(root, A_v)
-        _times_transposed(A_v, p[a:b], u_v)
-        _times_transposed(A, v_p[a:b], more_p)
-        for j in range(d):
-            u_v[j] += more_p[j]
-        _times(A_v, u, product_p[a:b])
-        _times(A, u_v, more_p)
-        k = 0
-        for i in range(d):
-            product_p[a + i] += more_p[i]
-            for j in range(i + 1):
-                c_v[k] = v_p[a + i] * u[j] + p[a + i] * u_v[j]
-                k += 1
-        weigh(root, c_v)
-        part_gradient(root.network, q[a:b], p[a:b], more_q, more_p)
-        for i in range(d):
-            product_q[a + i] += more_q[i]
-
-
-@part(error_model='numpy', forceinline=True)
-def _first_order(parameters: ControlAffineParameters, q: np.ndarray, p: np.ndarray) -> None:
-    """Fill A, u and c."""
-    u, c = parameters.u, parameters.c
-    evaluate_outputs(parameters.root, q, p, parameters.A)
-    _times_transposed(parameters.A, p, u)
-    k = 0
-    for i in range(p.size):
-        for j in range(i + 1):
-            c[k] = p[i] * u[j]
-            k += 1
-
-
-@part(error_model='numpy', forceinline=True)
-def _times(A: np.ndarray, u: np.ndarray, product: np.ndarray) -> None:
-    k = 0
-    for i in range(u.size):
-        product[i] = 0.0
-        for j in range(i + 1):
-            product[i] += A[k] * u[j]
-            k += 1
-
-
-@part(error_model='numpy', forceinline=True)
-def _times_transposed(A: np.ndarray, p: np.ndarray, product: np.ndarray) -> None:
-    product[:] = 0.0
-    k = 0
-    for i in range(p.size):
-        for j in range(i + 1):
-            product[j] += A[k] * p[i]
-            k += 1
+        z[:d], z[d:] = q[a:b], p[a:b]
+        z_v[:d], z_v[d:] = v_q[a:b], v_p[a:b]
+        first_order(parameters)
+        second_order(parameters)
+        product_q[a:b], product_p[a:b] = c_v[:d], v_v

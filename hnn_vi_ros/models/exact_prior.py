@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Functions
+from hnn_vi_ros.kernels.kernel import Functions, Kernel
 import numpy as np
 
 # Random states at which a system is looked at, and by how much p . M^-1 p may seem not to be one.
@@ -67,9 +67,8 @@ def parameters_of(kind: str) -> dict[str, float]:
             if isinstance(parameter.default, float)}
 
 
-def functions_of(hamiltonian: Hamiltonian) -> Functions:
-    """Return energy, gradient and Hessian-vector product of an exact system in plain Python."""
-    kernel: Any = hamiltonian.kernel
+def functions_of(kernel: Any) -> Functions:
+    """Return energy, gradient and Hessian-vector product of a kernel in plain Python."""
     return kernel.energy.py_func, kernel.gradient.py_func, kernel.hessian_vector.py_func
 
 
@@ -114,7 +113,7 @@ def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
     """Return whether H_p is linear in p, at random states."""
     if hamiltonian.gauge is not None or not hamiltonian.canonical or hamiltonian.rotations:
         return False
-    _, gradient, _ = functions_of(hamiltonian)
+    _, gradient, _ = functions_of(hamiltonian.kernel)
     rng, d = np.random.default_rng(0), hamiltonian.dimension
 
     def rate(q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -129,20 +128,20 @@ def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
     return True
 
 
-def exact_gradient(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray
+def exact_gradient(kernel: Kernel, q: np.ndarray, v: np.ndarray
                    ) -> tuple[np.ndarray, np.ndarray]:
     """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
-    _, gradient, _ = functions_of(hamiltonian)
+    _, gradient, _ = functions_of(kernel)
     m, d = q.shape
     masses, slopes = np.empty((m, d, d), np.longdouble), np.empty((m, d), np.longdouble)
     space, unit = np.empty((2, d), np.longdouble), np.eye(d, dtype=np.longdouble)
     for i, at in enumerate(q.astype(np.longdouble)):
         inverse = np.empty((d, d), np.longdouble)
         for j in range(d):
-            gradient(hamiltonian.kernel.parameters, at, unit[j], *space)
+            gradient(kernel.parameters, at, unit[j], *space)
             inverse[:, j] = space[1]
         masses[i] = _inverted(inverse)
-        gradient(hamiltonian.kernel.parameters, at, masses[i] @ v[i], *space)
+        gradient(kernel.parameters, at, masses[i] @ v[i], *space)
         slopes[i] = space[0]
     return masses, slopes
 

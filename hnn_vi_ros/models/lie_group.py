@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a body that turns: its mass and its potential on SO(3) or SE(3)."""
 
-from typing import NamedTuple
-
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
@@ -12,85 +10,14 @@ from hnn_vi_ros.models.attitude_features import (
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, pack_layers, PackedOutputs, part_gradient, root_of, weigh)
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
+from hnn_vi_ros.models.outputs import pack_layers, root_of
+from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
+from hnn_vi_ros.networks.perceptron_memory import pack
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 # States at which rounding is measured.
 _SAMPLES = 64
-
-
-class LieGroupWork(NamedTuple):
-    """
-    Space for one state; what ends in ``_v`` is a change along a direction.
-
-    Parameters
-    ----------
-    z, z_v, c, c_v, m, m_v : np.ndarray, shape (n,)
-        (x, R row by row, pi), what the networks see; the derivative of H by it; and that of the
-        network of M alone.
-    y, y_v, a, a_v : np.ndarray, shape (e,)
-        The entries of L, as outputs of the network, and the derivative of H by them.
-    L, L_v : np.ndarray, shape (k, k)
-        L.
-    u, u_v, w, w_v, v, v_v : np.ndarray, shape (k,)
-        u = S pi, w = L^T u, and the velocity in the frame of the body.
-
-    """
-
-    z: np.ndarray
-    z_v: np.ndarray
-    c: np.ndarray
-    c_v: np.ndarray
-    m: np.ndarray
-    m_v: np.ndarray
-    y: np.ndarray
-    y_v: np.ndarray
-    a: np.ndarray
-    a_v: np.ndarray
-    L: np.ndarray
-    L_v: np.ndarray
-    u: np.ndarray
-    u_v: np.ndarray
-    w: np.ndarray
-    w_v: np.ndarray
-    v: np.ndarray
-    v_v: np.ndarray
-
-
-class LieGroupParameters(NamedTuple):
-    """
-    Parameters of the functions of such a body, their first argument.
-
-    Parameters
-    ----------
-    mass : PackedOutputs
-        The network of y.
-    potential : PackedPerceptron
-        That of V, or of all of H.
-    places : np.ndarray of int, shape (e, 2)
-        Row and column of each entry in L.
-    scale : np.ndarray, shape (k,)
-        The diagonal of S.
-    floor : float
-        Constant added to the diagonal of L L^T.
-    positive : bool
-        Whether the diagonal of L is log(1 + exp(y)), not y.
-    work : LieGroupWork
-        Space.
-
-    """
-
-    mass: PackedOutputs
-    potential: PackedPerceptron
-    places: np.ndarray
-    scale: np.ndarray
-    floor: float
-    positive: bool
-    work: LieGroupWork
 
 
 class LieGroupHamiltonian(LearnedHamiltonian):
@@ -136,14 +63,12 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
     def _kernel(self) -> Kernel:
         card = self._group
-        n, e, k = 2 * card.size + 6, len(card.entries), card.size
-        work = LieGroupWork(*np.zeros((6, n)), *np.zeros((4, e)), *np.zeros((2, k, k)),
-                            *np.zeros((6, k)))
-        parameters = LieGroupParameters(
+        parameters = RootParameters(
             pack_layers(widened(self.checkpoint, 'mass'), self.checkpoint.card.activation),
             pack(*widened(self.checkpoint, 'potential'), self.checkpoint.card.activation),
             np.array(card.entries), np.array(card.mass_scale), card.floor,
-            card.diagonal == 'softplus', work)
+            card.diagonal == 'softplus',
+            RootWork.empty(2 * card.size + 6, len(card.entries), card.size))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
     def _samples(self) -> np.ndarray:
@@ -192,19 +117,13 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
 
 @kept(error_model='numpy')
-def _energy(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray) -> float:
-    work = parameters.work
-    see(q, p, work.z)
-    _roots(parameters)
-    half = work.z.size // 2
-    energy = perceptron.energy(parameters.potential, work.z[:half], work.z[half:])
-    for i in range(work.u.size):
-        energy += 0.5 * (work.w[i] * work.w[i] + parameters.floor * work.u[i] * work.u[i])
-    return energy
+def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
+    see(q, p, parameters.work.z)
+    return energy(parameters)
 
 
 @kept(error_model='numpy')
-def _gradient(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray,
+def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
     d = v.size + 1
@@ -224,7 +143,7 @@ def _gradient(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray,
 
 
 @kept(error_model='numpy')
-def _hessian_vector(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray,
+def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
     """Differentiate the lines of _gradient along (v_q, v_p)."""
@@ -235,7 +154,7 @@ def _hessian_vector(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray
         b = a + d
         _first_order(parameters, q[a:b], p[a:b])
         see_change(q[a:b], p[a:b], v_q[a:b], v_p[a:b], z, z_v)
-        _second_order(parameters)
+        second_order(parameters)
         if d > 4:
             for i in range(3):
                 for j in range(3):
@@ -256,96 +175,12 @@ def _hessian_vector(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray
 
 
 @part(error_model='numpy')
-def _first_order(parameters: LieGroupParameters, q: np.ndarray, p: np.ndarray) -> None:
+def _first_order(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill the derivative c of H by (x, R) at held p, and the velocities v."""
-    work, places, scale = parameters.work, parameters.places, parameters.scale
-    z, c, m, y, a, L = work.z, work.c, work.m, work.y, work.a, work.L
-    u, w, v = work.u, work.w, work.v
-    half, first = z.size // 2, z.size - v.size
-    see(q, p, z)
-    _roots(parameters)
-    for k in range(y.size):
-        i, j = places[k]
-        a[k] = u[i] * w[j]
-        if i == j and parameters.positive:
-            a[k] *= _slope(y[k])
-    weigh(parameters.mass, a)
-    part_gradient(parameters.mass.network, z[:half], z[half:], m[:half], m[half:])
-    part_gradient(parameters.potential, z[:half], z[half:], c[:half], c[half:])
-    for i in range(first):
-        c[i] += m[i]
-    for i in range(v.size):
-        v[i] = parameters.floor * u[i]
-        for j in range(i + 1):
-            v[i] += L[i, j] * w[j]
-        v[i] = scale[i] * v[i] + c[first + i]
+    c, v = parameters.work.c, parameters.work.v
+    see(q, p, parameters.work.z)
+    first_order(parameters)
     if v.size > 3:
         for i in range(3):
             for j in range(3):
                 c[3 + 3 * i + j] += p[i] * v[j]
-
-
-@part(error_model='numpy')
-def _second_order(parameters: LieGroupParameters) -> None:
-    """Fill the changes of c and of v along z_v, but for that of p . R v; after _first_order."""
-    work, places, scale = parameters.work, parameters.places, parameters.scale
-    z, z_v, c_v, m, m_v = work.z, work.z_v, work.c_v, work.m, work.m_v
-    y, y_v, a_v, L, L_v = work.y, work.y_v, work.a_v, work.L, work.L_v
-    u, u_v, w, w_v, v_v = work.u, work.u_v, work.w, work.w_v, work.v_v
-    half, first = z.size // 2, z.size - v_v.size
-    perceptron.hessian_vector(parameters.mass.network, z[:half], z[half:], z_v[:half],
-                              z_v[half:], m_v[:half], m_v[half:])
-    output_tangents(parameters.mass, y_v)
-    for k in range(y.size):
-        i, j = places[k]
-        L_v[i, j] = y_v[k] * _slope(y[k]) if i == j and parameters.positive else y_v[k]
-    for i in range(u.size):
-        u_v[i] = scale[i] * z_v[first + i]
-    for j in range(u.size):
-        w_v[j] = 0.0
-        for i in range(j, u.size):
-            w_v[j] += L_v[i, j] * u[i] + L[i, j] * u_v[i]
-    for k in range(y.size):
-        i, j = places[k]
-        a_v[k] = u_v[i] * w[j] + u[i] * w_v[j]
-        if i == j and parameters.positive:
-            slope = _slope(y[k])
-            a_v[k] = a_v[k] * slope + u[i] * w[j] * slope * (1.0 - slope) * y_v[k]
-    weigh(parameters.mass, a_v)
-    part_gradient(parameters.mass.network, z[:half], z[half:], m[:half], m[half:])
-    perceptron.hessian_vector(parameters.potential, z[:half], z[half:], z_v[:half], z_v[half:],
-                              c_v[:half], c_v[half:])
-    for i in range(first):
-        c_v[i] += m[i] + m_v[i]
-    for i in range(v_v.size):
-        v_v[i] = parameters.floor * u_v[i]
-        for j in range(i + 1):
-            v_v[i] += L_v[i, j] * w[j] + L[i, j] * w_v[j]
-        v_v[i] = scale[i] * v_v[i] + c_v[first + i]
-
-
-@part(error_model='numpy')
-def _roots(parameters: LieGroupParameters) -> None:
-    """Fill y and L at z, and u and w."""
-    work, places = parameters.work, parameters.places
-    z, y, L, u, w = work.z, work.y, work.L, work.u, work.w
-    half, first = z.size // 2, z.size - u.size
-    evaluate_outputs(parameters.mass, z[:half], z[half:], y)
-    for k in range(y.size):
-        i, j = places[k]
-        L[i, j] = y[k]
-        if i == j and parameters.positive:
-            # log(1 + exp(y)) without overflow.
-            L[i, j] = max(y[k], 0.0) + np.log1p(np.exp(-abs(y[k])))
-    for i in range(u.size):
-        u[i] = parameters.scale[i] * z[first + i]
-    for j in range(u.size):
-        w[j] = 0.0
-        for i in range(j, u.size):
-            w[j] += L[i, j] * u[i]
-
-
-@part(error_model='numpy')
-def _slope(y: float) -> float:
-    """Return the derivative of log(1 + exp(y))."""
-    return 1.0 / (1.0 + np.exp(-y))

@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.planar_chain import (
-    chain_terms, CHAINS, couplings, is_chain, no_terms, parameter_names, PLANAR_CHAIN, Terms)
+    CHAINS, couplings, is_chain, parameter_names, PLANAR_CHAIN)
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, EACH, Identification, RIGID_BODY, TreeCard)
 import numpy as np
@@ -243,13 +243,6 @@ class MechanicalCard(StrictModel):
         """Return the angles of rigid links from the vertical."""
         return self.features if self.prior is None or self.prior.angles is None else \
             self.prior.angles
-
-    @property
-    def terms(self) -> Terms:
-        """Return M and V of rigid links, which are zero if there is no prior."""
-        if self.prior is None:
-            return no_terms(len(self.kinds))
-        return chain_terms(self.angles, self.prior.values)
 
     @property
     def networks(self) -> dict[str, tuple[list[list[float]], int]]:

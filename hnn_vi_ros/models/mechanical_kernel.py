@@ -9,9 +9,12 @@ from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_uppe
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, Features, see, see_change)
-from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, output_tangents, PackedOutputs, part_gradient, weigh)
-from hnn_vi_ros.models.priors import Prior
+from hnn_vi_ros.models.outputs import output_tangents, PackedOutputs, part_gradient, weigh
+from hnn_vi_ros.models.priors import (
+    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_potential,
+    subtract_turned_mass)
+from hnn_vi_ros.models.roots import (
+    evaluate_root, transposed_product, turn_root, weigh_entries, weigh_entry_changes)
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
@@ -104,8 +107,9 @@ def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> fl
     see(potential.seen, q)
     x = potential.seen.inputs
     half = x.size // 2
-    energy = (perceptron.energy(potential.network, x[:half], x[half:])
-              + prior.potential(prior.own, q))
+    energy = perceptron.energy(potential.network, x[:half], x[half:])
+    if prior.present:
+        energy += prior_potential(prior, q)
     for i in range(p.size):
         energy += 0.5 * p[i] * v[i]
     return energy
@@ -227,7 +231,7 @@ def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
     u, u_v, w = work.u, work.u_v, work.w
     d = scale.size
     product_q[:] = 0.0
-    _weigh_entries(parameters)
+    weigh_entries(places, True, work.y, u, work.w, work.c)
     see_change(seen, v_q)
     weigh(outputs, work.c)
     _seen_gradient(outputs.network, seen)
@@ -235,17 +239,13 @@ def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
     add_covector(seen, -1.0, seen.cotangent_change, product_q)
     add_covector_change(seen, -1.0, product_q)
     output_tangents(outputs, y_v)
-    for k in range(y.size):
-        i, j = places[k]
-        L_v[i, j] = y_v[k] * _slope(y[k]) if i == j else y_v[k]
-    for j in range(d):
-        turned[j] = 0.0
-        for i in range(j, d):
-            turned[j] += L_v[i, j] * u[i]
+    turn_root(places, True, y, y_v, L_v)
+    transposed_product(L_v, u, turned)
     for i in range(d):
         for j in range(i + 1):
             u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
-    prior.subtract_turned_mass(prior.own, q, v_q, work.v, scale, u_v)
+    if prior.present:
+        subtract_turned_mass(prior, q, v_q, work.v, scale, u_v)
 
 
 @part(error_model='numpy')
@@ -254,7 +254,6 @@ def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarr
     """Add what the slope changes by with u, w and V; after _turn_mass, of u_v = S v_change."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
     outputs, seen, places = mass.outputs, mass.seen, mass.places
-    y, y_v, c_v = work.y, work.y_v, work.c_v
     L, turned = work.L, work.turned
     u, u_v, w, w_v = work.u, work.u_v, work.w, work.w_v
     d = u.size
@@ -262,74 +261,58 @@ def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarr
         w_v[j] = turned[j]
         for i in range(j, d):
             w_v[j] += L[i, j] * u_v[i]
-    for k in range(y.size):
-        i, j = places[k]
-        c_v[k] = u_v[i] * w[j] + u[i] * w_v[j]
-        if i == j:
-            rise = _slope(y[k])
-            c_v[k] = c_v[k] * rise + u[i] * w[j] * rise * (1.0 - rise) * y_v[k]
-    weigh(outputs, c_v)
+    weigh_entry_changes(places, True, work.y, work.y_v, u, u_v, w, w_v, work.c_v)
+    weigh(outputs, work.c_v)
     _seen_gradient(outputs.network, seen)
     add_covector(seen, -1.0, seen.cotangent, product_q)
     _differentiate_potential(parameters.potential, q, v_q, product_q)
-    prior.add_slope_change(prior.own, q, work.v, v_q, v_change, product_q)
+    if prior.present:
+        add_prior_slope_change(prior, q, work.v, v_q, v_change, product_q)
 
 
 @part(error_model='numpy')
 def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill y, L, the Cholesky factor of S^-1 M S^-1, and v, u, w; NaN if no factor exists."""
     scale, work = parameters.mass.scale, parameters.work
-    L, factor, v, u, w = work.L, work.factor, work.v, work.u, work.w
-    d = scale.size
+    factor, v, u = work.factor, work.v, work.u
     _fill_mass(parameters, q)
-    for i in range(d):
+    for i in range(u.size):
         u[i] = p[i] / scale[i]
     if not factorise(factor):
         u[:] = np.nan
     solve_lower(factor, u)
     solve_upper(factor, u)
-    for j in range(d):
-        v[j], w[j] = u[j] / scale[j], 0.0
-        for i in range(j, d):
-            w[j] += L[i, j] * u[i]
+    for i in range(u.size):
+        v[i] = u[i] / scale[i]
+    transposed_product(work.L, u, work.w)
 
 
 @part(error_model='numpy')
 def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
     """Fill y, L, and S^-1 M S^-1 on and below its diagonal in the place of its factor."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
-    seen, places, scale = mass.seen, mass.places, mass.scale
-    L, factor, y = work.L, work.factor, work.y
+    seen, L, factor = mass.seen, work.L, work.factor
     see(seen, q)
     x = seen.inputs
     half = x.size // 2
-    evaluate_outputs(mass.outputs, x[:half], x[half:], y)
-    for k in range(y.size):
-        i, j = places[k]
-        L[i, j] = y[k]
-        if i == j:
-            # log(1 + exp(y)) without overflow.
-            L[i, j] = max(y[k], 0.0) + np.log1p(np.exp(-abs(y[k])))
-    for i in range(scale.size):
+    evaluate_root(mass.outputs, mass.places, True, x[:half], x[half:], work.y, L)
+    for i in range(q.size):
         for j in range(i + 1):
             factor[i, j] = mass.floor if i == j else 0.0
             for k in range(j + 1):
                 factor[i, j] += L[i, k] * L[j, k]
-    prior.add_mass(prior.own, q, scale, factor)
+    if prior.present:
+        add_mass(prior, q, mass.scale, factor)
 
 
 @part(error_model='numpy')
 def _set_velocity(parameters: MechanicalParameters, velocity: np.ndarray) -> None:
     """Fill v, u and w, of a velocity; after _fill_mass."""
     scale, work = parameters.mass.scale, parameters.work
-    L, v, u, w = work.L, work.v, work.u, work.w
     for i in range(scale.size):
-        v[i] = velocity[i]
-        u[i] = scale[i] * v[i]
-    for j in range(scale.size):
-        w[j] = 0.0
-        for i in range(j, scale.size):
-            w[j] += L[i, j] * u[i]
+        work.v[i] = velocity[i]
+        work.u[i] = scale[i] * velocity[i]
+    transposed_product(work.L, work.u, work.w)
 
 
 @part(error_model='numpy')
@@ -337,7 +320,7 @@ def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarr
     """Fill V' - (v . M v)_q / 2 at held v; after _solve or _set_velocity."""
     mass, potential, work = parameters.mass, parameters.potential, parameters.work
     prior = parameters.prior
-    _weigh_entries(parameters)
+    weigh_entries(mass.places, True, work.y, work.u, work.w, work.c)
     weigh(mass.outputs, work.c)
     _seen_gradient(mass.outputs.network, mass.seen)
     see(potential.seen, q)
@@ -345,22 +328,5 @@ def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarr
     dH_dq[:] = 0.0
     add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq)
     add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq)
-    prior.add_slope(prior.own, q, work.v, dH_dq)
-
-
-@part(error_model='numpy')
-def _weigh_entries(parameters: MechanicalParameters) -> None:
-    """Fill the cotangent of y, u_i w_j times the slope of the diagonal's softplus."""
-    places, y, c = parameters.mass.places, parameters.work.y, parameters.work.c
-    u, w = parameters.work.u, parameters.work.w
-    for k in range(places.shape[0]):
-        i, j = places[k]
-        c[k] = u[i] * w[j]
-        if i == j:
-            c[k] *= _slope(y[k])
-
-
-@part(error_model='numpy')
-def _slope(y: float) -> float:
-    """Return the derivative of log(1 + exp(y))."""
-    return 1.0 / (1.0 + np.exp(-y))
+    if prior.present:
+        add_prior_slope(prior, q, work.v, dH_dq)

@@ -23,6 +23,9 @@ cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
+from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernel
+from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
 # How many coordinates they have. The angles of the first two, of files and configurations from
@@ -55,12 +58,6 @@ class Terms(NamedTuple):
     rows: np.ndarray
     weights: np.ndarray
     pull: np.ndarray
-
-
-def no_terms(d: int) -> Terms:
-    """Return M = 0 and V = 0."""
-    return Terms(np.zeros((0, d)), np.zeros((0, d, d)), np.zeros((0, d)), np.zeros(0),
-                 np.zeros(d))
 
 
 def chain_angles(kinds: Sequence[str], features: Sequence[Sequence[float]] = ()
@@ -131,6 +128,34 @@ def chain_terms(angles: Sequence[Sequence[float]], parameters: Mapping[str, floa
             matrices.append(parameters[f'coupling{i + 1}{j + 1}'] * (both + both.T))
     gravity = np.array([parameters[f'gravity{i + 1}'] for i in range(d)])
     return Terms(np.array(rows), np.array(matrices), A, gravity, gravity * slides)
+
+
+def unit_terms(angles: Sequence[Sequence[float]]) -> list[Terms]:
+    """Return M and V, which are linear in the parameters, of each where it alone is one."""
+    names = parameter_names(angles)
+    return [chain_terms(angles, dict(zip(names, row, strict=True))) for row in np.eye(len(names))]
+
+
+def chain_kernel(angles: Sequence[Sequence[float]], parameters: Mapping[str, float]) -> Kernel:
+    """Return the functions of H of a chain, as straight code."""
+    graph, d = Graph(), len(angles)
+    names, momenta = ([f'{kind}{i}' for i in range(d)] for kind in 'qp')
+    q, p = ([Symbol(graph, graph.name(name)) for name in both] for both in (names, momenta))
+
+    def combined(row: np.ndarray) -> Symbol:
+        return sum((float(row[i]) * q[i] for i in np.flatnonzero(row)),
+                   Symbol(graph, graph.number(0.0)))
+    mass, energy = np.zeros((d, d), dtype=object), combined(np.zeros(d))
+    for name, terms in zip(parameter_names(angles), unit_terms(angles), strict=True):
+        parameter = Symbol(graph, graph.name(name))
+        for row, matrix in zip(terms.mass_rows, terms.matrices, strict=True):
+            for i, j in np.argwhere(np.tril(matrix)):
+                mass[i, j] += float(matrix[i, j]) * (parameter * combined(row).cos())
+        for row, weight in zip(terms.rows, terms.weights, strict=True):
+            energy += float(weight) * (parameter * (1.0 - combined(row).cos()))
+        energy += parameter * combined(terms.pull)
+    return mass_kernel(graph, mass, energy, p, (names, momenta), {
+        name: parameters[name] for name in parameter_names(angles)})
 
 
 def couplings(d: int, parameters: Mapping[str, float]) -> np.ndarray:

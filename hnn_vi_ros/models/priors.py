@@ -1,71 +1,161 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Priors of the family mechanical, added to its networks: rigid links, or an exact system."""
+"""M and V of a prior of the family mechanical, added to its networks: its kernel by address."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient, tree_kernel
-from hnn_vi_ros.kernels.compilation import identify
-from hnn_vi_ros.models import exact_terms, prior_terms
+from hnn_vi_ros.kernels.addresses import (
+    by_address, energy, gradient, hessian_vector, Target)
+from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.exact_prior import create, exact_gradient
-from hnn_vi_ros.models.exact_terms import ExactTerms
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
-from hnn_vi_ros.models.planar_chain import CHAINS, Terms
+from hnn_vi_ros.models.mechanical_card import MechanicalCard, PriorCard
+from hnn_vi_ros.models.planar_chain import chain_kernel, CHAINS
 import numpy as np
 
 
 class Prior(NamedTuple):
     """
-    M and V of a prior, compiled; see prior_terms.py and exact_terms.py.
+    A system by address, and space for one state.
 
     Parameters
     ----------
-    own : Terms or ExactTerms
-        What its functions take first.
-    add_mass, potential, add_slope, subtract_turned_mass, add_slope_change : callable
-        Functions that are called in this order at each state.
+    present : bool
+        Whether there is one; without, none of the functions here may be called.
+    target : Target
+        Its functions and parameters.
+    inverse, mass : np.ndarray, shape (d, d)
+        M^-1, overwritten by its Cholesky factor; and M at the coordinates seen last.
+    momentum, turned : np.ndarray, shape (d,)
+        pi = M v, and M' v.
+    unit, zero, at_q, at_p : np.ndarray, shape (d,)
+        What its functions take and fill.
 
     """
 
-    own: Terms | ExactTerms
-    add_mass: Callable[..., None]
-    potential: Callable[..., float]
-    add_slope: Callable[..., None]
-    subtract_turned_mass: Callable[..., None]
-    add_slope_change: Callable[..., None]
-
-
-_LINKS = (prior_terms.add_mass, prior_terms.prior_potential, prior_terms.add_prior_slope,
-          prior_terms.subtract_turned_mass, prior_terms.add_prior_slope_change)
-_EXACT = (exact_terms.add_mass, exact_terms.prior_potential, exact_terms.add_prior_slope,
-          exact_terms.subtract_turned_mass, exact_terms.add_prior_slope_change)
-for _function in (*_LINKS, *_EXACT):
-    # They are among the parameters of compiled functions; see identify.
-    identify(_function)
+    present: bool
+    target: Target
+    inverse: np.ndarray
+    mass: np.ndarray
+    momentum: np.ndarray
+    turned: np.ndarray
+    unit: np.ndarray
+    zero: np.ndarray
+    at_q: np.ndarray
+    at_p: np.ndarray
 
 
 def prior_of(card: MechanicalCard) -> Prior:
-    """Return the prior of a card, of no terms where it has none."""
-    if card.prior is None or card.prior.kind in CHAINS:
-        return Prior(card.terms, *_LINKS)
-    kernel = tree_kernel(card.prior.bodies) if card.prior.tree is not None else \
-        create(card.prior.kind, card.prior.values).kernel
-    return Prior(exact_terms.exact_terms(kernel), *_EXACT)
+    """Return the prior of a card."""
+    d = len(card.kinds)
+    # Where there is none, a kernel whose functions are neither called nor, hence, compiled.
+    kernel = create('free_particle', {'mass': 1.0}).kernel if card.prior is None else \
+        _kernel(card.prior, card.angles)
+    target = by_address(kernel).parameters
+    assert isinstance(target, Target)
+    return Prior(card.prior is not None, target, *np.zeros((2, d, d)), *np.zeros((6, d)))
+
+
+def _kernel(prior: PriorCard, angles: list[list[float]]) -> Kernel:
+    if prior.tree is not None:
+        return tree_kernel(prior.bodies)
+    return chain_kernel(angles, prior.values) if prior.kind in CHAINS else \
+        create(prior.kind, prior.values).kernel
 
 
 def added(card: MechanicalCard, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
-    if card.prior is None or card.prior.kind in CHAINS:
-        return prior_terms.prior_gradient(card.terms, q, v)
+    if card.prior is None:
+        m, d = q.shape
+        return np.zeros((m, d, d), np.longdouble), np.zeros((m, d), np.longdouble)
     if card.prior.tree is not None:
         return _tree_gradient(card.prior.bodies, q, v)
-    return exact_gradient(create(card.prior.kind, card.prior.values), q, v)
+    return exact_gradient(_kernel(card.prior, card.angles), q, v)
 
 
 def _tree_gradient(bodies: Bodies, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     masses = np.stack([mass_matrix(bodies, one) for one in q.astype(np.longdouble)])
     momenta = (masses @ v[:, :, None])[:, :, 0]
     return masses, extended_gradient(bodies, q, momenta)[0]
+
+
+@part(error_model='numpy')
+def add_mass(prior: Prior, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -> None:
+    """Add S^-1 M S^-1 on and below the diagonal; M is kept for all others."""
+    inverse, mass, unit, d = prior.inverse, prior.mass, prior.unit, q.size
+    for j in range(d):
+        unit[:] = 0.0
+        unit[j] = 1.0
+        hessian_vector(prior.target, q, prior.zero, prior.zero, unit, prior.at_q, prior.at_p)
+        for i in range(d):
+            inverse[i, j] = prior.at_p[i]
+    if not factorise(inverse):
+        inverse[:] = np.nan
+    for j in range(d):
+        unit[:] = 0.0
+        unit[j] = 1.0
+        solve_lower(inverse, unit)
+        solve_upper(inverse, unit)
+        for i in range(d):
+            mass[i, j] = unit[i]
+    for i in range(d):
+        for j in range(i + 1):
+            gram[i, j] += mass[i, j] / (scale[i] * scale[j])
+
+
+@part(error_model='numpy')
+def prior_potential(prior: Prior, q: np.ndarray) -> float:
+    """Return V."""
+    return energy(prior.target, q, prior.zero)
+
+
+@part(error_model='numpy')
+def add_prior_slope(prior: Prior, q: np.ndarray, v: np.ndarray, covector: np.ndarray
+                    ) -> None:
+    """Add V_q - (v . M v)_q / 2 at held v, after add_mass."""
+    momentum = prior.momentum
+    for i in range(q.size):
+        momentum[i] = 0.0
+        for j in range(q.size):
+            momentum[i] += prior.mass[i, j] * v[j]
+    gradient(prior.target, q, momentum, prior.at_q, prior.at_p)
+    for i in range(q.size):
+        covector[i] += prior.at_q[i]
+
+
+@part(error_model='numpy')
+def subtract_turned_mass(prior: Prior, q: np.ndarray, v_q: np.ndarray, v: np.ndarray,
+                         scale: np.ndarray, right: np.ndarray) -> None:
+    """Subtract S^-1 M' v, M' being the change of M along v_q, after add_mass."""
+    momentum, turned, unit = prior.momentum, prior.turned, prior.unit
+    for i in range(q.size):
+        unit[i] = v_q[i]
+        momentum[i] = 0.0
+        for j in range(q.size):
+            momentum[i] += prior.mass[i, j] * v[j]
+    hessian_vector(prior.target, q, momentum, unit, prior.zero, prior.at_q, prior.at_p)
+    for i in range(q.size):
+        turned[i] = 0.0
+        for j in range(q.size):
+            turned[i] -= prior.mass[i, j] * prior.at_p[j]
+        right[i] -= turned[i] / scale[i]
+
+
+@part(error_model='numpy')
+def add_prior_slope_change(prior: Prior, q: np.ndarray, v: np.ndarray, v_q: np.ndarray,
+                           v_change: np.ndarray, covector: np.ndarray) -> None:
+    """Add the change of H_q(q, M v) along changes of q and v, after subtract_turned_mass."""
+    unit, turned = prior.unit, prior.turned
+    for i in range(q.size):
+        prior.zero[i] = v_q[i]
+        unit[i] = turned[i]
+        for j in range(q.size):
+            unit[i] += prior.mass[i, j] * v_change[j]
+    hessian_vector(prior.target, q, prior.momentum, prior.zero, unit, prior.at_q, prior.at_p)
+    prior.zero[:] = 0.0
+    for i in range(q.size):
+        covector[i] += prior.at_q[i]

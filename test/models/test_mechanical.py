@@ -12,6 +12,7 @@ from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import (
     FrictionCard, MechanicalCard, PriorCard, Quantity)
 from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, parameter_names
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
@@ -31,6 +32,22 @@ def test_kernel_agrees_with_torch_autograd(shape: str):
     hamiltonian = FAMILIES['mechanical'].hamiltonian(random_mechanical(shape))
     z = states(hamiltonian.dimension)
     assert_agrees_with_torch(hamiltonian, hamiltonian.checkpoint, z, z[::-1])
+
+
+@pytest.mark.parametrize('angles', [
+    [[1.0]], [[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]], np.tril(np.ones((4, 4))).tolist()])
+def test_straight_code_of_a_chain_is_that_of_its_mass_and_potential(angles: list):
+    rng, names, d = np.random.default_rng(2), parameter_names(angles), len(angles)
+    parameters = {name: float(rng.uniform(1.0, 2.0) * (0.2 if name.startswith('c') else 1.0))
+                  for name in names}
+    kernel, terms = chain_kernel(angles, parameters), chain_terms(angles, parameters)
+    q, p = rng.uniform(-1.5, 1.5, (2, d))
+    mass = np.tensordot(np.cos(terms.mass_rows @ q), terms.matrices, 1)
+    expected = (0.5 * p @ np.linalg.solve(mass, p) + terms.pull @ q
+                + terms.weights @ (1.0 - np.cos(terms.rows @ q)))
+    # Round-off of some 100 operations on numbers of order one.
+    energy = kernel.energy.py_func(kernel.parameters, q, p)
+    assert abs(energy - expected) < 1e-13 * (1.0 + abs(expected))
 
 
 def test_continuous_coordinate_is_periodic_and_a_revolute_one_is_not():

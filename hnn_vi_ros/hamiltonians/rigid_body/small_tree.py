@@ -11,7 +11,7 @@ M = L D L^T and y = L^-1 p,
     H = sum of y_i^2 / (2 D_i) + V(q).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
@@ -51,16 +51,41 @@ def small_tree_kernel(bodies: Bodies) -> Kernel:
         armature=symbols(bodies.armature)), [q[at] for at in bodies.coordinate[1:]])
     energy = symbols(bodies.load[1:]) @ [q[at] for at in bodies.coordinate[1:]] \
         - first @ symbols(bodies.gravity)
-    y = [p[at] for at in bodies.coordinate[1:]]
-    for j in range(d):
+    return mass_kernel(graph, mass, energy, [p[at] for at in bodies.coordinate[1:]],
+                       (names, momenta), values)
+
+
+def mass_kernel(graph: Graph, mass: np.ndarray, energy: Symbol, y: list[Symbol],
+                names: tuple[Sequence[str], Sequence[str]], values: Mapping[str, float]
+                ) -> Kernel:
+    """
+    Return the functions of H = p . M^-1 p / 2 + V as straight code.
+
+    Parameters
+    ----------
+    graph : Graph
+        Where M and V are.
+    mass : np.ndarray of Symbol, shape (d, d)
+        M in its lower triangle; overwritten.
+    energy : Symbol
+        V.
+    y : list of Symbol
+        p in the order of the rows of M; overwritten.
+    names : pair of sequence of str
+        What coordinates and momenta are called.
+    values : mapping of str to float
+        Values of the other names.
+
+    """
+    for j in range(len(y)):
         inverse = Symbol(graph, graph.number(1.0)) / mass[j, j]
-        for i in range(j + 1, d):
+        for i in range(j + 1, len(y)):
             factor = mass[i, j] * inverse
             y[i] = y[i] - factor * y[j]
             for k in range(j + 1, i + 1):
                 mass[i, k] = mass[i, k] - factor * mass[k, j]
         energy = energy + 0.5 * y[j] * y[j] * inverse
-    return graph_kernel(graph, energy.node, names, momenta, values)
+    return graph_kernel(graph, energy.node, *names, values)
 
 
 def _composed(bodies: Bodies, values: Sequence[Symbol]) -> tuple[np.ndarray, np.ndarray]:

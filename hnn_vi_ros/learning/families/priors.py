@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import exact_system, functions_of
 from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
-from hnn_vi_ros.models.planar_chain import chain_terms, parameter_names
+from hnn_vi_ros.models.planar_chain import parameter_names, unit_terms
 from hnn_vi_ros.models.rigid_body_card import (
     EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
 import numpy as np
@@ -84,9 +84,7 @@ class PlanarChain(Prior):
         # The numbers of inertias, couplings, gravities and inertias of motors.
         self._sizes = [sum(name.startswith(kind) for name in self.names)
                        for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
-        # M and V are linear in the parameters; these are the terms of each.
-        units = [chain_terms(angles, dict(zip(self.names, row, strict=True)))
-                 for row in np.eye(len(self.names))]
+        units = unit_terms(angles)
         for name, values in (
                 ('mass_rows', units[0].mass_rows),
                 ('matrices', np.stack([unit.matrices for unit in units])),
@@ -182,7 +180,7 @@ class ExactPrior(Prior):
         super().__init__()
         self.system = exact_system(kind)
         self.names = [*self.system.defaults]
-        _, gradient, hessian_vector = functions_of(HAMILTONIANS[kind]())
+        _, gradient, hessian_vector = functions_of(HAMILTONIANS[kind]().kernel)
         self._gradient, self._hessian_vector = in_torch(gradient), in_torch(hessian_vector)
         d = self.system.dimension
         for name, values in (
