@@ -191,7 +191,7 @@ class Runner:
         self._of_scene = [k for k, part in enumerate(plan.parts) if part[0] != 'initial_state']
         self._kept = slice(None) if sweep.keep == 'samples' else slice(-1, None)
         self._measures = bool(sweep.statistics or sweep.reduction)
-        self._function = sweep.reduction and load_code(
+        self._function: Any = sweep.reduction and load_code(
             sweep.reduction.function, 'reduction', str(plan.folder.resolve()))
 
     def check(self) -> None:
