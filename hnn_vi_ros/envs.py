@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Commanded, NUMBERS
 from hnn_vi_ros.errors import StateError, StepFailure, StoppedByEvent
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+from hnn_vi_ros.trajectory.simulate import changed_parts
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -122,10 +122,8 @@ class SceneEnv(gymnasium.Env):
         self._initial_state = initial_state
         # A copy of its own: vector environments add to it.
         self.metadata = dict(self.metadata)
-        found = scene if isinstance(scene, Scene) else load_scene(scene)
-        self._scene, _ = resolve(found.with_overrides(
-            effects=None if effects is None else list(effects)))
-        self._parts = self._scene.parts()
+        self._parts = changed_parts(scene, effects=effects)
+        self._scene = self._parts.scene
         self._check_commands()
         self._simulation = self._made()
         # Now, and not in the first step of an episode.

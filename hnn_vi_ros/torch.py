@@ -8,16 +8,17 @@ Takes the extra ``train``. See docs/gradients.md.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed, UnsupportedSystem
+from hnn_vi_ros.gradients.checkpoints import Recorded
 from hnn_vi_ros.gradients.dependences import Dependence
+from hnn_vi_ros.gradients.derivatives import Change
 from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
-from hnn_vi_ros.gradients.torch_functions import array, Call, Run, STEP
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.families.base import gradient
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
@@ -110,8 +111,8 @@ class OnWeights:
     def __init__(self, hamiltonian: LearnedHamiltonian, names: Sequence[str]):
         self._checkpoint, self._names, self._d = (
             hamiltonian.checkpoint, names, hamiltonian.dimension)
-        self._tensors = {name: torch.tensor(array)
-                         for name, array in _tensors(self._checkpoint)}
+        self._tensors = {name: torch.tensor(values)
+                         for name, values in _tensors(self._checkpoint)}
 
     def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Return the gradient, shape (W,); see Dependence."""
@@ -193,8 +194,155 @@ __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
 
 # Names of a model's tensors, among the names of a scene's numbers.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
-# What else a run depends on, by the name that this tensor has in it.
-_WEIGHTS = 'weights'
+# The names of all weights, and of h, among the tensors that a run depends on.
+_WEIGHTS, _STEP = 'weights', 'step_size'
+_TWICE = ('a simulation is differentiable once: detach its gradient or tangent, or take '
+          'differences of gradients; for torch.autograd.functional.jvp, which differentiates '
+          'twice, take torch.func.jvp')
+_HIDDEN = ('a simulation takes no tensors that vmap batches, nor weights in torch.func: use '
+           'torch.autograd.grad, torch.autograd.functional.jacobian without vectorize, and q0, p0 '
+           'of shape (m, d) for many trajectories')
+
+
+@dataclass(frozen=True, eq=False)
+class _Call:
+    """
+    A call, without the tensors by which it is differentiated.
+
+    It is not a tuple, since torch.func copies those.
+
+    Parameters
+    ----------
+    simulation : DifferentiableSimulation
+        What runs.
+    numbers : Numbers
+        The values of tensors that are numbers.
+    names : list of str
+        The name of each further tensor.
+    samples, every, checkpoints : int
+        Number of samples, steps from one to the next, and most snapshots.
+    recorded : list of Recorded
+        The record of the run, once it has been made.
+
+    """
+
+    simulation: 'DifferentiableSimulation'
+    numbers: Numbers
+    names: list[str]
+    samples: int
+    every: int
+    checkpoints: int | None
+    recorded: list[Recorded] = field(default_factory=list)
+
+
+class _Function(torch.autograd.Function):
+    """A function of arrays, which torch cannot batch."""
+
+    @staticmethod
+    def vmap(*_: object) -> NoReturn:
+        raise UnsupportedSystem(_HIDDEN)
+
+
+class _Run(_Function):
+    """A run, by its initial states (m, 2 d) and by what else it depends on."""
+
+    @staticmethod
+    def forward(call: _Call, z0: torch.Tensor, commands: torch.Tensor | None,
+                *_: torch.Tensor) -> torch.Tensor:
+        rows = None if commands is None else _array(commands)
+        with call.simulation.holding(call.numbers) as held:
+            if _STEP in call.names:
+                held.run.on_step_size  # noqa: B018  refused before a step is taken
+            z = held.run.record(_array(z0), call.samples, call.every, rows,
+                                checkpoints=call.checkpoints)
+            call.recorded.append(held.run.recorded)
+        return torch.from_numpy(z)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        ctx.call, *tensors = inputs
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
+
+    @staticmethod
+    def backward(ctx: Any, cotangents: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        return None, *_Gradient.apply(
+            ctx.call, ctx.needs_input_grad[2:], cotangents, *ctx.saved_tensors)
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *tangents: torch.Tensor | None) -> torch.Tensor:
+        return _Tangent.apply(ctx.call, *tangents, *ctx.saved_tensors)
+
+
+class _Derivative(_Function):
+    """
+    A product with the derivatives of a run, which has no derivatives itself.
+
+    The tensors that the run depends on are among its arguments. Otherwise torch would take the
+    gradient of a loss that is linear in the states for a constant, since its cotangents are.
+    """
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: object) -> None:
+        pass
+
+    @staticmethod
+    def backward(*_: object) -> NoReturn:
+        raise UnsupportedSystem(_TWICE)
+
+    @staticmethod
+    def jvp(*_: object) -> NoReturn:
+        raise UnsupportedSystem(_TWICE)
+
+
+class _Gradient(_Derivative):
+    """The gradient by the inputs of a run, as far as torch needs it."""
+
+    @staticmethod
+    def forward(call: _Call, needed: Sequence[bool], cotangents: torch.Tensor,
+                *_: torch.Tensor | None) -> tuple[torch.Tensor | None, ...]:
+        recorded, = call.recorded
+        wanted = [k for k, one in enumerate(needed[1:]) if one]
+        by_commands = None
+        if needed[0] and recorded.commands is not None:
+            by_commands = np.empty(recorded.commands.shape)
+        with call.simulation.holding(call.numbers) as held:
+            held.run.go_back_to(recorded)
+            gradient, found = held.run.pull_back(_array(cotangents), [
+                call.simulation.dependence(held, call.numbers, call.names[k]) for k in wanted],
+                by_commands)
+        others: list[torch.Tensor | None] = [None] * len(call.names)
+        for k, part in zip(wanted, found, strict=True):
+            others[k] = torch.from_numpy(part)
+        pushed = None if by_commands is None else torch.from_numpy(by_commands)
+        return torch.from_numpy(gradient), pushed, *others
+
+
+class _Tangent(_Derivative):
+    """The change of the states with the inputs of a run: their changes, then these tensors."""
+
+    @staticmethod
+    def forward(call: _Call, *tensors: torch.Tensor | None) -> torch.Tensor:
+        recorded, = call.recorded
+        z0, commands, *others = (None if change is None else _array(change)
+                                 for change in tensors[:len(tensors) // 2])
+        with call.simulation.holding(call.numbers) as held:
+            held.run.go_back_to(recorded)
+            changes = [(call.simulation.dependence(held, call.numbers, name), change)
+                       for name, change in zip(call.names, others, strict=True)
+                       if change is not None and change.any()]
+            first = np.zeros(recorded.z.shape) if z0 is None else z0
+            return torch.from_numpy(
+                held.run.push_forward([Change(first, changes, commands)])[0])
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    """Return the numbers of a tensor, or raise UnsupportedSystem."""
+    try:
+        return tensor.detach().contiguous().numpy()
+    except RuntimeError as problem:
+        raise UnsupportedSystem(_HIDDEN) from problem
+
 
 
 class Motion(NamedTuple):
@@ -366,11 +514,11 @@ class DifferentiableSimulation:
         learned = None
         if self._weights:
             learned = with_weights(self._parts.hamiltonian, {
-                _in_file(name): array(parameters[name]).copy() for name in self._weights})
+                _in_file(name): _array(parameters[name]).copy() for name in self._weights})
         values = {name: float(parameters[name].detach()) for name in self._names}
-        call = Call(self, Numbers(values, h, learned), names, samples, every, checkpoints)
+        call = _Call(self, Numbers(values, h, learned), names, samples, every, checkpoints)
         # Copies are saved for the derivatives: callers may change their own tensors meanwhile.
-        z = Run.apply(call, z0.reshape(-1, 2 * d), *(
+        z = _Run.apply(call, z0.reshape(-1, 2 * d), *(
             None if tensor is None else tensor.clone() for tensor in (commands, *tensors)))
         q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
         return Motion(torch.arange(samples + 1, dtype=torch.float64) * every * (
@@ -386,8 +534,8 @@ class DifferentiableSimulation:
                              f'that the simulation was made for: {listed(expected) or "none"}')
         single = {name: parameters[name] for name in self._names}
         if isinstance(step_size, torch.Tensor):
-            _check_tensors({STEP: step_size})
-            single[STEP] = step_size
+            _check_tensors({_STEP: step_size})
+            single[_STEP] = step_size
         for name, tensor in single.items():
             if tensor.ndim:
                 raise ValueError(f'{name} has shape {tuple(tensor.shape)}, expected (): one '
@@ -417,8 +565,8 @@ class DifferentiableSimulation:
             self._idle.append(held)
 
     def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
-        """Return the dependence of a run on the tensor with this name in a ``Call``."""
-        if name == STEP:
+        """Return the dependence of a run on the tensor with this name in a ``_Call``."""
+        if name == _STEP:
             return held.run.on_step_size
         if name == _WEIGHTS:
             assert isinstance(numbers.hamiltonian, LearnedHamiltonian)

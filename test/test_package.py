@@ -54,7 +54,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
     'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
-             r'|lockstep/\w+\.py|trajectory/devices\.py|gradients/torch_functions\.py',
+             r'|lockstep/\w+\.py|trajectory/devices\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',

@@ -284,11 +284,10 @@ def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.nd
 def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
     """Return a trajectory; of one that failed, none of whose numbers is finite."""
     try:
-        found = simulated()
+        return simulated()
     except StepFailure:
         return replace(like, q=np.full_like(like.q, np.nan), p=np.full_like(like.p, np.nan),
                        energy=np.full_like(like.energy, np.nan))
-    return found
 
 
 class Members:

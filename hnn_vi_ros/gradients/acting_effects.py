@@ -171,21 +171,15 @@ def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequen
 def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
     """Raise UnsupportedSystem, which names those that are, if one is not differentiable."""
     for effect in effects:
-        _check(effect, integrator)
-
-
-def _check(effect: Effect, integrator: Integrator) -> None:
-    place = effect.place(integrator)
-    if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
-        if getattr(effect, 'names', None) == ():
-            raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet by '
-                                    'the input map of a model: give it coordinates')
-        return
-    if type(effect) is EFFECTS['damping'] and place is Place.AROUND:
-        return
-    able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
-    raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; effects '
-                            f'that are: {able}; leave others out')
+        place = effect.place(integrator)
+        if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
+            if getattr(effect, 'names', None) == ():
+                raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet '
+                                        'by the input map of a model: give it coordinates')
+        elif type(effect) is not EFFECTS['damping'] or place is not Place.AROUND:
+            able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
+            raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; '
+                                    f'effects that are: {able}; leave others out')
 
 
 def _is_known(kind: type) -> bool:

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Axes of a sweep: keys of a scene, and their values at any place of an axis."""
 
-from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 import math
 from pathlib import Path
@@ -216,214 +217,150 @@ _DRAWN = 32
 _LARGEST_FILE = 2**28
 # Values of a key.
 Column = Sequence[Any] | np.ndarray
+# Returns the seed of some numbers, such as that of a place.
+_Seeds = Callable[..., np.random.SeedSequence]
 
 
-class Axis(ABC):
+@dataclass(frozen=True, eq=False)
+class Axis:
     """
     Something that varies.
 
-    Attributes
+    Parameters
     ----------
     keys : list of str
         Keys of the scene.
     count : int
         How many places it has.
+    values : callable
+        Returns the values of each key, in the order of the keys, at some places: of an array of
+        int, shape (n,), from 0 to the count and rising; n values of each.
+    kind : type
+        Of the values; str, for JSON, if they have several types.
+    digest : str, optional
+        Of the file that it is read from.
 
     """
 
     keys: list[str]
     count: int
-
-    @property
-    def types(self) -> list[type]:
-        """Return the type of the values of each key; str, for JSON, if they have several types."""
-        return [float] * len(self.keys)
-
-    @abstractmethod
-    def values(self, places: np.ndarray) -> list[Column]:
-        """
-        Return the values of each key at some places.
-
-        Parameters
-        ----------
-        places : np.ndarray of int, shape (n,)
-            From 0 to the count; rising.
-
-        Returns
-        -------
-        list of Column, of length n each
-            In the order of the keys.
-
-        """
+    values: Callable[[np.ndarray], list[Column]]
+    kind: type = float
+    digest: str | None = None
 
 
-class ValuesAxis(Axis):
-    """See ValuesChoice."""
-
-    def __init__(self, axis: ValuesChoice):
-        self.keys, self.count, self._values = [axis.key], len(axis.values), axis.values
-
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        return [[self._values[place] for place in places]]
-
-    @property
-    def types(self) -> list[type]:
-        """See Axis."""
-        kinds = {type(value) for value in self._values}
-        if kinds == {int, float}:
-            return [float]
-        return [kinds.pop() if len(kinds) == 1 and list not in kinds else str]
+def _type_of(values: Sequence[Any]) -> type:
+    kinds = {type(value) for value in values}
+    if kinds == {int, float}:
+        return float
+    return kinds.pop() if len(kinds) == 1 and list not in kinds else str
 
 
-class GridAxis(Axis):
-    """See GridChoice; the last key is the fastest."""
-
-    def __init__(self, axis: GridChoice):
-        self.keys, self.count, self._shape = axis.keys, math.prod(axis.counts), tuple(axis.counts)
-        self._bounds = list(zip(axis.low, axis.high, strict=True))
-
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        along = np.unravel_index(places, self._shape)
-        return [low + (high - low) * (k / max(count - 1, 1)) for (low, high), k, count in zip(
-            self._bounds, along, self._shape, strict=True)]
+def _grid(axis: GridChoice, places: np.ndarray) -> list[Column]:
+    """Return the values of a grid, whose last key is the fastest."""
+    along = np.unravel_index(places, axis.counts)
+    return [low + (high - low) * (k / max(count - 1, 1)) for low, high, k, count in zip(
+        axis.low, axis.high, along, axis.counts, strict=True)]
 
 
-class BoxAxis(Axis):
-    """See BoxChoice."""
-
-    def __init__(self, axis: BoxChoice, entropy: int, number: int):
-        self.keys, self.count = axis.keys, axis.count
-        self._low, self._high = np.array(axis.low), np.array(axis.high)
-        self._seed = entropy, number
-
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        shares = _drawn(places, self, self._seed, lambda rng: rng.random((_DRAWN, len(self.keys))))
-        return list((self._low + (self._high - self._low) * shares).T)
+def _in_box(axis: BoxChoice | SobolChoice, shares: np.ndarray) -> list[Column]:
+    """Return points by their shares of a box, shape (n, keys)."""
+    low, high = np.array(axis.low), np.array(axis.high)
+    return list((low + (high - low) * shares).T)
 
 
-def _drawn(places: np.ndarray, axis: 'BoxAxis | PosteriorAxis', seed: tuple[int, int],
-           draw: Callable[[np.random.Generator], np.ndarray]) -> np.ndarray:
-    """Return what is drawn for each place: _DRAWN rows have a seed of their own."""
-    rows, (entropy, number) = np.empty((len(places), len(axis.keys))), seed
+def _drawn(places: np.ndarray, keys: int, seeds: _Seeds,
+           draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> np.ndarray:
+    """Return a row of draws for each place: _DRAWN rows have a seed of their own."""
+    rows = np.empty((len(places), keys))
     for block in np.unique(places // _DRAWN):
-        seeds = np.random.SeedSequence(entropy, spawn_key=(number, int(block)))
         own = places // _DRAWN == block
-        rows[own] = draw(np.random.default_rng(seeds))[places[own] % _DRAWN]
+        rng = np.random.default_rng(seeds(int(block)))
+        rows[own] = draw(rng, (_DRAWN, keys))[places[own] % _DRAWN]
     return rows
 
 
-class PosteriorAxis(Axis):
-    """See PosteriorChoice."""
+def _sobol(places: np.ndarray, keys: int, seeds: _Seeds) -> np.ndarray:
+    # Imported here: it takes half a second, which other sweeps need not wait.
+    from scipy.stats import qmc
+    wanted, back = np.unique(places, return_inverse=True)
+    parts = []
+    for run in np.split(wanted, np.flatnonzero(np.diff(wanted) > 1) + 1):
+        # It has 2^30 points; all versions of scipy accept the argument `seed`.
+        points = qmc.Sobol(keys, scramble=True, seed=np.random.default_rng(seeds()))
+        if run[0]:
+            points.fast_forward(int(run[0]))
+        # One by one: only of a first draw of another length than a power of two it warns.
+        first = points.random(1)
+        parts += [first, points.random(len(run) - 1)] if len(run) > 1 else [first]
+    return np.vstack(parts)[back]
 
-    def __init__(self, axis: PosteriorChoice, entropy: int, number: int, folder: Path, place: str):
-        posterior = read_posterior(folder / axis.path, place, axis.keys)
-        self.keys, self.count, self.digest = posterior.keys, axis.count, posterior.digest
-        self._mean, self._root, self._seed = posterior.mean, posterior.root, (entropy, number)
 
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        normal = _drawn(places, self, self._seed, lambda rng: rng.standard_normal(
-            (_DRAWN, len(self.keys))))
+def _posterior(axis: PosteriorChoice, seeds: _Seeds, path: Path, place: str) -> Axis:
+    found = read_posterior(path, place, axis.keys)
+
+    def values(places: np.ndarray) -> list[Column]:
+        normal = _drawn(places, len(found.keys), seeds, np.random.Generator.standard_normal)
         # Term by term: in a matrix product the order of a sum depends on how many rows there are.
-        drawn = np.tile(self._mean, (len(places), 1))
-        for k, column in enumerate(self._root.T):
+        drawn = np.tile(found.mean, (len(places), 1))
+        for k, column in enumerate(found.root.T):
             drawn += normal[:, k, None] * column
         return list(drawn.T)
+    return Axis(found.keys, axis.count, values, digest=found.digest)
 
 
-class SobolAxis(Axis):
-    """See SobolChoice."""
+def file_axis(path: Path, place: str) -> Axis:
+    """
+    Return the rows of a table of numbers.
 
-    def __init__(self, axis: SobolChoice, entropy: int, number: int):
-        self.keys, self.count = axis.keys, axis.count
-        self._low, self._high = np.array(axis.low), np.array(axis.high)
-        self._entropy, self._number = entropy, number
+    Parameters
+    ----------
+    path : Path
+        The file.
+    place : str
+        Where it is asked for, for errors.
 
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        # Imported here: it takes half a second, which other sweeps need not wait.
-        from scipy.stats import qmc
-        wanted, back = np.unique(places, return_inverse=True)
-        parts = []
-        for run in np.split(wanted, np.flatnonzero(np.diff(wanted) > 1) + 1):
-            seeds = np.random.SeedSequence(self._entropy, spawn_key=(self._number,))
-            # It has 2^30 points; all versions of scipy accept the argument `seed`.
-            points = qmc.Sobol(len(self.keys), scramble=True, seed=np.random.default_rng(seeds))
-            if run[0]:
-                points.fast_forward(int(run[0]))
-            # One by one: only of a first draw of another length than a power of two it warns.
-            first = points.random(1)
-            parts += [first, points.random(len(run) - 1)] if len(run) > 1 else [first]
-        shares = np.vstack(parts)[back]
-        return list((self._low + (self._high - self._low) * shares).T)
+    Raises
+    ------
+    DataError
+        It cannot be read, or is no table; one line.
 
-
-class FileAxis(Axis):
-    """See FileChoice."""
-
-    def __init__(self, axis: FileChoice, folder: Path, place: str):
-        path = folder / axis.path
-        # As numbers, of eight bytes each.
-        numbers, self.keys, rows = array('d'), list[str](), 0
-        try:
-            for line, text in text_lines(path, _LARGEST_FILE):
-                if not self.keys:
-                    self.keys = [name.strip() for name in text.split(',')]
-                elif text.strip():
-                    numbers.extend(self._row(f'{path}:{line}', text))
-                    rows += 1
-            self.digest = sha256_of(path, _LARGEST_FILE)
-        except OSError as problem:
-            raise DataError(f'{place}: {path}: {problem.strerror or problem}; give a table of '
-                            'numbers, or cut it into those of several sweeps') from problem
-        except ValueError as problem:
-            raise DataError(f'{place}: {path}:{problem}') from problem
-        except DataError as problem:
-            raise DataError(f'{place}: {problem}') from problem
-        if not rows:
-            raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
-                            'of the scene, and each further one has a number for each')
-        self._table, self.count = np.array(numbers).reshape(rows, -1), rows
-
-    def _row(self, place: str, line: str) -> list[float]:
-        words = line.split(',')
-        if len(words) != len(self.keys):
-            raise DataError(f'{place}: {len(words)} values, expected {len(self.keys)}')
-        row = []
-        for key, word in zip(self.keys, words, strict=True):
-            row.append(plain_number(word))
-            if not math.isfinite(row[-1]):
-                raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is no finite '
-                                'number')
-        return row
-
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        return list(self._table[places].T)
+    """
+    # As numbers, of eight bytes each.
+    numbers, keys, rows = array('d'), list[str](), 0
+    try:
+        for line, text in text_lines(path, _LARGEST_FILE):
+            if not keys:
+                keys = [name.strip() for name in text.split(',')]
+            elif text.strip():
+                numbers.extend(_row(f'{path}:{line}', text, keys))
+                rows += 1
+        digest = sha256_of(path, _LARGEST_FILE)
+    except OSError as problem:
+        raise DataError(f'{place}: {path}: {problem.strerror or problem}; give a table of '
+                        'numbers, or cut it into those of several sweeps') from problem
+    except ValueError as problem:
+        raise DataError(f'{place}: {path}:{problem}') from problem
+    except DataError as problem:
+        raise DataError(f'{place}: {problem}') from problem
+    if not rows:
+        raise DataError(f'{place}: {path} has no row of numbers; its first line names keys '
+                        'of the scene, and each further one has a number for each')
+    table = np.array(numbers).reshape(rows, -1)
+    return Axis(keys, rows, lambda places: list(table[places].T), digest=digest)
 
 
-class RepeatsAxis(Axis):
-    """See RepeatsChoice."""
-
-    def __init__(self, axis: RepeatsChoice, entropy: int, number: int):
-        self.keys, self.count = [] if axis.key is None else [axis.key], axis.count
-        self._entropy, self._number = entropy, number
-
-    def values(self, places: np.ndarray) -> list[Column]:
-        """See Axis."""
-        if not self.keys:
-            return []
-        return [[int(np.random.SeedSequence(
-            self._entropy, spawn_key=(self._number, int(place))).generate_state(1)[0])
-            for place in places]]
-
-    @property
-    def types(self) -> list[type]:
-        """See Axis."""
-        return [int] * len(self.keys)
+def _row(place: str, line: str, keys: Sequence[str]) -> list[float]:
+    words = line.split(',')
+    if len(words) != len(keys):
+        raise DataError(f'{place}: {len(words)} values, expected {len(keys)}')
+    row = []
+    for key, word in zip(keys, words, strict=True):
+        row.append(plain_number(word))
+        if not math.isfinite(row[-1]):
+            raise DataError(f'{place}: {one_line(key)}: {word.strip()[:40]!r} is no finite '
+                            'number')
+    return row
 
 
 def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: str) -> Axis:
@@ -449,22 +386,30 @@ def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: 
         A file that cannot be used, or too many places.
 
     """
-    made: Axis
+    def seeds(*numbers: int) -> np.random.SeedSequence:
+        return np.random.SeedSequence(entropy, spawn_key=(number, *numbers))
+
     match axis:
-        case ValuesChoice():
-            made = ValuesAxis(axis)
+        case ValuesChoice(key=key, values=values):
+            made = Axis([key], len(values), lambda places: [[values[k] for k in places]],
+                        _type_of(values))
         case GridChoice():
-            made = GridAxis(axis)
-        case BoxChoice():
-            made = BoxAxis(axis, entropy, number)
-        case SobolChoice():
-            made = SobolAxis(axis, entropy, number)
+            made = Axis(axis.keys, math.prod(axis.counts), partial(_grid, axis))
+        case BoxChoice(keys=keys):
+            made = Axis(keys, axis.count, lambda places: _in_box(axis, _drawn(
+                places, len(keys), seeds, np.random.Generator.random)))
+        case SobolChoice(keys=keys):
+            made = Axis(keys, axis.count, lambda places: _in_box(axis, _sobol(
+                places, len(keys), seeds)))
         case FileChoice():
-            made = FileAxis(axis, folder, place)
+            made = file_axis(folder / axis.path, place)
         case PosteriorChoice():
-            made = PosteriorAxis(axis, entropy, number, folder, place)
-        case RepeatsChoice():
-            made = RepeatsAxis(axis, entropy, number)
+            made = _posterior(axis, seeds, folder / axis.path, place)
+        case RepeatsChoice(key=None):
+            made = Axis([], axis.count, lambda places: [])
+        case RepeatsChoice(key=str(key)):
+            made = Axis([key], axis.count, lambda places: [[
+                int(seeds(int(k)).generate_state(1)[0]) for k in places]], int)
     if made.count > MOST:
         raise DataError(f'{place}: {made.count:.3g} points, more than {MOST}; take fewer')
     return made

@@ -40,9 +40,9 @@ class _Ranges(StrictModel):
 
     @model_validator(mode='after')
     def _check_bounds(self) -> Self:
-        for name in ('low', 'high'):
-            if len(getattr(self, name)) != len(self.keys):
-                raise ValueError(f'{name} has {len(getattr(self, name))} values, expected '
+        for name in ('low', 'high', 'counts'):
+            if (count := len(getattr(self, name, self.keys))) != len(self.keys):
+                raise ValueError(f'{name} has {count} values, expected '
                                  f'{len(self.keys)}, one for each of keys')
         for key, low, high in zip(self.keys, self.low, self.high, strict=True):
             if not low <= high:
@@ -56,13 +56,6 @@ class GridChoice(_Ranges):
     kind: Literal['grid'] = Field(description='evenly spaced values in all combinations')
     counts: list[Annotated[int, Field(ge=1, le=MOST)]] = Field(
         min_length=1, max_length=1000, description='how many values of each key')
-
-    @model_validator(mode='after')
-    def _check_counts(self) -> Self:
-        if len(self.counts) != len(self.keys):
-            raise ValueError(f'counts has {len(self.counts)} values, expected {len(self.keys)}, '
-                             'one for each of keys')
-        return self
 
 
 class BoxChoice(_Ranges):

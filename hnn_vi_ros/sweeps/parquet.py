@@ -42,8 +42,7 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
         measured.append('events')
     columns = [
         pa.field('index', pa.int64()),
-        *(pa.field(key, _TYPES[kind]) for axis in plan.axes
-          for key, kind in zip(axis.keys, axis.types, strict=True)),
+        *(pa.field(key, _TYPES[axis.kind]) for axis in plan.axes for key in axis.keys),
         pa.field('t', pa.float64()),
         *(pa.field(f'{half}_{name}', pa.float64()) for half, names in plan.names.items()
           for name in names),

@@ -20,7 +20,7 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.sweeps.axes import Axis, FileAxis, find_key, make_axis, PosteriorAxis, with_values
+from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis, with_values
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.trajectory.simulate import BLOCK
 from hnn_vi_ros.version import __version__
@@ -148,8 +148,7 @@ class SweepPlan:
             'sweep': self.sweep.model_dump(mode='json'),
             'scene': self.scene.model_dump(mode='json'),
             'models': self.scene.model_digests,
-            'files': [axis.digest for axis in self.axes
-                      if isinstance(axis, FileAxis | PosteriorAxis)],
+            'files': [axis.digest for axis in self.axes if axis.digest is not None],
             'versions': {'hnn_vi_ros': __version__, 'python': platform.python_version(),
                          'machine': platform.machine(),
                          **{name: version(name) for name in _PACKAGES}},

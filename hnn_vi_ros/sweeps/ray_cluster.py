@@ -10,9 +10,6 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.folder import SweepFolder
-from hnn_vi_ros.sweeps.parquet import write_shard
-from hnn_vi_ros.sweeps.plan import SweepPlan
-from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import ShardJob
 import ray
 from ray.exceptions import RayError
@@ -21,30 +18,6 @@ from ray.exceptions import RayError
 _AHEAD = 2
 # How often a shard is restarted whose actor was lost with its process or its machine.
 _RETRIES = 3
-
-
-class ShardMaker:
-    """
-    Makes shards in a process of the cluster.
-
-    Parameters
-    ----------
-    job : ShardJob
-        Of which sweep; files that it names must be found under the same paths.
-
-    """
-
-    def __init__(self, job: ShardJob):
-        self._job = job
-        self._ready: tuple[SweepPlan, Runner] | None = None
-
-    def make(self, shard: int) -> bytes:
-        """Return the file of a shard."""
-        # Here, so that an error is that of a task: one of a constructor loses its reason.
-        if self._ready is None:
-            self._ready = self._job.prepare()
-        plan, runner = self._ready
-        return write_shard(plan, shard, runner.shard(shard))
 
 
 def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
@@ -98,8 +71,8 @@ def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: 
         raise HnnViRosError(f'--ray {address} --device {job.device}: the cluster has no GPU; '
                             'leave --device out, or begin it with ray start --num-gpus N')
     actor = ray.remote(num_cpus=1, num_gpus=int(on_gpu), max_restarts=-1,
-                       max_task_retries=_RETRIES)(ShardMaker)
-    free = deque(actor.remote(job) for _ in range(min(makers, len(shards))))
+                       max_task_retries=_RETRIES)(ShardJob)
+    free = deque(actor.remote(**vars(job)) for _ in range(min(makers, len(shards))))
     free.extend(list(free) * (_AHEAD - 1))
     pending, running = deque(shards), dict[Any, tuple[int, Any]]()
     while pending or running:

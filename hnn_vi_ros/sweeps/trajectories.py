@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The trajectories of a sweep, a block at a time, with their measures; a failure is a row."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
@@ -11,7 +12,7 @@ from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.errors import HnnViRosError, listed, StepFailure
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import look_at_block, show_many, watch_of_block
+from hnn_vi_ros.guards.watch import show_many
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
@@ -21,7 +22,7 @@ from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
-from hnn_vi_ros.trajectory.simulate import record_one, recorders
+from hnn_vi_ros.trajectory.simulate import record_block, record_one
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
@@ -86,58 +87,40 @@ def out_of_box_time(trajectory: Trajectory, hamiltonian: Hamiltonian) -> float:
     return float(np.diff(trajectory.t)[outside[1:]].sum())
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
-    """Return a view that cannot be written to."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-class Reducer:
+def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajectory: Trajectory
+           ) -> dict[str, float]:
     """
-    A function of the user's, made ready.
+    Return what a function of the user's makes of a trajectory, by column.
 
     Parameters
     ----------
     reduction : Reduction
-        Which.
-    folder : str
-        Where its module may be, apart from the installed ones.
+        Its name and columns.
+    function : callable
+        It may read the kept arrays, and not write them.
+    trajectory : Trajectory
+        With the initial state first.
 
     Raises
     ------
-    SceneError
-        It cannot be imported.
+    HnnViRosError
+        It fails, or returns something else.
 
     """
-
-    def __init__(self, reduction: Reduction, folder: str):
-        self._name, self._columns = reduction.function, reduction.columns
-        self._function = load_code(reduction.function, 'reduction', folder)
-
-    def __call__(self, trajectory: Trajectory) -> dict[str, float]:
-        """
-        Return its numbers, by column; it may read the kept arrays, and not write them.
-
-        Raises
-        ------
-        HnnViRosError
-            It fails, or returns something else.
-
-        """
-        try:
-            t, q, p, energy = map(_read_only, (
-                trajectory.t, trajectory.q, trajectory.p, trajectory.energy))
-            found = self._function(replace(trajectory, t=t, q=q, p=p, energy=energy))
-            numbers = {name: float(found[name]) for name in self._columns}
-            more = set(found) - set(self._columns)
-        except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
-            raise HnnViRosError(f'{self._name}: {type(problem).__name__}: {one_line(problem)}'
-                                ) from problem
-        if more:
-            raise HnnViRosError(f'{self._name}: returned {listed(sorted(more))} '
-                                'beside its columns; name them in columns')
-        return numbers
+    name, views = reduction.function, {
+        key: getattr(trajectory, key).view() for key in ('t', 'q', 'p', 'energy')}
+    for view in views.values():
+        view.flags.writeable = False
+    try:
+        found = function(replace(trajectory, **views))
+        numbers = {column: float(found[column]) for column in reduction.columns}
+        more = set(found) - set(numbers)
+    except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
+        raise HnnViRosError(f'{name}: {type(problem).__name__}: {one_line(problem)}') from problem
+    if more:
+        raise HnnViRosError(f'{name}: returned {listed(sorted(more))} beside its columns; name '
+                            'them in columns')
+    return numbers
 
 
 # Failures of a trajectory; any other error is a fault of this package, and ends the sweep.
@@ -208,8 +191,8 @@ class Runner:
         self._of_scene = [k for k, part in enumerate(plan.parts) if part[0] != 'initial_state']
         self._kept = slice(None) if sweep.keep == 'samples' else slice(-1, None)
         self._measures = bool(sweep.statistics or sweep.reduction)
-        self._reducer = None if sweep.reduction is None else Reducer(
-            sweep.reduction, str(plan.folder.resolve()))
+        self._function: Any = sweep.reduction and load_code(
+            sweep.reduction.function, 'reduction', str(plan.folder.resolve()))
 
     def check(self) -> None:
         """
@@ -271,14 +254,8 @@ class Runner:
             except _FAILURES:
                 # Any of them may have failed: try each by itself.
                 made.forget()
-        found = []
-        for index, row in zip(indices, rows, strict=True):
-            try:
-                found.append(self._told(made, index, row, made.alone(index, row)))
-            except _FAILURES as problem:
-                made.forget()
-                found.append(self._failed(index, row, problem))
-        return found
+        return [self._try(made, index, row, partial(made.alone, index, row))
+                for index, row in zip(indices, rows, strict=True)]
 
     def _on_device(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
                    ) -> list[Rows]:
@@ -296,8 +273,8 @@ class Runner:
                    found: Trajectory) -> list[Rows]:
         """Return what is kept of trajectories together, measured one by one if that is asked."""
         if self._measures:
-            return [self._try(made, index, row, found.select(k)) for k, (index, row) in enumerate(
-                zip(indices, rows, strict=True))]
+            return [self._try(made, index, row, partial(found.select, k))
+                    for k, (index, row) in enumerate(zip(indices, rows, strict=True))]
         kept = self._kept
         q, p = (half[kept].swapaxes(0, 1).reshape(-1, half.shape[-1])
                 for half in (found.q, found.p))
@@ -305,17 +282,19 @@ class Runner:
         return [Rows(indices, rows, len(t), np.tile(t, len(rows)), q, p,
                      found.energy[kept].T.ravel(), [_kinds(own) for own in found.alarms])]
 
-    def _try(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory) -> Rows:
+    def _try(self, made: '_Made', index: int, row: tuple[Any, ...],
+             find: Callable[[], Trajectory]) -> Rows:
         try:
-            return self._told(made, index, row, found)
+            return self._told(made, index, row, find())
         except _FAILURES as problem:
+            made.forget()
             return self._failed(index, row, problem)
 
     def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory) -> Rows:
         sweep, kept = self._plan.sweep, self._kept
         measured = measure(sweep.statistics, found, made.parts, made.joined, sweep.duration)
-        if self._reducer is not None:
-            measured |= self._reducer(found)
+        if sweep.reduction is not None:
+            measured |= reduce(sweep.reduction, self._function, found)
         return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
                     found.p[kept], found.energy[kept], [_kinds(found.alarms)], measured)
 
@@ -365,21 +344,15 @@ class _Made:
     def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> Trajectory:
         """Return trajectories in lockstep: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
-        simulation = self._begin('block', q, p, indices[0])
-        watch = watch_of_block(simulation)
-        parts = [(q[None], p[None])]
-        t, takers = recorders(
-            simulation, self._plan.sweep.duration, self._every, None, None, watch)
-        parts += [take() for take in takers]
-        watch.update(look_at_block(simulation))
-        q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
-        alarms: list[list[Alarm]] = [list(watch.alarms) for _ in rows]
-        # A simulation of one trajectory serves to evaluate the energy of all.
-        one = self._begin('first', q[:1], p[:1], indices[0])
-        return self._several(one, t, q_all, p_all, alarms)
+        t, q_all, p_all, told = record_block(
+            self._simulation('block', q, p), q, p, indices[0], self._plan.sweep.duration,
+            self._every)
+        return self._several(t, q_all, p_all, [[*told] for _ in rows])
 
-    def _several(self, one: Any, t: np.ndarray, q: np.ndarray, p: np.ndarray,
+    def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:
+        # A simulation of one trajectory serves to evaluate the energy of all.
+        one = self._simulation('first', q[0, :1], p[0, :1])
         energy = show_many(one, t / one.step_size, q, p, alarms)
         return Trajectory(t, q, p, energy, self.parts.hamiltonian.coordinates,
                           tuple(map(tuple, alarms)), scene=self.parts.scene)
@@ -406,26 +379,24 @@ class _Made:
         steps, _ = whole_steps(self._plan.sweep.duration, h)
         samples = sorted({*range(0, steps + 1, self._every), steps})
         alarms: list[list[Alarm]] = [[] for _ in rows]
-        one = self._begin('first', self._state['q'][None], self._state['p'][None], 0)
         q_all, p_all, failures = record_on_device(
-            one, lambda: self._ensemble, device, q, p, samples, 1, alarms)
-        return self._several(one, np.array(samples) * h, q_all, p_all, alarms), failures
+            self._simulation('first', q[:1], p[:1]), lambda: self._ensemble, device, q, p, samples, 1, alarms)
+        return self._several(np.array(samples) * h, q_all, p_all, alarms), failures
 
     def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:
         """Return one trajectory, with noise and events of its own."""
         q, p = self.states([row])
-        return replace(record_one(
-            self._begin('alone', q[0], p[0], index), self._plan.sweep.duration, self._every),
-            scene=self.parts.scene)
+        simulation = self._simulation('alone', q[0], p[0])
+        # A stream of noise for each index.
+        simulation.restart(q[0], p[0], stream=index)
+        return replace(record_one(simulation, self._plan.sweep.duration, self._every),
+                       scene=self.parts.scene)
 
-    def _begin(self, name: str, q: np.ndarray, p: np.ndarray, stream: int) -> Any:
-        """Return a simulation in an initial state; a stream of noise for each index."""
-        simulation = self._simulations.get(name)
-        if simulation is None:
-            simulation = watched(build_at(self.parts, q, p), self.parts.scene)
-            self._simulations[name] = simulation
-        simulation.restart(q, p, stream=stream)
-        return simulation
+    def _simulation(self, name: str, q: np.ndarray, p: np.ndarray) -> Any:
+        """Return a simulation, made at its first use from this state."""
+        if name not in self._simulations:
+            self._simulations[name] = watched(build_at(self.parts, q, p), self.parts.scene)
+        return self._simulations[name]
 
 
 def _kinds(alarms: Iterable[Alarm]) -> list[str]:

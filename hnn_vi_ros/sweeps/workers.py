@@ -19,12 +19,14 @@ from hnn_vi_ros.sweeps.trajectories import Runner
 
 # Lost processes in a row, without a shard between them, after which something else is wrong.
 _MOST_LOSSES = 3
+# The plan of a sweep, and what makes its trajectories, by digest: jobs come anew with each shard.
+_ready: dict[str, tuple[SweepPlan, Runner]] = {}
 
 
 @dataclass(frozen=True)
 class ShardJob:
     """
-    Job of another process that makes shards of a sweep.
+    Job of another process that makes shards of a sweep; its files have the same paths there.
 
     Parameters
     ----------
@@ -44,22 +46,26 @@ class ShardJob:
     digest: str
     device: str | None = None
 
-    def prepare(self) -> tuple[SweepPlan, Runner]:
+    def make(self, shard: int) -> bytes:
         """
-        Return the plan and what makes its trajectories.
+        Return the file of a shard.
 
         Raises
         ------
         HnnViRosError
-            It comes out otherwise here: other files or versions.
+            The plan comes out otherwise here: other files or versions.
 
         """
-        plan = make_plan(self.definition, self.chosen, self.device)
-        if plan.record['digest'] != self.digest:
-            raise HnnViRosError(
-                'the sweep, its scene, its model or the versions of packages are others in a '
-                'worker than in the process that began it; make them the same')
-        return plan, Runner(plan)
+        # Made with the first shard: an error in the constructor of an actor loses its reason.
+        if self.digest not in _ready:
+            plan = make_plan(self.definition, self.chosen, self.device)
+            if plan.record['digest'] != self.digest:
+                raise HnnViRosError(
+                    'the sweep, its scene, its model or the versions of packages are others in a '
+                    'worker than in the process that began it; make them the same')
+            _ready[self.digest] = plan, Runner(plan)
+        plan, runner = _ready[self.digest]
+        return write_shard(plan, shard, runner.shard(shard))
 
 
 def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
@@ -107,11 +113,5 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
                 pending.extendleft(sorted(running.values(), reverse=True))
 
 
-_ready: dict[str, tuple[SweepPlan, Runner]] = {}
-
-
 def _make(job: ShardJob, path: Path, shard: int) -> None:
-    if job.digest not in _ready:
-        _ready[job.digest] = job.prepare()
-    plan, runner = _ready[job.digest]
-    SweepFolder(path).put(shard, write_shard(plan, shard, runner.shard(shard)))
+    SweepFolder(path).put(shard, job.make(shard))

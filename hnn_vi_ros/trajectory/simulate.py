@@ -372,6 +372,45 @@ def record_one(simulation: Simulation, duration: float, every: int,
                           if event.t <= t[-1]))
 
 
+def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
+                 duration: float, every: int, times: np.ndarray | None = None
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[Alarm]]:
+    """
+    Take the samples of trajectories that step together.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of as many trajectories; it is restarted.
+    q, p : np.ndarray, shape (m, d)
+        Initial states.
+    stream : int
+        Of noise.
+    duration, every, times
+        See ``simulate``; the first of the times is 0.
+
+    Returns
+    -------
+    tuple of (np.ndarray, np.ndarray, np.ndarray, list of Alarm)
+        Times, shape (n,), q and p there, shape (n, m, d), and the alarms about the steps of all;
+        without work those about energies are left to ``show_many``.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
+    simulation.restart(q, p, stream=stream)
+    watch = watch_of_block(simulation)
+    t, takers = recorders(simulation, duration, every, None if times is None else times[1:],
+                          None, watch)
+    parts = [(q[None], p[None]), *(take() for take in takers)]
+    watch.update(look_at_block(simulation))
+    q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
+    return t, q_all, p_all, watch.alarms
+
+
 def _scene(scene: Scene | str | Path) -> Scene:
     """Return the scene of a name."""
     if isinstance(scene, str | Path):
@@ -492,10 +531,21 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     def start(block: slice) -> Simulation:
         return build_at(parts, q0[block], p0[block])
 
+    def work(firsts: range) -> None:
+        simulation = start(slice(firsts[0], firsts[0] + size))
+        for first in firsts:
+            block = slice(first, first + size)
+            _, q_all[:, block], p_all[:, block], told = record_block(
+                simulation, q0[block], p0[block], first, float(t[-1]), max(every, 1),
+                t if share else None)
+            for own in alarms[block]:
+                own += told
+
     alarms: list[list[Alarm]] = [[] for _ in q0]
     if device is None:
-        q_all, p_all = _compiled(start, q0, p0, samples, t[1:] if share else every, size,
-                                 threads or usable_processors(), alarms)
+        workers = min(threads or usable_processors(), -(-len(q0) // size))
+        q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
+        in_threads(lambda k: work(range(k * size, len(q0), workers * size)), workers)
     else:
         if share:
             raise ValueError(f'device = {device}: samples lie {interval:g} s apart, '
@@ -512,35 +562,3 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     tell_many(alarms, h)
     return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
                       tuple(map(tuple, alarms)), scene=scene)
-
-
-def _compiled(start: Callable[[slice], Simulation], q0: np.ndarray, p0: np.ndarray, samples: int,
-              every: int | np.ndarray, size: int, threads: int, alarms: list[list[Alarm]]
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and p, shape (samples + 1, m, d), by compiled loops over blocks of a size."""
-    workers = min(threads, -(-len(q0) // size))
-    q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
-    q_all[0], p_all[0] = q0, p0
-    in_threads(lambda worker: _fill(
-        start, range(worker * size, len(q0), workers * size), size, every, q_all, p_all, alarms),
-        workers)
-    return q_all, p_all
-
-
-def _fill(start: Callable[[slice], Simulation], firsts: range, size: int,
-          every: int | np.ndarray, q_all: np.ndarray, p_all: np.ndarray,
-          alarms: list[list[Alarm]]) -> None:
-    """Simulate the blocks that begin at these trajectories; every: steps, or samples' times."""
-    samples = len(q_all) - 1
-    simulation = start(slice(firsts[0], firsts[0] + size))
-    for first in firsts:
-        block = slice(first, first + size)
-        # Each trajectory has noise of its own.
-        simulation.restart(q_all[0, block], p_all[0, block], stream=first)
-        watch = watch_of_block(simulation)
-        q_block, p_block = record_samples(simulation, samples, every, watch)
-        # Without work, only alarms about steps are left to report; see show_many.
-        watch.update(look_at_block(simulation))
-        for own in alarms[block]:
-            own += watch.alarms
-        q_all[1:, block], p_all[1:, block] = q_block, p_block

@@ -49,8 +49,7 @@ from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
 data = LogMotions(columns=['t', 'q'], time='t', q=['q'])
 """
 AXIS = """\
-from hnn_vi_ros.sweeps.axes import FileAxis
-from hnn_vi_ros.sweeps.definition import FileChoice
+from hnn_vi_ros.sweeps.axes import file_axis
 """
 STATE = """\
 from hnn_vi_ros.run.held_state import restore_state
@@ -62,7 +61,7 @@ READERS = {
     'arrays': ('from hnn_vi_ros.learning.data.arrays import Archive', 'Archive(path)'),
     'log': (LOG, 'read_measured_log(path, data)'),
     'motions': (MOTIONS, 'read_log_motions(path, data)'),
-    'axis': (AXIS, "FileAxis(FileChoice(kind='file', path=path.name), path.parent, 'axis')"),
+    'axis': (AXIS, "file_axis(path, 'axis')"),
     'posterior': ('from hnn_vi_ros.sweeps.axes import read_posterior',
                   "read_posterior(path, 'posterior')"),
     'record': ('from hnn_vi_ros.sweeps.folder import SweepFolder',

@@ -14,8 +14,7 @@ from hnn_vi_ros.learning.data.text import LogMotions, read_log
 from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.ros.services import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.sweeps.axes import FileAxis, read_posterior
-from hnn_vi_ros.sweeps.definition import FileChoice
+from hnn_vi_ros.sweeps.axes import file_axis, read_posterior
 import pytest
 
 
@@ -32,8 +31,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     'log': lambda path: read_log(path, LogMotions(columns=['t', 'q'], time='t', q=['q'])),
     'scene': load_scene, 'yaml': lambda path: load_yaml(path, Scene, DataError),
     'arrays': Archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
-    'axis': lambda path: FileAxis(
-        FileChoice(kind='file', path=path.name), path.parent, 'axis')}
+    'axis': lambda path: file_axis(path, 'axis')}
 
 
 @pytest.mark.parametrize('reader', READERS)

@@ -219,8 +219,7 @@ def _lagged(columns: np.ndarray, lengths: np.ndarray, highest: int) -> np.ndarra
 @cache
 def _pairs(highest: int) -> tuple[np.ndarray, np.ndarray]:
     """Return pairs of numbers up to the highest, i <= j; those of fewer come first."""
-    pairs = [(i, j) for j in range(highest + 1) for i in range(j + 1)]
-    i, j = np.array(pairs).T
+    j, i = np.tril_indices(highest + 1)
     return i, j
 
 
@@ -543,13 +542,12 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
     least = float(problem.cost(solution.residuals).sum())
 
     def excess(value: float) -> float:
-        numbers = tuple(replace(number, start=value if i == k else float(now)) for i, (
-            number, now) in enumerate(zip(free.numbers, solution.values, strict=True)))
-        own = Problem(replace(free, numbers=numbers).holding(k), solution.windows, problem.noise,
+        values = solution.values.copy()
+        values[k] = value
+        own = Problem(free.starting_at(values).holding(k), solution.windows, problem.noise,
                       solution.starts, problem.robust)
-        others = np.delete(solution.values, k)
         try:
-            residuals = search(own, others).residuals
+            residuals = search(own, np.delete(values, k)).residuals
         except HnnViRosError:
             return math.inf
         return math.sqrt(max(0.0, float(own.cost(residuals).sum()) - least)) - allowed

@@ -398,7 +398,7 @@ class Prediction:
         slopes = np.empty((*self._windows.measured.shape, len(self._values)))
         if exact and self._run is not None:
             slopes[..., exact] = self._exact(self._run, starts, [
-                Change(np.zeros_like(starts), [(self._on_number(k), np.array(1.0))])
+                Change(np.zeros_like(starts), [(_OnNumber(self._beside(k), self._integrator), np.array(1.0))])
                 for k in exact])[1]
         for k in range(len(self._values)):
             if k not in exact:
@@ -408,8 +408,7 @@ class Prediction:
     def _difference(self, starts: np.ndarray, k: int) -> np.ndarray:
         """Return a difference by one number, within its bounds."""
         total = np.zeros(self._windows.measured.shape)
-        for value, weight in self._beside(k):
-            other = Prediction(self._free, self._with(k, value), self._windows)
+        for weight, other in self._beside(k):
             total += weight * other.measured_at(other.states(starts[:, None])[:, 0])
         return total
 
@@ -462,23 +461,15 @@ class Prediction:
             v = v + number.velocity(*flat[:2])
         return np.concatenate([moved[..., :d], v.reshape(*moved.shape[:-1], d)], axis=-1)
 
-    def _on_number(self, k: int) -> '_OnNumber':
-        """Return the dependence of the steps on one number."""
-        return _OnNumber([(weight, Prediction(self._free, self._with(k, value), self._windows))
-                          for value, weight in self._beside(k)], self._integrator)
-
-    def _with(self, k: int, value: float) -> np.ndarray:
-        """Return the numbers with another value of one."""
-        values = self._values.copy()
-        values[k] = value
-        return values
-
-    def _beside(self, k: int) -> list[tuple[float, float]]:
-        """Return values of a number within its bounds, and weights of a difference by them."""
+    def _beside(self, k: int) -> list[tuple[float, 'Prediction']]:
+        """Return the weights of a difference by a number, and predictions with its values."""
         number, value = self._free.numbers[k], float(self._values[k])
         # A spacing relative to a number that has all but vanished would be lost in rounding.
         usual = self._windows.spacing if number.place == DELAY else abs(number.start) or 1.0
-        return difference(value, _SPACING * max(abs(value), usual), number.low, number.high)
+        return [(weight, Prediction(self._free, np.where(
+            np.arange(len(self._values)) == k, other, self._values), self._windows))
+            for other, weight in difference(
+                value, _SPACING * max(abs(value), usual), number.low, number.high)]
 
 
 class _OnNumber(OnNumber):
