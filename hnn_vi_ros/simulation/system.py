@@ -9,11 +9,12 @@ import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Constraint, ConstraintSet, Effect, EffectError, EffectState, Force, Joined, Place, Wrapping)
+    Effect, EffectError, EffectState, Force, Joined, Layer, Place)
 from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
     POSITION)
 from hnn_vi_ros.effects.kernels import add_forces, join
+from hnn_vi_ros.effects.manifold import Manifold
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -462,32 +463,20 @@ class System:
         if integrator.requirements.coordinates != 'other':
             # Others read what is in the parameters of their own family of models.
             self.kernel = by_address(self.kernel)
-        self._constraints = self._constrained(self._in(Place.MANIFOLD))
+        listed = [(i, self.labels[i], self._parameters[i]) for i in self._in(Place.MANIFOLD)]
+        self._constraints = Manifold(listed, self.kernel, len(self._effects)) if listed else None
         self.integrator = self._wrapped(integrator)
-
-    def _constrained(self, listed: list[int]) -> ConstraintSet | None:
-        """Return the constraints of the scene as one, None for none."""
-        if not listed:
-            return None
-        kinds = {type(self._effects[i]): i for i in reversed(listed)}
-        if len(kinds) > 1:
-            raise EffectError(max(kinds.values()), 'does not combine with constraints of another '
-                                                   'kind; leave one of them out')
-        (kind,) = kinds
-        return cast(type[Constraint], kind).combine(
-            [(i, self.labels[i], self._parameters[i]) for i in listed],
-            self.kernel, len(self._effects))
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
         """Wrap a method with what acts around its nodes, place by place, and the account."""
         around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
         for place, i in around:
-            kind = cast(type[Wrapping], type(self._effects[i]))
+            kind = cast(type[Layer], type(self._effects[i]))
             settings: Any = self._parameters[i]
             if self._constraints is not None and place is Place.MANIFOLD:
                 if i != self._in(place)[0]:
                     continue  # the first one stands for all
-                kind, settings = self._constraints.kind, self._constraints.settings
+                kind, settings = self._constraints.kind, self._constraints.constraints
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
             integrator = Wrapped(
