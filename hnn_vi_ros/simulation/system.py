@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, cast
 import warnings
 
@@ -179,16 +180,9 @@ class JoinedHamiltonian(Hamiltonian):
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
 
-    @property
-    def invariants(  # type: ignore[override]  # a scene sets those of the base
-            self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
-        """Return the functions to watch along the motion."""
-        return self.base.invariants
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the box in which the base was learned."""
-        return self.base.box
+    # Those of the base, also where a scene sets them later.
+    invariants, box, smooth, provenance, scheme = (property(attrgetter(f'base.{name}')) for name in (
+        'invariants', 'box', 'smooth', 'provenance', 'scheme'))
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
@@ -197,21 +191,6 @@ class JoinedHamiltonian(Hamiltonian):
         for effect, parameters in self._joined:
             effect.add_gauge(parameters, gauge)
         return gauge if gauge.any() else None
-
-    @property
-    def smooth(self) -> bool:
-        """Return whether the gradient of the base is continuous."""
-        return self.base.smooth
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return what identifies the data behind the base."""
-        return self.base.provenance
-
-    @property
-    def scheme(self) -> tuple[str, float] | None:
-        """Return the method and step size [s] of the base."""
-        return self.base.scheme
 
     def copy(self) -> 'JoinedHamiltonian':
         """Return the same function with working memory of its own."""
