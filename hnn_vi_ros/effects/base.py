@@ -341,7 +341,7 @@ class Force(Effect):
 
 class Layer:
     """
-    What Wrapped puts around a step, such as a StepEffect.
+    A layer that Wrapped puts around a step, such as a StepEffect.
 
     Attributes
     ----------
