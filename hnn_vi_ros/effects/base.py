@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from functools import cache
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.errors import listed, reduce_error
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
-from hnn_vi_ros.kernels.kernel import (
-    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
+from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, scalar_columns
 import numpy as np
 
@@ -340,9 +339,9 @@ class Force(Effect):
         return integrator.requirements.take_force(self.depends_on_momentum)
 
 
-class StepEffect(Effect):
+class Layer:
     """
-    An effect that acts between or around the steps of a method: a flow, a jump, a projection.
+    A layer that Wrapped puts around a step, such as a StepEffect.
 
     Attributes
     ----------
@@ -351,14 +350,18 @@ class StepEffect(Effect):
 
     """
 
-    acts = Place.AROUND
     repeats: ClassVar[bool] = False
+
+    @classmethod
+    def inner_step(cls, integrator: Integrator) -> Any:
+        """Return the part of a method that ``wrap`` takes: here its step."""
+        return integrator.step
 
     @staticmethod
     @abstractmethod
     def wrap(step: Any, keeps_gradient: bool, /) -> Step:
         """
-        Return a step with the effect.
+        Return a step with the layer around it.
 
         It is the same function for the same arguments, and plain Python in numba's subset; see
         Wrapped.
@@ -372,6 +375,17 @@ class StepEffect(Effect):
 
         """
 
+    @staticmethod
+    def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return the workspace of the layer's step: here a point."""
+        return PointWork(Point.empty(n))
+
+
+class StepEffect(Effect, Layer):
+    """An effect that acts between or around the steps of a method: a flow, a jump, a projection."""
+
+    acts = Place.AROUND
+
     @classmethod
     def inner_step(cls, integrator: Integrator) -> Any:
         """Return the part of a method that ``wrap`` takes: its step, or the two halves."""
@@ -380,77 +394,6 @@ class StepEffect(Effect):
     def accepts(self, integrator: Integrator) -> bool:
         """Return whether the method keeps its claims and has the part that ``wrap`` takes."""
         return super().accepts(integrator) and self.inner_step(integrator) is not None
-
-    @staticmethod
-    def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:
-        """Return the workspace of the effect's step: here a point."""
-        return PointWork(Point.empty(n))
-
-
-class Wrapping(Protocol):
-    """Layer that Wrapped puts around a step, such as a StepEffect; see there."""
-
-    @staticmethod
-    def inner_step(integrator: Integrator, /) -> Any:
-        """Return the part of a method that ``wrap`` takes."""
-
-    @staticmethod
-    def workspace(n: int, settings: tuple[Any, ...], /) -> tuple[Any, ...]:
-        """Return the workspace of the layer's step."""
-
-    @staticmethod
-    def wrap(step: Any, keeps_gradient: bool, /) -> Step:
-        """Return the step with the layer around it."""
-
-
-class ConstraintSet(Protocol):
-    """The constraints of a scene, which act together around the step."""
-
-    @property
-    def kind(self) -> type[Wrapping]:
-        """Return the layer that Wrapped puts around a step."""
-
-    @property
-    def settings(self) -> Parameters:
-        """Return the options of the layer's step."""
-
-    @property
-    def dependent(self) -> str:
-        """Return the name of the constraint that made a step fail as REDUNDANT."""
-
-    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
-        """Raise ValueError if a state, of shape (d,), violates the constraints."""
-
-
-class Constraint(Effect):
-    """Condition that keeps the state on a manifold; constraints of a kind are solved together."""
-
-    acts = Place.MANIFOLD
-    conservative = True
-    lockstep = False
-
-    @staticmethod
-    @abstractmethod
-    def combine(listed: Sequence[tuple[int, str, Parameters]], kernel: Kernel, effects: int
-                ) -> ConstraintSet:
-        """
-        Return the constraints of a scene as one.
-
-        Parameters
-        ----------
-        listed : sequence of (int, str, tuple)
-            For each constraint its index in the scene, its name, and the result of ``resolve``.
-        kernel : Kernel
-            H with the forces, for d coordinates and their channels.
-        effects : int
-            Number of effects in the scene.
-
-        Raises
-        ------
-        EffectError
-            The constraints do not fit the system or each other.
-
-        """
 
 
 def coordinate_index(coordinates: Sequence[Coordinate], name: str) -> int:

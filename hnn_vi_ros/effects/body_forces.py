@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.compilation import identify, kept
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.attitude_features import group_of, see, widened
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
@@ -65,22 +66,28 @@ def add_body_map(own: BodyNetwork, command: np.ndarray, q: np.ndarray, p: np.nda
 @kept(error_model='numpy')
 def add_body_drag(own: BodyNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray) -> None:
     """Add -A A^T v in the frame of the body; A is given row by row, in lower triangular blocks."""
-    entries, product, force = own.entries, own.product, own.force
+    force = own.force
     _evaluate(own, q, velocity)
-    first = own.features.size - force.size
-    product[:] = 0.0
     force[:] = 0.0
+    add_drag(own.entries, 3, own.features[own.features.size - force.size:], own.product, force)
+    _add(own, f_p)
+
+
+@inlined
+def add_drag(entries: np.ndarray, block: int, velocity: np.ndarray, product: np.ndarray,
+             force: np.ndarray) -> None:
+    """Add -A A^T v, where A consists of lower triangular blocks, given row by row."""
+    product[:] = 0.0
     k = 0
-    for i in range(force.size):
-        for j in range(i - i % 3, i + 1):
-            product[j] += entries[k] * own.features[first + i]
+    for i in range(velocity.size):
+        for j in range(i - i % block, i + 1):
+            product[j] += entries[k] * velocity[i]
             k += 1
     k = 0
-    for i in range(force.size):
-        for j in range(i - i % 3, i + 1):
+    for i in range(velocity.size):
+        for j in range(i - i % block, i + 1):
             force[i] -= entries[k] * product[j]
             k += 1
-    _add(own, f_p)
 
 
 @kept(error_model='numpy')

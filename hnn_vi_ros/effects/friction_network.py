@@ -5,7 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.body_forces import add_body_drag, body_network, BodyNetwork
+from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
@@ -107,23 +107,13 @@ def _together(networks: Sequence[Layers]) -> Layers:
 def add_by_network(own: FrictionNetwork, q: np.ndarray, velocity: np.ndarray, f_p: np.ndarray
                    ) -> None:
     """Add -B (B^T v) for each lower triangular B, whose entries are given row by row."""
-    entries, product = own.entries, own.product
+    entries, size = own.entries, q.size * (q.size + 1) // 2
     see(own.features, q)
     x = own.features.inputs
     half = x.size // 2
     evaluate_outputs(own.outputs, x[:half], x[half:], entries)
-    for begin in range(0, entries.size, q.size * (q.size + 1) // 2):
-        product[:] = 0.0
-        k = begin
-        for i in range(q.size):
-            for j in range(i + 1):
-                product[j] += entries[k] * velocity[i]
-                k += 1
-        k = begin
-        for i in range(q.size):
-            for j in range(i + 1):
-                f_p[i] -= entries[k] * product[j]
-                k += 1
+    for begin in range(0, entries.size, size):
+        add_drag(entries[begin:begin + size], q.size, velocity, own.product, f_p)
 
 
 @kept(error_model='numpy')

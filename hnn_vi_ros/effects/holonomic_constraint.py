@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.effects.base import Constraint, ConstraintSet, EffectState
+from hnn_vi_ros.effects.base import Effect, EffectState, Place
 from hnn_vi_ros.effects.points import resolve_pair
 from hnn_vi_ros.effects.rattle import ConstraintEquation
 from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -26,7 +25,7 @@ _OPTIONS = {
 }
 
 
-class HolonomicConstraint(Constraint):
+class HolonomicConstraint(Effect):
     """
     A holonomic constraint g(q) = 0 without friction, by RATTLE: a rod, or another ``form``.
 
@@ -68,6 +67,8 @@ class HolonomicConstraint(Constraint):
 
     """
 
+    acts, conservative, lockstep = Place.MANIFOLD, True, False
+
     def __init__(self, point: list[str] | None = None, other: list[str] | None = None,
                  anchor: list[float] | None = None, length: float | None = None,
                  form: Literal['rod', 'plane', 'circle', 'sphere', 'python'] = 'rod',
@@ -90,14 +91,6 @@ class HolonomicConstraint(Constraint):
         if self._function is not None:
             return (self._function,)
         return _equations(self.form, self._options, coordinates)
-
-    @staticmethod
-    def combine(listed: Sequence[tuple[int, str, tuple[ConstraintEquation, ...]]], kernel: Kernel,
-                effects: int) -> ConstraintSet:
-        """Return the manifold on which all constraints hold."""
-        # Imported here, since it loads the compiler, which reading a scene does not need.
-        from hnn_vi_ros.effects.manifold import Manifold
-        return Manifold(listed, kernel, effects)
 
 
 def _check_options(form: str, options: Mapping[str, Any]) -> dict[str, Any]:

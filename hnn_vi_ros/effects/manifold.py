@@ -69,11 +69,6 @@ class Manifold:
         self.kind, self._evaluate = rattle_kind(functions), evaluator(functions)
 
     @property
-    def settings(self) -> Constraints:
-        """Return the options of the steps; see ConstraintSet."""
-        return self.constraints
-
-    @property
     def dependent(self) -> str:
         """Return the name of the constraint that made a step fail as REDUNDANT."""
         return self._names[self.constraints.dependent[0]]

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects.base import Layer
 from hnn_vi_ros.effects.points import add_along, distance, separation
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import Integrator, NOT_HELD, OK, Point, REDUNDANT, Step
+from hnn_vi_ros.integrators.base import NOT_HELD, OK, Point, REDUNDANT, Step
 from hnn_vi_ros.integrators.workspaces import forget
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
@@ -222,16 +223,11 @@ class RattleWork(NamedTuple):
     start: Point
 
 
-class Rattle:
+class Rattle(Layer):
     """Layer of Wrapped that solves distances and planes by RATTLE; see ``rattle``."""
 
     functions: tuple[Callable[..., float], ...] = ()
     repeats = True
-
-    @staticmethod
-    def inner_step(integrator: Integrator) -> Step:
-        """Return the step of the method."""
-        return integrator.step
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> RattleWork:

@@ -169,7 +169,7 @@ class BodySpring(Potential):
     @inlined
     def energy(parameters: BodyElastic, q: np.ndarray) -> float:
         """Return V [J]."""
-        s = _separation(parameters, q)
+        s = _separation(parameters, q, q, False)
         stretch = np.sqrt(dot(s, s)) - parameters.rest_length
         return 0.5 * parameters.stiffness * stretch * stretch
 
@@ -177,7 +177,7 @@ class BodySpring(Potential):
     @inlined
     def add_gradient(parameters: BodyElastic, q: np.ndarray, dH_dq: np.ndarray) -> None:
         """Add V': the pull k (1 - l / r) s, times the derivatives of the ends' positions."""
-        s = _separation(parameters, q)
+        s = _separation(parameters, q, q, False)
         r = np.sqrt(dot(s, s))
         # At r = 0 the direction of a spring with l > 0 is undefined; the force is zero there.
         k = parameters.stiffness * (1.0 - (parameters.rest_length / r if r != 0.0 else 0.0))
@@ -188,7 +188,7 @@ class BodySpring(Potential):
     def add_hessian_vector(parameters: BodyElastic, q: np.ndarray, v: np.ndarray,
                            product: np.ndarray) -> None:
         """Add V'' v."""
-        s, ds = _separation(parameters, q), _separation_change(parameters, q, v)
+        s, ds = _separation(parameters, q, q, False), _separation(parameters, q, v, True)
         r = np.sqrt(dot(s, s))
         bend = parameters.rest_length / r if r != 0.0 else 0.0
         k, inward = parameters.stiffness, bend * dot(s, ds) / (r * r) if r != 0.0 else 0.0
@@ -228,39 +228,23 @@ def _resolve_end(coordinates: Sequence[Coordinate], end: str, names: Sequence[st
 
 
 @inlined
-def _end(parameters: BodyElastic, end: int, q: np.ndarray) -> Vector:
-    """Return the position of an end."""
+def _end(parameters: BodyElastic, end: int, q: np.ndarray, v: np.ndarray, changes: bool) -> Vector:
+    """Return the position of an end, v = q, or if it ``changes`` its derivative by q, along v."""
     at, arms = parameters.columns, parameters.arms
     arm = (arms[end, 0], arms[end, 1], arms[end, 2])
     if at[end, 3] >= 0:
-        arm = turned(q, at[end, 3], arm)
-    return (arm[0] + (q[at[end, 0]] if at[end, 0] >= 0 else 0.0),
-            arm[1] + (q[at[end, 1]] if at[end, 1] >= 0 else 0.0),
-            arm[2] + (q[at[end, 2]] if at[end, 2] >= 0 else 0.0))
-
-
-@inlined
-def _separation(parameters: BodyElastic, q: np.ndarray) -> Vector:
-    """Return the vector from the second end to the first."""
-    first, second = _end(parameters, 0, q), _end(parameters, 1, q)
-    return first[0] - second[0], first[1] - second[1], first[2] - second[2]
-
-
-@inlined
-def _end_change(parameters: BodyElastic, end: int, q: np.ndarray, v: np.ndarray) -> Vector:
-    """Return the derivative of the position of an end by q, along v."""
-    at, arms, arm = parameters.columns, parameters.arms, (0.0, 0.0, 0.0)
-    if at[end, 3] >= 0:
-        arm = turned_change(q, v, at[end, 3], (arms[end, 0], arms[end, 1], arms[end, 2]))
+        arm = turned_change(q, v, at[end, 3], arm) if changes else turned(q, at[end, 3], arm)
+    elif changes:
+        arm = (0.0, 0.0, 0.0)
     return (arm[0] + (v[at[end, 0]] if at[end, 0] >= 0 else 0.0),
             arm[1] + (v[at[end, 1]] if at[end, 1] >= 0 else 0.0),
             arm[2] + (v[at[end, 2]] if at[end, 2] >= 0 else 0.0))
 
 
 @inlined
-def _separation_change(parameters: BodyElastic, q: np.ndarray, v: np.ndarray) -> Vector:
-    """Return the derivative of the vector between the ends by q, along v."""
-    first, second = _end_change(parameters, 0, q, v), _end_change(parameters, 1, q, v)
+def _separation(parameters: BodyElastic, q: np.ndarray, v: np.ndarray, changes: bool) -> Vector:
+    """Return the vector from the second end to the first, or its derivative; see _end."""
+    first, second = _end(parameters, 0, q, v, changes), _end(parameters, 1, q, v, changes)
     return first[0] - second[0], first[1] - second[1], first[2] - second[2]
 
 

@@ -7,7 +7,7 @@ from copy import copy
 from functools import cache
 from typing import Any, final
 
-from hnn_vi_ros.effects.base import Wrapping
+from hnn_vi_ros.effects.base import Layer
 from hnn_vi_ros.integrators.arithmetic import is_finite, plus
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Requirements, Step
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
@@ -24,7 +24,7 @@ class Wrapped(Integrator):
     ----------
     inner : Integrator
         The method.
-    kind : type of Wrapping
+    kind : type of Layer
         The layer.
     settings : tuple
         The options of the layer's step, which follow the options of the method.
@@ -38,7 +38,7 @@ class Wrapped(Integrator):
 
     explicit, requirements = False, Requirements(symmetric=False, symplectic=False)
 
-    def __init__(self, inner: Integrator, kind: type[Wrapping], settings: Parameters):
+    def __init__(self, inner: Integrator, kind: type[Layer], settings: Parameters):
         # An effect may solve the step several times and discard results, so that a solution that
         # is not connected to h = 0 does not make the step fail.
         self.inner, self._kind, self._settings = copy(inner), kind, settings
@@ -91,7 +91,7 @@ class Wrapped(Integrator):
     @property
     def usual_gradients(self) -> int:
         """Return the gradients of the method; 0 if the layer repeats its step."""
-        return 0 if getattr(self._kind, 'repeats', False) else self.inner.usual_gradients
+        return 0 if self._kind.repeats else self.inner.usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Parameters:
         """Return the options of the method, then the settings of the layer."""
@@ -111,13 +111,8 @@ class Wrapped(Integrator):
         return None if inner is None else Wrapped(inner, self._kind, self._settings)
 
 
-class Account:
+class Account(Layer):
     """Layer that commits the account of effects after each successful step; see EffectState."""
-
-    @staticmethod
-    def inner_step(integrator: Integrator) -> Step:
-        """Return the step of the method."""
-        return integrator.step
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of integrators: what a method declares of itself, and the work space of a step."""
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
@@ -298,10 +298,9 @@ class Integrator(ABC):
         """Return how many gradients a step takes at most as a rule; 0 if no rule holds."""
         return 0
 
-    @abstractmethod
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
         """
-        Return what ``step`` takes as its options: numbers, arrays and solvers.
+        Return what ``step`` takes as its options: numbers, arrays and solvers; here none.
 
         Parameters
         ----------
@@ -311,6 +310,7 @@ class Integrator(ABC):
             The number d of degrees of freedom of the Hamiltonian.
 
         """
+        return ()
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns of each implicit equation, for n coordinates."""
@@ -353,6 +353,12 @@ class Integrator(ABC):
 
         """
         return None
+
+
+def euler_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
+                 energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray) -> np.ndarray:
+    """Return H + (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
+    return energy + 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)
 
 
 def leapfrog_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The discrete gradient method of Gonzalez, which conserves the energy exactly."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
-from hnn_vi_ros.integrators.base import OK, Point, Requirements
+from hnn_vi_ros.integrators.base import OK, Point, Requirements, Step
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.newton import difference
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
@@ -27,6 +29,8 @@ class DiscreteGradientWork(NamedTuple):
         What its solvers work on.
     end, start, middle : np.ndarray
         The new state, the old one, and half-way between.
+    rates : np.ndarray
+        Rates of change in the last evaluation.
     ahead, behind : np.ndarray
         For differences; see newton.difference.
 
@@ -37,23 +41,19 @@ class DiscreteGradientWork(NamedTuple):
     end: np.ndarray
     start: np.ndarray
     middle: np.ndarray
+    rates: np.ndarray
     ahead: np.ndarray
     behind: np.ndarray
 
-    @classmethod
-    def empty(cls, n: int, dtype: type = np.float64) -> 'DiscreteGradientWork':
-        """Return the workspace for n coordinates."""
-        return cls(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
-                   *np.zeros((5, 2 * n), dtype))
 
-
-class _Problem(NamedTuple):
-    """The equation for the new state; the discrete gradient of its last evaluation."""
+class EndProblem(NamedTuple):
+    """The equation for the new state; the rates of change of its last evaluation."""
 
     kernel: Kernel
     h: float
     z: Point
     middle: np.ndarray
+    rates: np.ndarray
     dH_dq: np.ndarray
     dH_dp: np.ndarray
     scale: np.ndarray
@@ -61,25 +61,10 @@ class _Problem(NamedTuple):
     behind: np.ndarray
 
 
-class DiscreteGradient(ImplicitIntegrator):
-    """
-    The midpoint discrete gradient D of Gonzalez: z_(n+1) = z_n + h J D(z_n, z_(n+1)).
-
-        D(z, z') = g + (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 (z' - z),  g = H'((z + z')/2)
-
-    Since D . (z' - z) = H(z') - H(z), the energy is conserved, up to the rounding of H. The
-    method is symmetric and of order 2, but not symplectic. DGNet learns through it.
-
-    References
-    ----------
-    O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6 (1996).
-    T. Matsubara, A. Ishikawa, T. Yaguchi, Deep energy-based modeling of discrete-time physics,
-    NeurIPS 2020.
-
-    """
+class EnergyConserving(ImplicitIntegrator):
+    """A method of order 2 whose equation for the new state contains a discrete gradient of H."""
 
     order = 2
-    requirements = Requirements(symmetric=True, symplectic=False, forces=False)
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: the new q and p."""
@@ -87,33 +72,87 @@ class DiscreteGradient(ImplicitIntegrator):
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[DiscreteGradientWork]:
         """Return the workspace of the equation; see Integrator."""
-        return (DiscreteGradientWork.empty(n, dtype),)
+        return (DiscreteGradientWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
+                                     *np.zeros((6, 2 * n), dtype)),)
 
-    @staticmethod
+
+@cache
+def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -> Step:
+    """
+    Return the step that solves an equation for the new state.
+
+    Parameters
+    ----------
+    set_scale : callable
+        ``set_scale(scale, kernel, h, z)`` fills the scale of q, then of p, of each trajectory.
+    equation : callable
+        See solvers; of an EndProblem, whose ``rates`` it fills.
+
+    """
+    @inlined
+    def end_tangent(problem: EndProblem, x: np.ndarray, v: np.ndarray, product: np.ndarray
+                    ) -> None:
+        """Approximate G'(x) v: Newton's method asks for no more."""
+        difference(equation, problem, x, v, product)
+
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,
-             memory: tuple[DiscreteGradientWork, ...]) -> tuple[int, float, int]:
+             memory: tuple[Any, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
-        n, work = z.q.size, memory[0]
-        x, start, iterates = work.end, work.start, work.solver.iterates
+        n, work, iterates = z.q.size, memory[0], memory[0].solver.iterates
+        x, start, rates = work.end, work.start, work.rates
         for i in range(n):
             start[i], start[n + i] = z.q[i], z.p[i]
             x[i], x[n + i] = z.q[i] + h * z.dH_dp[i], z.p[i] - h * z.dH_dq[i]
-        _set_scale(iterates.scale, kernel, h, z)
+        set_scale(iterates.scale, kernel, h, z)
         # The rounding of H, of all coordinates together, enters the equation of each.
         copy_array(iterates.scale, iterates.own_scale)
         if options.extrapolate:
             extrapolate(work.kept, start, x)
-        problem = _Problem(kernel, h, z, work.middle, z1.dH_dq, z1.dH_dp, iterates.scale,
-                           work.ahead, work.behind)
+        problem = EndProblem(kernel, h, z, work.middle, rates, z1.dH_dq, z1.dH_dp,
+                             iterates.scale, work.ahead, work.behind)
         outcome, residual, gradients = options.solve(
-            _equation, _tangent, problem, x, work.solver, options.max_iterations)
+            equation, end_tangent, problem, x, work.solver, options.max_iterations)
         if outcome == OK:
             remember(work.kept, start, x)
         for i in range(n):
-            z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * z1.dH_dp[i])
-            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
+            z1.q[i], z1.q_carry[i] = plus(z.q[i], z.q_carry[i], h * rates[i])
+            z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], h * rates[n + i])
+            z1.dH_dp[i], z1.dH_dq[i] = rates[i], -rates[n + i]
         return outcome, residual, gradients
+    return step
+
+
+@inlined
+def discrete_factor(problem: EndProblem, x: np.ndarray, a: int, at_q: np.ndarray,
+                    at_p: np.ndarray) -> float:
+    """Return (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 of the trajectory from a on, with g."""
+    kernel, z, n, b = problem.kernel, problem.z, problem.z.q.size, a + problem.kernel.dimension
+    square, along = 0.0, 0.0
+    for i in range(b - a):
+        dq, dp = x[a + i] - z.q[a + i], x[n + a + i] - z.p[a + i]
+        square += dq * dq + dp * dp
+        along += at_q[i] * dq + at_p[i] * dp
+    change = (kernel.energy(kernel.parameters, x[a:b], x[n + a:n + b])
+              - kernel.energy(kernel.parameters, z.q[a:b], z.p[a:b]))
+    return (change - along) / square if square > 0.0 else 0.0
+
+
+@inlined
+def fill_middle(problem: EndProblem, x: np.ndarray) -> None:
+    """Fill the state half-way to x."""
+    z, n, middle = problem.z, problem.z.q.size, problem.middle
+    for i in range(n):
+        middle[i], middle[n + i] = 0.5 * (z.q[i] + x[i]), 0.5 * (z.p[i] + x[n + i])
+
+
+@inlined
+def fill_end(problem: EndProblem, value: np.ndarray) -> None:
+    """Fill value with the state to which the rates lead."""
+    z, n, h = problem.z, problem.z.q.size, problem.h
+    for i in range(n):
+        value[i] = z.q[i] + (z.q_carry[i] + h * problem.rates[i])
+        value[n + i] = z.p[i] + (z.p_carry[i] + h * problem.rates[n + i])
 
 
 @inlined
@@ -135,31 +174,36 @@ def _set_scale(scale: np.ndarray, kernel: Kernel, h: float, z: Point) -> None:
 
 
 @inlined
-def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    kernel, z, n, h = problem.kernel, problem.z, problem.z.q.size, problem.h
-    d, middle = kernel.dimension, problem.middle
-    for i in range(n):
-        middle[i], middle[n + i] = 0.5 * (z.q[i] + x[i]), 0.5 * (z.p[i] + x[n + i])
-    kernel.gradient(kernel.parameters, middle[:n], middle[n:], problem.dH_dq, problem.dH_dp)
-    for start in range(0, n, d):
-        end = start + d
-        square, along = 0.0, 0.0
-        for i in range(start, end):
-            dq, dp = x[i] - z.q[i], x[n + i] - z.p[i]
-            square += dq * dq + dp * dp
-            along += problem.dH_dq[i] * dq + problem.dH_dp[i] * dp
-        difference = (kernel.energy(kernel.parameters, x[start:end], x[n + start:n + end])
-                      - kernel.energy(kernel.parameters, z.q[start:end], z.p[start:end]))
-        factor = (difference - along) / square if square > 0.0 else 0.0
-        for i in range(start, end):
-            problem.dH_dq[i] += factor * (x[i] - z.q[i])
-            problem.dH_dp[i] += factor * (x[n + i] - z.p[i])
-    for i in range(n):
-        value[i] = z.q[i] + (z.q_carry[i] + h * problem.dH_dp[i])
-        value[n + i] = z.p[i] + (z.p_carry[i] - h * problem.dH_dq[i])
+def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
+    kernel, z, n = problem.kernel, problem.z, problem.z.q.size
+    d, middle, rates = kernel.dimension, problem.middle, problem.rates
+    at_q, at_p = problem.dH_dq, problem.dH_dp
+    fill_middle(problem, x)
+    kernel.gradient(kernel.parameters, middle[:n], middle[n:], at_q, at_p)
+    for a in range(0, n, d):
+        factor = discrete_factor(problem, x, a, at_q[a:a + d], at_p[a:a + d])
+        for i in range(a, a + d):
+            rates[i] = at_p[i] + factor * (x[n + i] - z.p[i])
+            rates[n + i] = -(at_q[i] + factor * (x[i] - z.q[i]))
+    fill_end(problem, value)
 
 
-@inlined
-def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-    """Approximate G'(x) v: Newton's method asks for no more."""
-    difference(_equation, problem, x, v, product)
+class DiscreteGradient(EnergyConserving):
+    """
+    The midpoint discrete gradient D of Gonzalez: z_(n+1) = z_n + h J D(z_n, z_(n+1)).
+
+        D(z, z') = g + (H(z') - H(z) - g . (z' - z)) / |z' - z|^2 (z' - z),  g = H'((z + z')/2)
+
+    Since D . (z' - z) = H(z') - H(z), the energy is conserved, up to the rounding of H. The
+    method is symmetric and of order 2, but not symplectic. DGNet learns through it.
+
+    References
+    ----------
+    O. Gonzalez, Time integration and discrete Hamiltonian systems, J. Nonlinear Sci. 6 (1996).
+    T. Matsubara, A. Ishikawa, T. Yaguchi, Deep energy-based modeling of discrete-time physics,
+    NeurIPS 2020.
+
+    """
+
+    requirements = Requirements(symmetric=True, symplectic=False, forces=False)
+    step = staticmethod(step_to_end(_set_scale, _equation))

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common part of the methods that solve an equation in each step."""
 
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.base import Integrator, Requirements
+from hnn_vi_ros.integrators.equations import EquationWork
 from hnn_vi_ros.integrators.newton import continuation, krylov, newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 from hnn_vi_ros.integrators.workspaces import FAST_MATRIX, LARGEST_MATRIX
+import numpy as np
 
 SOLVERS = ('chain', 'fixed_point')
 _NEWTON_ITERATIONS = 20
@@ -84,15 +86,28 @@ class ImplicitIntegrator(Integrator):
         return SolverOptions(solve, True, self.max_iterations, bool(self.no_solution))
 
     def substep(self) -> Integrator | None:
-        """Return this method where it is symmetric, else the generalised leapfrog."""
+        """Return this method where it is symmetric, else a leapfrog."""
         if self.solver == 'fixed_point':
             return None
-        if self.requirements.symmetric:
-            return self
         # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
+        return self if self.requirements.symmetric else self.leapfrog()
+
+    def leapfrog(self) -> Integrator:
+        """Return the symmetric method of order 2 that takes the same systems."""
         from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
         return GeneralizedLeapfrog()
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns of each implicit equation, for n coordinates."""
         return (n,)
+
+
+class EulerIntegrator(ImplicitIntegrator):
+    """A symplectic method of order 1 that solves one equation, for momenta or for coordinates."""
+
+    order, scalar = 1, True
+    requirements = Requirements(symmetric=False, symplectic=True)
+
+    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
+        """Return the workspace of the equation; see Integrator."""
+        return (EquationWork.empty(n, dtype),)

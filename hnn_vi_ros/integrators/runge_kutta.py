@@ -29,10 +29,6 @@ class ExplicitEuler(Integrator):
     requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
     keeps_gradient = True
 
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return no options: nothing is solved."""
-        return ()
-
     @property
     def partitioned(self) -> PartitionedTableau:
         """Return its stage, the state before; see Integrator."""
@@ -84,10 +80,6 @@ class RK4(Integrator):
     order, explicit = 4, True
     requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
     keeps_gradient = True
-
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return no options: nothing is solved."""
-        return ()
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
         """Return space for a stage and the sum over stages; see Integrator."""

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.integrators.base import Point, Step
 from hnn_vi_ros.integrators.workspaces import MemoryByAddress
 from hnn_vi_ros.kernels.blocks import (
-    address_of, array_at, Block, block, call_entry, check_words, load, type_of)
+    address_of, array_at, Block, block, check_words, entry_caller, load, type_of)
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part, part, Whole
@@ -36,6 +36,7 @@ memory_kind: Any = None
 _ENTRY: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 # Before the options in a block: a method has a step, or two halves of one.
 _ADDRESSES = 2
+_call_step = entry_caller(types.Tuple((types.int64, types.float64, types.int64)))
 # Threads that ask for the same entry get the same one.
 _compiling = Lock()
 
@@ -157,7 +158,7 @@ def _caller(k: int) -> Part:
                         memory: tuple[MemoryByAddress]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         inside = address_of(options.words) + 8 * _ADDRESSES
-        return call_entry(options.words[k], (
+        return _call_step(options.words[k], (
             inside, address_of(memory[0].words), h, z.q.size,
             *_addresses_of(z), *_addresses_of(z1)))
     return step_by_address

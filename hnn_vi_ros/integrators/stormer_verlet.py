@@ -56,10 +56,6 @@ class StormerVerlet(Integrator):
     requirements = Requirements(symmetric=True, symplectic=True, separable=True)
     modified_energy = staticmethod(leapfrog_energy)
 
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return no options: nothing is solved."""
-        return ()
-
     @property
     def partitioned(self) -> PartitionedTableau:
         """Return its stages (q_n, p_half), (q_(n+1), p_half); see Integrator."""

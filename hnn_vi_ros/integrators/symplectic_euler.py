@@ -4,17 +4,17 @@
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import PartitionedTableau, Point, Requirements, tableau
+from hnn_vi_ros.integrators.base import euler_energy, PartitionedTableau, Point, tableau
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
+from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 
-class SymplecticEuler(ImplicitIntegrator):
+class SymplecticEuler(EulerIntegrator):
     """
     Symplectic Euler, implicit in the momentum; from the same action as the paper's scheme.
 
@@ -31,13 +31,7 @@ class SymplecticEuler(ImplicitIntegrator):
 
     """
 
-    order, scalar = 1, True
-    requirements = Requirements(symmetric=False, symplectic=True)
     no_solution = NO_SOLUTION_OF_EQ_6
-
-    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
-        """Return the workspace of the equation; see Integrator."""
-        return (EquationWork.empty(n, dtype),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
@@ -61,10 +55,10 @@ class SymplecticEuler(ImplicitIntegrator):
                         energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
                         ) -> np.ndarray:
         """Return H - (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
-        return energy - 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)
+        return euler_energy(hamiltonian, -h, q, p, energy, dH_dq, dH_dp)
 
 
-class SymplecticEulerAdjoint(ImplicitIntegrator):
+class SymplecticEulerAdjoint(EulerIntegrator):
     """
     Symplectic Euler, implicit in the coordinate: the adjoint of SymplecticEuler.
 
@@ -79,14 +73,9 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
 
     """
 
-    order, scalar = 1, True
-    requirements = Requirements(symmetric=False, symplectic=True)
+    modified_energy = staticmethod(euler_energy)
     no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
                    'the way det(I - h H_qp) changes sign')
-
-    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
-        """Return the workspace of the equation; see Integrator."""
-        return (EquationWork.empty(n, dtype),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
@@ -104,10 +93,3 @@ class SymplecticEulerAdjoint(ImplicitIntegrator):
         for i in range(z.q.size):
             z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], -h * z1.dH_dq[i])
         return outcome, residual, gradients
-
-    @staticmethod
-    def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
-                        energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
-                        ) -> np.ndarray:
-        """Return H + (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
-        return energy + 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)

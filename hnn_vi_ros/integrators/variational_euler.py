@@ -2,18 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The variational integrator of the paper, its equation (6)."""
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import PartitionedTableau, Point, Requirements, tableau
+from hnn_vi_ros.integrators.base import euler_energy, PartitionedTableau, Point, tableau
 from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator, NO_SOLUTION_OF_EQ_6
+from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
-import numpy as np
 
 
-class VariationalEuler(ImplicitIntegrator):
+class VariationalEuler(EulerIntegrator):
     """
     Variational integrator from the rectangle rule for the action of a general H(q, p).
 
@@ -37,14 +35,9 @@ class VariationalEuler(ImplicitIntegrator):
 
     """
 
-    order, scalar = 1, True
-    requirements = Requirements(symmetric=False, symplectic=True)
+    modified_energy = staticmethod(euler_energy)
     no_solution = NO_SOLUTION_OF_EQ_6
     keeps_gradient = True
-
-    def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
-        """Return the workspace of the equation; see Integrator."""
-        return (EquationWork.empty(n, dtype),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
@@ -61,10 +54,3 @@ class VariationalEuler(ImplicitIntegrator):
         # The paper starts from (q_n, p_n), whose gradient is at hand.
         return solve_momenta(kernel, h, Known(z1.q, z.p, z.p_carry, z.dH_dq),
                              Sought(z1.p, z1.p_carry, z1.dH_dq, z1.dH_dp), memory[0], options)
-
-    @staticmethod
-    def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
-                        energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
-                        ) -> np.ndarray:
-        """Return H + (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
-        return energy + 0.5 * h * np.sum(dH_dq * dH_dp, axis=-1)

@@ -18,21 +18,19 @@ import re
 from types import FunctionType
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.kernels.blocks import array_at, Block, check_words, flat, load, type_of
+from hnn_vi_ros.kernels.blocks import (
+    address_of, array_at, Block, check_words, entry_caller, flat, load, type_of)
 from hnn_vi_ros.kernels.compilation import functions_of, identify, kept
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import Part
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, names_in, reached
-from llvmlite import ir
-import numba
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
-from numba.extending import intrinsic
 import numpy as np
 
-# Arrays that energy, gradient and hessian_vector take.
-_ARRAYS = (2, 4, 6)
+# Arrays that energy, gradient and hessian_vector take, and the bytes of their three addresses.
+_ARRAYS, _BEFORE = (2, 4, 6), 24
 # What entries find under these names is their own; see _entry.
 function: Any = None
 kind: Any = None
@@ -207,47 +205,7 @@ def _hessian_vector_entry(block: int, q: int, p: int, v_q: int, v_p: int, produc
              array_at(v_p, n), array_at(product_q, n), array_at(product_p, n))
 
 
-def _caller(k: int) -> Any:
-    """Return what calls the k-th entry of a target with arrays."""
-    result = types.float64 if k == 0 else types.none
-    kinds = (types.int64,) * (_ARRAYS[k] + 2)
-
-    @intrinsic
-    def call(_context: Any, target: Any, arrays: Any) -> Any:
-        for array in arrays:
-            if array.ndim != 1 or array.dtype != types.float64:
-                raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
-
-        def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                     ) -> ir.Value:
-            word = context.get_value_type(types.int64)
-            words = context.make_array(signature.args[0].types[0])(
-                context, builder, builder.extract_value(arguments[0], 0)).data
-            parts = [context.make_array(kind)(context, builder,
-                                              builder.extract_value(arguments[1], i))
-                     for i, kind in enumerate(signature.args[1].types)]
-            for kind, part in zip(signature.args[1].types, parts, strict=True):
-                if kind.layout != 'C':  # a row of a matrix, as numba does not know
-                    step = builder.extract_value(part.strides, 0)
-                    strided = builder.icmp_signed('!=', step, part.itemsize)
-                    with builder.if_then(strided, likely=False):
-                        context.call_conv.return_user_exc(
-                            builder, ValueError, ('an array by address has gaps',))
-            block = builder.ptrtoint(builder.gep(words, [ir.Constant(word, 3)]), word)
-            address = builder.load(builder.gep(words, [ir.Constant(word, k)]))
-            pointer = context.call_conv.get_function_type(result, kinds).as_pointer()
-            status, value = context.call_conv.call_function(
-                builder, builder.inttoptr(address, pointer), result, kinds,
-                [block, *(builder.ptrtoint(part.data, word) for part in parts),
-                 parts[0].nitems])
-            with builder.if_then(status.is_error, likely=False):
-                context.call_conv.return_status_propagate(builder, status)
-            return value if k == 0 else context.get_dummy_value()
-        return result(target, arrays), generate
-    return call
-
-
-_call_energy, _call_gradient, _call_hessian_vector = (_caller(k) for k in range(3))
+_call_energy, _call = entry_caller(types.float64), entry_caller(types.none)
 
 
 class _Linked(Part):
@@ -263,7 +221,7 @@ class _Linked(Part):
             if array.dtype != np.float64 or array.ndim != 1 or not array.flags.c_contiguous:
                 raise ValueError(f'an array of {array.dtype} and shape {array.shape}; expected '
                                  'contiguous ones of float64 and shape (n,)')
-        return memory.entries[k].call(_address_of(target.words) + 24,
+        return memory.entries[k].call(_address_of(target.words) + _BEFORE,
                                       *map(_address_of, arrays), arrays[0].size)
 
 
@@ -281,21 +239,26 @@ def _linked(function: Callable[..., Any]) -> _Linked:
 @_linked
 def energy(target: Target, q: np.ndarray, p: np.ndarray) -> float:
     """Return H(q, p) [J]; see Kernel."""
-    return _call_energy(target, (q, p))
+    return _call_energy(target.words[0], (
+        address_of(target.words) + _BEFORE, address_of(q), address_of(p), q.size))
 
 
 @_linked
 def gradient(target: Target, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
              ) -> None:
     """Fill dH_dq and dH_dp; see Kernel."""
-    _call_gradient(target, (q, p, dH_dq, dH_dp))
+    _call(target.words[1], (
+        address_of(target.words) + _BEFORE, address_of(q), address_of(p), address_of(dH_dq),
+        address_of(dH_dp), q.size))
 
 
 @_linked
 def hessian_vector(target: Target, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the last two with H''(q, p) (v_q, v_p); see Kernel."""
-    _call_hessian_vector(target, (q, p, v_q, v_p, product_q, product_p))
+    _call(target.words[2], (
+        address_of(target.words) + _BEFORE, address_of(q), address_of(p), address_of(v_q),
+        address_of(v_p), address_of(product_q), address_of(product_p), q.size))
 
 
 @kept(error_model='numpy')

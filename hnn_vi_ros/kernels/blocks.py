@@ -204,14 +204,20 @@ def _pointer(_context: Any, address: Any) -> Any:
 
 @intrinsic
 def address_of(_context: Any, array: Any) -> Any:
-    """Return the address of the elements of a contiguous array."""
-    if array.layout != 'C':
-        raise numba.TypingError(f'{array} by address; expected a contiguous one')
+    """Return the address of the elements of an array without gaps."""
+    if array.ndim != 1 or array.dtype not in (types.float64, types.int64):
+        raise numba.TypingError(f'{array} by address; expected float64 and shape (n,)')
 
     def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
                  ) -> ir.Value:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        return builder.ptrtoint(data, context.get_value_type(types.int64))
+        part = context.make_array(signature.args[0])(context, builder, arguments[0])
+        if signature.args[0].layout != 'C':  # a row of a matrix, as numba does not know
+            step = builder.extract_value(part.strides, 0)
+            strided = builder.icmp_signed('!=', step, part.itemsize)
+            with builder.if_then(strided, likely=False):
+                context.call_conv.return_user_exc(
+                    builder, ValueError, ('an array by address has gaps',))
+        return builder.ptrtoint(part.data, context.get_value_type(types.int64))
     return types.int64(array), generate
 
 
@@ -226,19 +232,19 @@ def clear(_context: Any, address: Any) -> Any:
     return types.none(address), generate
 
 
-@intrinsic
-def call_entry(_context: Any, address: Any, words: Any) -> Any:
-    """Call the entry of a step with words, integers and numbers; see step_addresses."""
-    result = types.Tuple((types.int64, types.float64, types.int64))
-
-    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
-                 ) -> ir.Value:
-        kinds = signature.args[1].types
-        pointer = context.call_conv.get_function_type(result, kinds).as_pointer()
-        status, value = context.call_conv.call_function(
-            builder, builder.inttoptr(arguments[0], pointer), result, kinds,
-            [builder.extract_value(arguments[1], i) for i in range(len(kinds))])
-        with builder.if_then(status.is_error, likely=False):
-            context.call_conv.return_status_propagate(builder, status)
-        return value
-    return result(address, words), generate
+def entry_caller(result: types.Type) -> Any:
+    """Return what calls, with words, an entry with such a result at an address."""
+    @intrinsic
+    def call(_context: Any, address: Any, words: Any) -> Any:
+        def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any
+                     ) -> ir.Value:
+            kinds = signature.args[1].types
+            pointer = context.call_conv.get_function_type(result, kinds).as_pointer()
+            status, value = context.call_conv.call_function(
+                builder, builder.inttoptr(arguments[0], pointer), result, kinds,
+                [builder.extract_value(arguments[1], i) for i in range(len(kinds))])
+            with builder.if_then(status.is_error, likely=False):
+                context.call_conv.return_status_propagate(builder, status)
+            return context.get_dummy_value() if result is types.none else value
+        return result(address, words), generate
+    return call

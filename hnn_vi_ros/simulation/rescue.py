@@ -8,6 +8,7 @@ import math
 import sys
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects.base import Layer
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
@@ -258,7 +259,7 @@ class WatchWork(NamedTuple):
     w_p: np.ndarray
 
 
-class StabilityWatch:
+class StabilityWatch(Layer):
     """
     A step that is taken only while h omega stays between two bounds, and else ends as BEYOND.
 
@@ -269,11 +270,6 @@ class StabilityWatch:
     omega^2 = abs((J H'')^2 v) / abs(v) for a v that each step maps and keeps: by the power method
     it turns into the fastest oscillation of the motion linearised at z.
     """
-
-    @staticmethod
-    def inner_step(integrator: Integrator) -> Callable:
-        """Return the step of the method."""
-        return integrator.step
 
     @staticmethod
     def workspace(n: int, settings: tuple) -> WatchWork:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of a simulation: at a stretch by compiled code, and by fallbacks where one fails."""
 
-from abc import ABC, abstractmethod
 import math
 from operator import itemgetter
 import time
@@ -28,7 +27,7 @@ class RescuePending(Exception):
     """Refusal of a step that fails while what takes such steps is still being compiled."""
 
 
-class Stepping(ABC):
+class Stepping:
     """
     Steps of a state by the method of a system, and what they cost; see Simulation.
 
@@ -67,14 +66,6 @@ class Stepping(ABC):
         self._own = [*self._arrays().values()]
         # Not the point's own: what a step finds there must not depend on when it was looked at.
         self._dH_dq, self._dH_dp = np.empty((2, n))
-
-    @abstractmethod
-    def snapshot(self) -> dict[str, np.ndarray]:
-        """Return copies of all that the next steps depend on."""
-
-    @abstractmethod
-    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
-        """Go back to a snapshot."""
 
     @property
     def time(self) -> float:

@@ -4,16 +4,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from operator import attrgetter
 from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import (
-    Constraint, ConstraintSet, Effect, EffectError, EffectState, Force, Joined, Place, Wrapping)
+    Effect, EffectError, EffectState, Force, Joined, Layer, Place)
 from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
     POSITION)
 from hnn_vi_ros.effects.kernels import add_forces, join
+from hnn_vi_ros.effects.manifold import Manifold
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -178,16 +180,9 @@ class JoinedHamiltonian(Hamiltonian):
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
 
-    @property
-    def invariants(  # type: ignore[override]  # a scene sets those of the base
-            self) -> Mapping[str, Callable[[np.ndarray, np.ndarray], float]]:
-        """Return the functions to watch along the motion."""
-        return self.base.invariants
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the box in which the base was learned."""
-        return self.base.box
+    # Those of the base, also where a scene sets them later.
+    invariants, box, smooth, provenance, scheme = (property(attrgetter(f'base.{name}')) for name in (
+        'invariants', 'box', 'smooth', 'provenance', 'scheme'))
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
@@ -196,21 +191,6 @@ class JoinedHamiltonian(Hamiltonian):
         for effect, parameters in self._joined:
             effect.add_gauge(parameters, gauge)
         return gauge if gauge.any() else None
-
-    @property
-    def smooth(self) -> bool:
-        """Return whether the gradient of the base is continuous."""
-        return self.base.smooth
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return what identifies the data behind the base."""
-        return self.base.provenance
-
-    @property
-    def scheme(self) -> tuple[str, float] | None:
-        """Return the method and step size [s] of the base."""
-        return self.base.scheme
 
     def copy(self) -> 'JoinedHamiltonian':
         """Return the same function with working memory of its own."""
@@ -462,32 +442,20 @@ class System:
         if integrator.requirements.coordinates != 'other':
             # Others read what is in the parameters of their own family of models.
             self.kernel = by_address(self.kernel)
-        self._constraints = self._constrained(self._in(Place.MANIFOLD))
+        listed = [(i, self.labels[i], self._parameters[i]) for i in self._in(Place.MANIFOLD)]
+        self._constraints = Manifold(listed, self.kernel, len(self._effects)) if listed else None
         self.integrator = self._wrapped(integrator)
-
-    def _constrained(self, listed: list[int]) -> ConstraintSet | None:
-        """Return the constraints of the scene as one, None for none."""
-        if not listed:
-            return None
-        kinds = {type(self._effects[i]): i for i in reversed(listed)}
-        if len(kinds) > 1:
-            raise EffectError(max(kinds.values()), 'does not combine with constraints of another '
-                                                   'kind; leave one of them out')
-        (kind,) = kinds
-        return cast(type[Constraint], kind).combine(
-            [(i, self.labels[i], self._parameters[i]) for i in listed],
-            self.kernel, len(self._effects))
 
     def _wrapped(self, integrator: Integrator) -> Integrator:
         """Wrap a method with what acts around its nodes, place by place, and the account."""
         around = sorted((place, i) for i, place in enumerate(self._places) if place > Place.NODES)
         for place, i in around:
-            kind = cast(type[Wrapping], type(self._effects[i]))
+            kind = cast(type[Layer], type(self._effects[i]))
             settings: Any = self._parameters[i]
             if self._constraints is not None and place is Place.MANIFOLD:
                 if i != self._in(place)[0]:
                     continue  # the first one stands for all
-                kind, settings = self._constraints.kind, self._constraints.settings
+                kind, settings = self._constraints.kind, self._constraints.constraints
             integrator = Wrapped(integrator, kind, (settings, self.effect_state, i))
         if self._taken or around:
             integrator = Wrapped(

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-# What every effect is made of.
-BASES = {'', 'base', 'commands', 'kernels', 'wrapped'}
+# What every effect is made of, and what solves all constraints together.
+BASES = {'', 'base', 'commands', 'kernels', 'manifold', 'wrapped'}
 
 
 class Kick(StepEffect):

@@ -271,13 +271,6 @@ def transport(kernel: Kernel, h: float, z: Point, work: GroupWork, z1: Point) ->
         z1.p[i], z1.p_carry[i] = plus(z.p[i], z.p_carry[i], change[i])
 
 
-@inlined
-def clear(array: np.ndarray) -> None:
-    """Fill with zeros."""
-    for i in range(array.size):
-        array[i] = 0.0
-
-
 @called
 def add_bend(kernel: Kernel, retraction: Callable, x: np.ndarray, mu: np.ndarray, side: float,
              result: np.ndarray) -> None:
@@ -423,12 +416,7 @@ class LieIntegrator(ImplicitIntegrator):
         """Return the workspace of the equation; see Integrator."""
         return (GroupWork.empty(n, dtype),)
 
-    def substep(self) -> Integrator | None:
-        """Return this method where it is symmetric, else the leapfrog on the group."""
-        if self.solver == 'fixed_point':
-            return None
-        if self.requirements.symmetric:
-            return self
-        # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
+    def leapfrog(self) -> Integrator:
+        """Return the leapfrog on the group."""
         from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
         return LieLeapfrog(self.retraction)

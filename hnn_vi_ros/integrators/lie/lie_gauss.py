@@ -128,10 +128,8 @@ class LieGauss(Collocation):
             *np.zeros((4, size // 2), dtype), *np.zeros((4, n), dtype),
             *np.zeros((2, size), dtype)), PointWork(Point.empty(n, dtype)))
 
-    def substep(self) -> Integrator | None:
+    def leapfrog(self) -> Integrator:
         """Return the leapfrog on the group."""
-        if self.solver == 'fixed_point':
-            return None
         return LieLeapfrog()
 
     @staticmethod

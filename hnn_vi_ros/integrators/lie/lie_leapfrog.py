@@ -5,7 +5,7 @@
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import (
-    add_bend, check_turns, clear, GroupWork, is_too_far, LieIntegrator, LieOptions, move,
+    add_bend, check_turns, GroupWork, is_too_far, LieIntegrator, LieOptions, move,
     solve_momenta_inside, solve_turns, transport)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -49,7 +49,7 @@ class LieVariationalEuler(LieIntegrator):
         if is_too_far(kernel, work.x):
             return TURNED, np.inf, 0
         move(kernel, options.retraction, z, work.x, z1)
-        clear(work.change)
+        work.change[:] = 0.0
         add_bend(kernel, options.retraction, work.x, z.p, -1.0, work.change)
         outcome, residual, gradients = solve_momenta_inside(
             kernel, h, options, z1.q, z, z1, work)
@@ -86,7 +86,7 @@ class LieSymplecticEuler(LieIntegrator):
              memory: tuple[GroupWork, ...]) -> tuple[int, float, int]:
         """Take one step; see Integrator."""
         work = memory[0]
-        clear(work.change)
+        work.change[:] = 0.0
         outcome, residual, gradients = solve_momenta_inside(
             kernel, h, options, z.q, z, z1, work)
         move(kernel, options.retraction, z, work.x, z1)

@@ -78,10 +78,6 @@ class LieStormerVerlet(Integrator):
                         f'{coordinate.name} is not')
         return ''
 
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return no options: nothing is solved."""
-        return ()
-
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspace of a step; see Integrator."""
         return (FlightWork(np.zeros(n, dtype), np.zeros(n, dtype), np.zeros(n, dtype),
