@@ -344,7 +344,6 @@ def _array(tensor: torch.Tensor) -> np.ndarray:
         raise UnsupportedSystem(_HIDDEN) from problem
 
 
-
 class Motion(NamedTuple):
     """
     Result of ``simulate``.

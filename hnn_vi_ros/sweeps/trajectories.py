@@ -380,7 +380,8 @@ class _Made:
         samples = sorted({*range(0, steps + 1, self._every), steps})
         alarms: list[list[Alarm]] = [[] for _ in rows]
         q_all, p_all, failures = record_on_device(
-            self._simulation('first', q[:1], p[:1]), lambda: self._ensemble, device, q, p, samples, 1, alarms)
+            self._simulation('first', q[:1], p[:1]), lambda: self._ensemble, device, q, p,
+            samples, 1, alarms)
         return self._several(np.array(samples) * h, q_all, p_all, alarms), failures
 
     def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:

@@ -398,7 +398,8 @@ class Prediction:
         slopes = np.empty((*self._windows.measured.shape, len(self._values)))
         if exact and self._run is not None:
             slopes[..., exact] = self._exact(self._run, starts, [
-                Change(np.zeros_like(starts), [(_OnNumber(self._beside(k), self._integrator), np.array(1.0))])
+                Change(np.zeros_like(starts), [(
+                    _OnNumber(self._beside(k), self._integrator), np.array(1.0))])
                 for k in exact])[1]
         for k in range(len(self._values)):
             if k not in exact:
