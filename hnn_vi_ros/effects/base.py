@@ -382,7 +382,7 @@ class Layer:
 
 
 class StepEffect(Effect, Layer):
-    """An effect that acts between or around the steps of a method: a flow, a jump, a projection."""
+    """An effect that acts between or around steps of a method: a flow, a jump, a projection."""
 
     acts = Place.AROUND
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Hamiltonian together with the effects that a scene lists, made ready for a method."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, cast
@@ -181,8 +181,9 @@ class JoinedHamiltonian(Hamiltonian):
             effect.keeps_separable for effect, _ in joined)
 
     # Those of the base, also where a scene sets them later.
-    invariants, box, smooth, provenance, scheme = (property(attrgetter(f'base.{name}')) for name in (
-        'invariants', 'box', 'smooth', 'provenance', 'scheme'))
+    invariants, box, smooth, provenance, scheme = (
+        property(attrgetter(f'base.{name}'))
+        for name in ('invariants', 'box', 'smooth', 'provenance', 'scheme'))
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
