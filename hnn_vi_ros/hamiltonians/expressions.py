@@ -534,8 +534,8 @@ class Symbol:
         return self._made(self._graph.raised, other)
 
     def __eq__(self, other: object) -> bool:
-        """Refuse to decide, as the other comparisons do: a branch would be taken for all values."""
-        raise TypeError('symbols have no order')
+        """Refuse, as other comparisons do: a branch would be taken for all values."""
+        raise TypeError('symbols cannot be compared')
 
     __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
 

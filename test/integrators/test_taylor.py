@@ -40,7 +40,8 @@ def test_taylor_meets_closed_forms_to_1e_13():
     simulation.advance(2)
     # One period; q' and p' reach 5, so that t alone, rounded, is worth 5 eps t = 7e-15.
     assert np.abs(np.append(simulation.q, simulation.p) - orbit(np.array([6.0]))).max() < 1e-13
-    oscillator = Simulation(HAMILTONIANS['harmonic_oscillator'](), Taylor(1e-16), 1.0, [1.0], [0.5])
+    oscillator = Simulation(
+        HAMILTONIANS['harmonic_oscillator'](), Taylor(1e-16), 1.0, [1.0], [0.5])
     other = Simulation(oscillator.hamiltonian, INTEGRATORS['gauss16'](), 0.1, [1.0], [0.5])
     oscillator.advance(10)
     other.advance(100)

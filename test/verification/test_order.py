@@ -6,6 +6,7 @@ from functools import cache
 
 from helpers import EPS, exact, exact_tableau, GENERIC, Method, METHODS, python_step
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.simulation import Simulation
 from mpmath import mp, mpf
