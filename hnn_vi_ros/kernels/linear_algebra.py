@@ -111,17 +111,20 @@ def invert(matrix: np.ndarray, first: int, n: int) -> bool:
         size = pivot.real * pivot.real + pivot.imag * pivot.imag
         if not size > 0.0:
             return False
-        share = complex(pivot.real / size, -pivot.imag / size)
-        matrix[own + k] = 1.0
+        inverse = 1.0 / size
+        share = complex(pivot.real * inverse, -pivot.imag * inverse)
+        matrix[own + k] = share
+        # Zeros are skipped: of a separable H half of the entries are.
         for j in range(n):
-            matrix[own + j] *= share
+            if j != k and matrix[own + j] != 0.0:
+                entry = matrix[own + j] * share
+                matrix[own + j] = entry
+                for i in range(n):
+                    if i != k:
+                        matrix[first + i * n + j] -= matrix[first + i * n + k] * entry
         for i in range(n):
-            row = first + i * n
-            factor = matrix[row + k]
-            if i != k and (factor.real != 0.0 or factor.imag != 0.0):
-                matrix[row + k] = 0.0
-                for j in range(n):
-                    matrix[row + j] -= factor * matrix[own + j]
+            if i != k:
+                matrix[first + i * n + k] *= -share
     return True
 
 
