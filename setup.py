@@ -16,6 +16,7 @@ NAME = 'hnn_vi_ros'
 SHARE = Path('share') / NAME
 RERUN = ['rerun-sdk>=0.41,<0.42']
 SWEEP = ['pyarrow>=18']
+TAYLOR = ['heyoka>=7.13,<8']
 TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
@@ -113,9 +114,11 @@ setup(
         'tables': ['pandas>=2.2', 'xarray>=2024.1'],
         # What `hnn_vi_ros.envs` takes besides.
         'envs': ['gymnasium>=1.1,<2'],
+        # What `integrator: {kind: taylor}` takes besides.
+        'taylor': TAYLOR,
         # What `sweep --ray` takes besides.
         'ray': ['ray>=2.40,<3'],
-        'test': [*TRAIN, *SWEEP, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2',
+        'test': [*TRAIN, *SWEEP, *TAYLOR, 'gymnasium>=1.1,<2', 'hypothesis>=6.100', 'pandas>=2.2',
                  'pin>=3.0', 'pytest>=7.4', 'pytest-timeout>=2.1', 'pytest-xdist>=3.5',
                  'rosbags>=0.10', 'xarray>=2024.1'],
     },

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
+from importlib.util import find_spec
 from itertools import pairwise
 from math import comb
 import os
@@ -134,6 +135,7 @@ METHODS = [
     Method('explicit_euler', None, steps=400),
     Method('rk4', None, steps=40),
     Method('dop853', None),
+    *([Method('taylor', None)] if find_spec('heyoka') else ()),
 ]
 # Those whose steps run in any arithmetic, and those that are compiled: the same ones.
 GENERIC = [method for method in METHODS if method.integrator.compiled]

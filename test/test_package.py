@@ -58,6 +58,7 @@ HOMES = {
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/(parquet|lerobot)\.py',
     'ray': r'sweeps/ray_cluster\.py',

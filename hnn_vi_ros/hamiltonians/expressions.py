@@ -525,12 +525,26 @@ class Symbol:
         """Return the difference."""
         return -self + other
 
-    __radd__, __rmul__ = __add__, __mul__
+    def __rtruediv__(self, other: Any) -> 'Symbol':
+        """Return the quotient."""
+        return Symbol(self._graph, self._graph.number(other)) / self
 
-    def cos(self) -> 'Symbol':
-        """Return the cosine."""
-        return Symbol(self._graph, self._graph.apply('cos', self.node))
+    def __pow__(self, other: Any) -> 'Symbol':
+        """Return the power."""
+        return self._made(self._graph.raised, other)
 
-    def sin(self) -> 'Symbol':
-        """Return the sine."""
-        return Symbol(self._graph, self._graph.apply('sin', self.node))
+    def __eq__(self, other: object) -> bool:
+        """Refuse, as other comparisons do: a branch would be taken for all values."""
+        raise TypeError('symbols cannot be compared')
+
+    __radd__, __rmul__, __hash__ = __add__, __mul__, None  # type: ignore[assignment]
+
+    def __getattr__(self, name: str) -> Callable[[], 'Symbol']:
+        """Return the method in which numpy looks for its function of a name."""
+        if name not in _SMOOTH:
+            raise AttributeError(name)
+        return lambda: Symbol(self._graph, self._graph.apply(_SMOOTH[name], self.node))
+
+
+# By the names that numpy gives them.
+_SMOOTH = {_CALLS[name].__name__: name for name in FUNCTIONS if name != 'abs'}

@@ -20,6 +20,7 @@ from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.runge_kutta import DOP853, ExplicitEuler, RK4
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler, SymplecticEulerAdjoint
+from hnn_vi_ros.integrators.taylor import Taylor
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
@@ -48,6 +49,7 @@ INTEGRATORS: dict[str, type[Integrator]] = {
     'explicit_euler': ExplicitEuler,
     'rk4': RK4,
     'dop853': DOP853,
+    'taylor': Taylor,
 }
 
 

@@ -80,7 +80,7 @@ class DenseOutput:
     def __init__(self, order: int, coefficients: np.ndarray, momenta: int,
                  ends: np.ndarray = WHOLE, in_legendre: bool = False):
         self.order, self._coefficients, self._momenta = order, coefficients, momenta
-        self._ends, self._in_legendre = ends, in_legendre
+        self.ends, self._in_legendre = ends, in_legendre
 
     def __call__(self, theta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -99,10 +99,10 @@ class DenseOutput:
         """
         share = np.asarray(theta, dtype=np.float64)
         part: int | np.ndarray = 0
-        if self._ends is not WHOLE:
-            part = np.clip(np.searchsorted(self._ends, share, 'right') - 1, 0,
-                           self._ends.size - 2)
-            share = (share - self._ends[part]) / (self._ends[part + 1] - self._ends[part])
+        if self.ends is not WHOLE:
+            part = np.clip(np.searchsorted(self.ends, share, 'right') - 1, 0,
+                           self.ends.size - 2)
+            share = (share - self.ends[part]) / (self.ends[part + 1] - self.ends[part])
         share, coefficients = share[..., None], self._coefficients[:, part]
         z: np.ndarray = (legendre.legval(2.0 * share - 1.0, coefficients, tensor=False)
                          if self._in_legendre else

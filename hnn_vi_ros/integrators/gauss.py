@@ -62,22 +62,19 @@ class ModesWork(NamedTuple):
     ----------
     inverses : np.ndarray of complex, shape (r, N)
         The inverse of I - mu J for each eigenvalue and, one after another, each system.
-    vectors : np.ndarray of complex, shape (2, s)
-        Its right factor, and the product.
-    pivots : np.ndarray of int, shape (s,)
-        The rows that were exchanged.
+    vector : np.ndarray of complex, shape (s,)
+        Its right factor.
 
     """
 
     inverses: np.ndarray
-    vectors: np.ndarray
-    pivots: np.ndarray
+    vector: np.ndarray
 
     @classmethod
     def empty(cls, stages: int, n: int) -> 'ModesWork':
         """Return the working space of systems of up to s / 2 coordinates, n in all."""
         return cls(np.zeros(((stages + 1) // 2, 2 * stages * n), dtype=complex),
-                   np.zeros((2, stages), dtype=complex), np.zeros(stages, dtype=np.int64))
+                   np.zeros(stages, dtype=complex))
 
 
 @inlined
@@ -130,26 +127,31 @@ def _invert(problem: Any, x: np.ndarray, work: NewtonWork) -> bool:
     inverses, width = problem.work.inverses, kernel.dimension
     d = width - kernel.channels
     m, middle = 2 * d, s // 2 * n
-    v, product = work.direction, work.product
+    at_q, at_p = x[middle:middle + n], x[s * n + middle:s * n + middle + n]
+    v_q, v_p = work.direction[:n], work.direction[n:2 * n]
+    product_q, product_p = work.product[:n], work.product[n:2 * n]
+    for i in range(n):
+        v_q[i], v_p[i] = 0.0, 0.0
     for column in range(m):
-        at = column if column < d else n + column - d
-        v[:2 * n] = 0.0
-        for i in range(0, n, width):
-            v[at + i] = 1.0
-        kernel.hessian_vector(
-            kernel.parameters, x[middle:middle + n], x[s * n + middle:s * n + middle + n],
-            v[:n], v[n:2 * n], product[:n], product[n:2 * n])
+        for i in range(column % d, n, width):
+            if column < d:
+                v_q[i] = 1.0
+            else:
+                v_p[i] = 1.0
+        kernel.hessian_vector(kernel.parameters, at_q, at_p, v_q, v_p, product_q, product_p)
+        for i in range(column % d, n, width):
+            v_q[i], v_p[i] = 0.0, 0.0
         for k in range(inverses.shape[0]):
             mu, to = problem.h * problem.modes.values[k], column
             for i in range(0, n, width):
                 for row in range(d):
-                    inverses[k, to + row * m] = -mu * product[n + i + row]
-                    inverses[k, to + (d + row) * m] = mu * product[i + row]
+                    inverses[k, to + row * m] = -mu * product_p[i + row]
+                    inverses[k, to + (d + row) * m] = mu * product_q[i + row]
                 inverses[k, to + column * m] += 1.0
                 to += m * m
     for k in range(inverses.shape[0]):
         for i in range(n // width):
-            if not invert(inverses[k], i * m * m, problem.work.pivots[:m]):
+            if not invert(inverses[k], i * m * m, m):
                 return False
     return True
 
@@ -160,7 +162,7 @@ def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
     s, n, modes = problem.matrix.shape[0], problem.z.q.size, problem.modes
     width = problem.kernel.dimension
     d = width - problem.kernel.channels
-    m, at, w, y = 2 * d, 0, problem.work.vectors[0], problem.work.vectors[1]
+    m, at, w = 2 * d, 0, problem.work.vector
     for i in range(0, n, width):
         for j in range(2 * s):
             for a in range(j * n + i, j * n + i + d):
@@ -168,18 +170,23 @@ def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
             for a in range(j * n + i + d, j * n + i + width):
                 x[a] = value[a]
         for k in range(modes.values.size):
+            # Sums are of two numbers, not complex and in no array: they stay in registers.
             for a in range(m):
                 first = i + a if a < d else s * n + i + a - d
-                w[a] = 0.0
+                re, im = 0.0, 0.0
                 for j in range(s):
-                    w[a] += modes.left[k, j] * value[first + j * n]
+                    re += modes.left[k, j].real * value[first + j * n]
+                    im += modes.left[k, j].imag * value[first + j * n]
+                w[a] = complex(re, im)
             for a in range(m):
-                y[a] = 0.0
+                re, im = 0.0, 0.0
                 for b in range(m):
-                    y[a] += problem.work.inverses[k, at + a * m + b] * w[b]
+                    entry = problem.work.inverses[k, at + a * m + b]
+                    re += entry.real * w[b].real - entry.imag * w[b].imag
+                    im += entry.real * w[b].imag + entry.imag * w[b].real
                 first = i + a if a < d else s * n + i + a - d
                 for j in range(s):
-                    x[first + j * n] += (modes.right[j, k] * y[a]).real
+                    x[first + j * n] += modes.right[j, k].real * re - modes.right[j, k].imag * im
         at += m * m
 
 

@@ -84,9 +84,11 @@ def solve_factorised(matrix: np.ndarray, pivots: np.ndarray, right: np.ndarray) 
 
 
 @inlined
-def invert(matrix: np.ndarray, first: int, pivots: np.ndarray) -> bool:
+def invert(matrix: np.ndarray, first: int, n: int) -> bool:
     """
-    Invert a complex matrix in place, by Gauss-Jordan elimination with row pivots.
+    Invert a complex matrix in place, by Gauss-Jordan elimination without exchanges.
+
+    It is for matrices near the identity, and where a few digits of the inverse will do.
 
     Parameters
     ----------
@@ -94,55 +96,35 @@ def invert(matrix: np.ndarray, first: int, pivots: np.ndarray) -> bool:
         Holds the n x n entries, row by row.
     first : int
         Where they begin.
-    pivots : np.ndarray, shape (n,)
-        Working space.
+    n : int
+        Rows.
 
     Returns
     -------
     bool
-        False if the matrix is singular.
+        False if a pivot vanishes.
 
     """
-    n = pivots.size
-    if n == 2:
-        a, b = matrix[first], matrix[first + 1]
-        c, d = matrix[first + 2], matrix[first + 3]
-        determinant = a * d - b * c
-        if not abs(determinant) > 0.0:
-            return False
-        share = 1.0 / determinant
-        matrix[first], matrix[first + 1] = d * share, -b * share
-        matrix[first + 2], matrix[first + 3] = -c * share, a * share
-        return True
     for k in range(n):
-        pivot, largest = k, 0.0
-        for i in range(k, n):
-            entry = matrix[first + i * n + k]
-            size = entry.real * entry.real + entry.imag * entry.imag
-            if size > largest:
-                pivot, largest = i, size
-        pivots[k] = pivot
-        if not largest > 0.0:
+        own = first + k * n
+        pivot = matrix[own + k]
+        size = pivot.real * pivot.real + pivot.imag * pivot.imag
+        if not size > 0.0:
             return False
-        if pivot != k:
-            for j in range(n):
-                own, other = first + k * n + j, first + pivot * n + j
-                matrix[own], matrix[other] = matrix[other], matrix[own]
-        share = 1.0 / matrix[first + k * n + k]
-        matrix[first + k * n + k] = 1.0
+        inverse = 1.0 / size
+        share = complex(pivot.real * inverse, -pivot.imag * inverse)
+        matrix[own + k] = share
+        # Zeros are skipped: of a separable H half of the entries are.
         for j in range(n):
-            matrix[first + k * n + j] *= share
+            if j != k and matrix[own + j] != 0.0:
+                entry = matrix[own + j] * share
+                matrix[own + j] = entry
+                for i in range(n):
+                    if i != k:
+                        matrix[first + i * n + j] -= matrix[first + i * n + k] * entry
         for i in range(n):
-            factor = matrix[first + i * n + k]
-            if i != k and factor != 0.0:
-                matrix[first + i * n + k] = 0.0
-                for j in range(n):
-                    matrix[first + i * n + j] -= factor * matrix[first + k * n + j]
-    for k in range(n - 1, -1, -1):
-        if pivots[k] != k:
-            for i in range(n):
-                own, other = first + i * n + k, first + i * n + pivots[k]
-                matrix[own], matrix[other] = matrix[other], matrix[own]
+            if i != k:
+                matrix[first + i * n + k] *= -share
     return True
 
 

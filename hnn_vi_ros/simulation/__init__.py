@@ -15,6 +15,8 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, REASONS
+from hnn_vi_ros.integrators.dense_output import DenseOutput
+from hnn_vi_ros.integrators.taylor import TaylorWork
 from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.stepping import Stepping
 from hnn_vi_ros.simulation.system import System
@@ -334,6 +336,11 @@ class Simulation(Stepping):
         return DenseStep(self, self._system.integrator is self.integrator
                          and self._kernel.channels == 0 and not self.hamiltonian.rotations,
                          lambda: self._system.cuts)
+
+    def series(self, state: np.ndarray) -> DenseOutput:
+        """Return the Taylor series through a step from (q, p), shape (2 d,), of such a method."""
+        work: TaylorWork = self._memories[0][0]
+        return work.path(self._kernel, self.step_size, state)
 
     def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.integrators.dense_output import (
     collocation_output, DenseOutput, hermite_output, WHOLE)
 from hnn_vi_ros.integrators.gauss import Gauss
+from hnn_vi_ros.integrators.taylor import Taylor
 from hnn_vi_ros.phase_space import coordinate_rates, momentum_rates
 import numpy as np
 
@@ -77,6 +78,9 @@ class DenseStep:
         simulation.advance(1)
         self._end, self._slopes, self._smooth = _look(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
+        # The series themselves are known anywhere in the step.
+        self._series = (plain and isinstance(simulation.integrator, Taylor)
+                        and self._start.q.ndim == 1)
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
             # H_q and H_p at the stages, which the step leaves for the start of the next solve.
@@ -107,7 +111,7 @@ class DenseStep:
     @property
     def places(self) -> np.ndarray:
         """Return shares of the step, shape (k,), between which the path bends little."""
-        ends, _ = self._knots
+        ends = self.polynomial.ends if self._series else self._knots[0]
         if ends is WHOLE:
             return _PLACES
         inside = ends[:-1, None] + np.diff(ends)[:, None] * _PLACES[:-1]
@@ -116,6 +120,8 @@ class DenseStep:
     @cached_property
     def polynomial(self) -> DenseOutput:
         """Return the polynomial through the step, of q and p of shape (d,) or (m d,)."""
+        if self._series:
+            return self._simulation.series(np.append(self._start.q, self._start.p))
         h, (ends, looks) = self._simulation.step_size, self._knots
         z, v = (np.array(rows) for rows in zip(*map(self._line, looks), strict=True))
         if self._slopes is not None:

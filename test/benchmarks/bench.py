@@ -21,6 +21,7 @@ GROUPS = {
     'adjoint': ('benchmarks.adjoint', 120.0),
     'euler_step': ('benchmarks.euler_step', 20.0),
     'path_error': ('benchmarks.path_error', 105.0),
+    'exact': ('benchmarks.exact', 60.0),
     'many': ('benchmarks.many', 180.0),
     'scale': ('benchmarks.scale', 600.0),
     'effects': ('benchmarks.effects', 180.0),

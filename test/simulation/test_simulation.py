@@ -237,7 +237,7 @@ def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces():
 
 
 @pytest.mark.parametrize('name', sorted(set(INTEGRATORS) - {
-    'stormer_verlet', 'dop853', 'discrete_euler_lagrange', 'variational_midpoint'} - {
+    'stormer_verlet', 'dop853', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
         name for name in INTEGRATORS if name.startswith('lie_')}))
 def test_simulation_restored_from_a_snapshot_is_bit_identical(name):
     whole, resumed = (Simulation(HAMILTONIANS['tao'](), INTEGRATORS[name](), 0.05, [1.0], [-1.0])

@@ -6,6 +6,7 @@ from functools import cache
 
 from helpers import EPS, exact, exact_tableau, GENERIC, Method, METHODS, python_step
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.simulation import Simulation
 from mpmath import mp, mpf
@@ -80,7 +81,7 @@ def test_gauss_coefficients_are_right_to_round_off(stages: int):
 
 
 def test_dop853_holds_its_tolerance():
-    simulation = Simulation(HAMILTONIANS['tao'](), METHODS[-1].integrator, 0.5, [Q0], [P0])
+    simulation = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['dop853'](), 0.5, [Q0], [P0])
     simulation.advance(8)
     expected = reference('tao', 25, DURATION).astype(float)
     # rtol 1e-9 per step, some 100 steps, and a flow that stretches errors less than tenfold.

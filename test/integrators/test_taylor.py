@@ -1,0 +1,125 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The integrator taylor: closed forms, dense output, batches, and what it refuses."""
+
+import sys
+
+from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.effects.potential import FormulaPotential
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.integrators import INTEGRATORS, taylor
+from hnn_vi_ros.integrators.taylor import Taylor
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.dense_step import record_at
+import numpy as np
+import pytest
+
+pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
+Q0, P0 = [0.4, 0.0], [0.0, 2.0]
+# Where powers, functions and quotients stand that the exact systems have not.
+RICH = ('(p_x^2 + p_y^2) / (2 + x^2) + exp(-x^2) + atan(y) + y^2 / 2 + sqrt(1 + x^2) '
+        '+ log(2 + cos(y)) + (1 + x^2)^1.3 + tanh(x) * cosh(y / 3) + (1 - cos(x)) / (1 + y^2)^1.5')
+
+
+def kepler(tolerance: float, h: float) -> Simulation:
+    """Return an orbit of eccentricity 0.6 from its pericentre."""
+    return Simulation(HAMILTONIANS['kepler'](), Taylor(tolerance), h, Q0, P0)
+
+
+def orbit(times: np.ndarray) -> np.ndarray:
+    """Return the same orbit by Kepler's equation, shape (k, 4)."""
+    motion = HAMILTONIANS['kepler']().exact_motion(np.array(Q0), np.array(P0), times)
+    assert motion is not None
+    return motion.path
+
+
+def test_taylor_meets_closed_forms_to_1e_13():
+    simulation = kepler(1e-16, 3.0)
+    simulation.advance(2)
+    # One period; q' and p' reach 5, so that t alone, rounded, is worth 5 eps t = 7e-15.
+    assert np.abs(np.append(simulation.q, simulation.p) - orbit(np.array([6.0]))).max() < 1e-13
+    oscillator = Simulation(
+        HAMILTONIANS['harmonic_oscillator'](), Taylor(1e-16), 1.0, [1.0], [0.5])
+    other = Simulation(oscillator.hamiltonian, INTEGRATORS['gauss16'](), 0.1, [1.0], [0.5])
+    oscillator.advance(10)
+    other.advance(100)
+    assert abs(oscillator.q - other.q)[0] < 1e-13
+
+
+def test_taylor_states_between_steps_are_those_of_the_series():
+    times = np.array([0.7, 3.1, 9.99, 12.5])
+    q, p = record_at(kepler(1e-15, 10.0), times)
+    # Two steps, along which an error of 1e-15 grows as the phase does.
+    assert np.abs(np.hstack([q, p]) - orbit(times)).max() < 1e-12
+    assert np.diff(kepler(1e-15, 10.0).dense_step().places).max() < 0.01
+
+
+def test_taylor_keeps_the_energy_to_round_off_over_long_times():
+    simulation = kepler(1e-16, 100.0)
+    energy = simulation.energy
+    simulation.advance(100)
+    # 7e4 series, each rounded: a random walk of eps sqrt(7e4), and as much again for its constant.
+    assert abs(simulation.energy - energy) < 1e-13
+
+
+@pytest.mark.parametrize('effects', [
+    (), (FormulaPotential('k*(x - y)^2/2', {'k': 0.3}),)],
+    ids=['alone', 'with a potential'])
+def test_taylor_agrees_with_gauss16_on_a_rich_formula(effects):
+    hamiltonian = Formula(['x', 'y'], RICH)
+    ours, other = (Simulation(hamiltonian, method, h, [0.7, -0.2], [0.1, 0.4], effects)
+                   for method, h in ((Taylor(1e-15), 2.0), (INTEGRATORS['gauss16'](), 0.05)))
+    ours.advance(1)
+    other.advance(40)
+    # Two methods, each at round-off.
+    assert np.abs(np.append(ours.q - other.q, ours.p - other.p)).max() < 1e-13
+
+
+def test_taylor_takes_several_trajectories_as_one_batch():
+    starts = np.array([[0.4, 0.0], [0.5, 0.1], [0.6, 0.0]])
+    momenta = np.array([P0] * 3)
+    batch = Simulation(HAMILTONIANS['kepler'](), Taylor(), 0.5, starts, momenta)
+    batch.advance(6)
+    for k, (q, p) in enumerate(zip(starts, momenta, strict=True)):
+        one = Simulation(HAMILTONIANS['kepler'](), Taylor(), 0.5, q, p)
+        one.advance(6)
+        assert np.abs(np.append(one.q - batch.q[k], one.p - batch.p[k])).max() < 1e-11
+
+
+def test_taylor_goes_on_with_other_numbers():
+    simulation = Simulation(HAMILTONIANS['pendulum'](), Taylor(), 1.0, [1.0], [0.0])
+    simulation.advance(1)
+    other = HAMILTONIANS['pendulum'](length=2.0)
+    assert simulation.take_numbers(other, [])
+    simulation.restart([1.0], [0.0])
+    simulation.advance(1)
+    fresh = Simulation(other, Taylor(), 1.0, [1.0], [0.0])
+    fresh.advance(1)
+    assert simulation.q[0] == fresh.q[0]
+
+
+@pytest.mark.parametrize(('hamiltonian', 'effects', 'named'), [
+    (Formula(['x'], 'p_x^2/2 + abs(x)'), (), 'Formula is not: no network'),
+    (HAMILTONIANS['fput_chain'](), (), 'FputChain is not: no network'),
+    (HAMILTONIANS['heavy_top'](), (), 'rotation'),
+    (HAMILTONIANS['pendulum'](), (Damping(0.1),), 'cannot take the effect damping')])
+def test_taylor_refuses_by_name(hamiltonian, effects, named):
+    d = hamiltonian.dimension
+    with pytest.raises(UnsupportedSystem, match=named):
+        Simulation(hamiltonian, Taylor(), 0.1, np.ones(d), np.zeros(d), effects)
+
+
+def test_taylor_without_heyoka_is_one_line_with_the_command(monkeypatch):
+    monkeypatch.setattr(taylor, 'find_spec', lambda name: None)
+    with pytest.raises(UnsupportedSystem) as problem:
+        kepler(1e-12, 1.0)
+    assert f'{sys.executable} -m pip install "heyoka>=7.13,<8"' in str(problem.value)
+    assert '\n' not in str(problem.value)
+
+
+@pytest.mark.parametrize('tolerance', [0.0, 0.1, float('nan')])
+def test_taylor_refuses_a_tolerance_that_is_none(tolerance):
+    with pytest.raises(ValueError, match='from 1e-16 to 1e-3'):
+        Taylor(tolerance)
