@@ -16,6 +16,7 @@ from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
 from hnn_vi_ros.guards.bands import BandGuard
 from hnn_vi_ros.guards.base import Guard
+from hnn_vi_ros.guards.steps import CountGuard
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.run.timing import OverrunGuard
 
@@ -122,7 +123,7 @@ def guards() -> list[type[Guard]]:
     for module in pkgutil.iter_modules(import_module('hnn_vi_ros.guards').__path__):
         import_module(f'hnn_vi_ros.guards.{module.name}')
     assert issubclass(OverrunGuard, Guard)
-    return [guard for guard in _subclasses(Guard) if guard is not BandGuard
+    return [guard for guard in _subclasses(Guard) if guard not in (BandGuard, CountGuard)
             and guard.__module__.startswith('hnn_vi_ros')]
 
 

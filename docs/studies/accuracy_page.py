@@ -23,7 +23,7 @@ _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
 # The page opens with it.
 _EXAMPLE = 'pendulum'
 # Step sizes of each variant that are shown.
-_DRIFT_STEPS = 2
+_DRIFT_STEPS = 1
 _Results = Mapping[str, Results]
 
 
@@ -105,11 +105,9 @@ def scene_page(name: str, results: Results) -> str:
     """Return the page of one scene."""
     horizons = [conditions(results, horizon, picture_name(name, horizon))
                 for horizon in results.shown]
-    rows = [[f'{error:g}', *(_cheapest_text(results.of(at['horizon']), error, step=True)
-                             for at in horizons)] for error in ERRORS]
     models = (at['floor'].model for at in horizons)
     return render('accuracy_scene.md', name=name, drift=drift(results, _DRIFT_STEPS),
-                  horizons=horizons, rows=rows,
+                  horizons=horizons,
                   box=next((model.box for model in models if model), None))
 
 
@@ -165,15 +163,14 @@ def _answers(results: _Results) -> list[tuple[float, StudyRow, StudyRow | None]]
     return [(error, best, other) for error, best, other in found if best is not None]
 
 
-def _cheapest_text(rows: list[StudyRow], error: float, step: bool = False) -> str:
-    """Return the cheapest of our methods, its microseconds, and its share of a peer's time."""
+def _cheapest_text(rows: list[StudyRow], error: float) -> str:
+    """Return the cheapest of our methods, its step, its microseconds, and its share of a peer's time."""
     column = 'path_error' if has_paths(rows) else 'energy_band'
     best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
     if best is None:
         return none_of(ours(rows))
-    words = [best.method, *([f'{best.step_size:g} s:'] if step else []),
-             microseconds(best)]
-    return ' '.join([*words, f'({ratio(best, other):.2g})'] if other else words)
+    text = f'{best.method} h={best.step_size:.3g}: {microseconds(best)}'
+    return f'{text} ({ratio(best, other):.2g})' if other else text
 
 
 def _choices(results: _Results) -> list[list[str]]:

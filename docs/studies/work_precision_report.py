@@ -105,7 +105,9 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
 
 
 def _spread(items: Sequence, most: int) -> list:
-    """Return some of the items, evenly, the first and the last among them."""
+    """Return some of the items, evenly, the first and the last among them; or the middle one."""
+    if most == 1:
+        return [items[len(items) // 2]]
     n = min(most, len(items))
     return [items[round(k * (len(items) - 1) / max(n - 1, 1))] for k in range(n)]
 
