@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Give every test session a ROS 2 graph, a domain and log folders of its own."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 import fcntl
@@ -164,6 +164,15 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         _findings.extend(Finding(*row) for row in rows)
 
 
+def findings_table(findings: Iterable[Finding]) -> str:
+    """Return the findings as a table: a line for each claim and bound."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for row in sorted(findings, key=lambda row: (row.claim, row.bound, row.subject)):
+        found.setdefault((row.claim, row.bound), []).append(f'{row.subject}: {row.value:.3g}')
+    return '\n'.join(['| claim | bound | measured |', '|---|---|---|', *(
+        f'| {claim} | {bound} | {"; ".join(texts)} |' for (claim, bound), texts in found.items())])
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let files that tests compare with be renewed by them."""
     parser.addoption('--findings', type=Path, metavar='FILE',
@@ -178,9 +187,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     # Workers of pytest-xdist have what their own tests measured only.
     if path is None or hasattr(session.config, 'workerinput'):
         return
-    rows = [f'| {row.claim} | {row.subject} | {row.value:.3g} | {row.bound} |'
-            for row in sorted(_findings, key=lambda row: (row.claim, row.subject))]
-    table = '\n'.join(['| claim | subject | measured | bound |', '|---|---|---|---|', *rows])
+    table = findings_table(_findings)
     before, begin, rest = path.read_text(encoding='utf-8').partition('<!-- findings -->\n')
     _, end, after = rest.partition('\n<!-- end of findings -->')
     path.write_text(f'{before}{begin}{table}{end}{after}', encoding='utf-8')

@@ -22,7 +22,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / 'docs'
-FOLDERS = ('tutorials', 'how-to', 'concepts', 'reference', 'accuracy', 'hard_cases')
+FOLDERS = ('tutorials', 'how-to', 'concepts', 'reference', 'accuracy')
 OWN = sorted(path for folder in FOLDERS
              for path in (DOCS / folder).glob('*.md'))
 NOTEBOOKS = sorted(DOCS.glob('tutorials/*.ipynb'))

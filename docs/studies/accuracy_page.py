@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 import math
 from pathlib import Path
@@ -13,16 +12,18 @@ from studies.explore_page import read_cards, rows_of, write_cards, write_explore
 from studies.measuring import StudyRow
 from studies.pages import render
 from studies.results import Results, write_rows
-from studies.work_precision_figure import draw
+from studies.work_precision_figure import draw, draw_fronts
 from studies.work_precision_report import (
-    cheapest, conditions, drift, has_paths, none_of, ours, peers, picture_name, ratio)
+    cheapest, conditions, drift, ERRORS, has_paths, microseconds, none_of, ours, peers, picture_name,
+    ratio)
 
-PAGE, FOLDER = 'accuracy-and-cost.md', 'accuracy'
+PAGE, FOLDER, PICTURE = 'accuracy-and-cost.md', 'accuracy', 'fronts.png'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
-_PEER_ERRORS = tuple(10.0 ** -k for k in range(3, 11))
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9)
+# The page opens with it.
+_EXAMPLE = 'pendulum'
 # Step sizes of each variant that are shown.
-_DRIFT_STEPS = 3
+_DRIFT_STEPS = 1
 _Results = Mapping[str, Results]
 
 
@@ -76,7 +77,9 @@ def write_pages(docs: Path) -> list[Path]:
                if 'number of --runs' in entry.identity}
     try:
         (docs / PAGE).write_text(as_page(results), encoding='utf-8')
-        written = [docs / PAGE]
+        name = _example(results)
+        written = [docs / PAGE, draw_fronts(
+            folder / PICTURE, results[name].of(results[name].shown[0]), _answers(results))]
         for scene, entry in results.items():
             page = folder / f'{scene}.md'
             page.write_text(scene_page(scene, entry), encoding='utf-8')
@@ -100,20 +103,25 @@ def _unwritable(docs: Path, problem: OSError) -> ParameterError:
 
 def scene_page(name: str, results: Results) -> str:
     """Return the page of one scene."""
-    return render('accuracy_scene.md', name=name, drift=drift(results, _DRIFT_STEPS), horizons=[
-        conditions(results, horizon, picture_name(name, horizon)) for horizon in results.shown])
+    horizons = [conditions(results, horizon, picture_name(name, horizon))
+                for horizon in results.shown]
+    models = (at['floor'].model for at in horizons)
+    return render('accuracy_scene.md', name=name, drift=drift(results, _DRIFT_STEPS),
+                  horizons=horizons,
+                  box=next((model.box for model in models if model), None))
 
 
 def as_page(results: _Results) -> str:
     """Return the page, from the results of each scene."""
     parts: dict[str, Callable[[_Results], Any]] = {
-        'measured': _measured, 'choice': _choice, 'choices': _choices, 'left_out': _left_out,
-        'first_order': _first_order, 'first_order_wins': _first_order_wins,
-        'first_order_energy': _first_order_energy, 'drifting': _drifting, 'peers': _peers,
-        'learned': _learned, 'scenes': _scenes}
+        'measured': _measured, 'answers': _answers, 'choices': _choices, 'slower': _slower,
+        'left_out': _left_out, 'first_order': _first_order, 'drifting': _drifting,
+        'scenes': _scenes}
+    name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
-    return render(PAGE, machine=' and '.join(machines), **{
+    return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name, picture=PICTURE,
+                  horizon=results[name].shown[0], choice_errors=_CHOICES, **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
 
@@ -141,27 +149,51 @@ def _cases(results: _Results) -> Iterator[tuple[str, float, list[StudyRow]]]:
             yield name, horizon, entry.of(horizon)
 
 
-def _choice(results: _Results) -> Iterator[tuple[float, int, list[str]]]:
-    """Yield how often each method is the cheapest."""
-    for error in _CHOICES:
-        best = [cheapest(ours(rows), error) for _, _, rows in _cases(results) if has_paths(rows)]
-        counts = Counter(row.method if row else 'none' for row in best)
-        yield error, len(best), [f'{method} {count}' for method, count in counts.most_common()]
+def _example(results: _Results) -> str:
+    """Return the scene with which the page opens."""
+    return _EXAMPLE if _EXAMPLE in results else next(iter(results))
 
 
-def _choices(results: _Results) -> dict[str, list]:
-    table = []
-    for name, horizon, rows in _cases(results):
-        cells = [name, f'{horizon:g}']
-        for error in _CHOICES:
-            row = cheapest(ours(rows), error)
-            cells.append('-' if not has_paths(rows) else none_of(ours(rows)) if row is None else
-                         f'{row.method} {1e6 * row.seconds_per_simulated_second:.3g}')
-        table.append(cells)
-    return {'errors': [f'{error:g}' for error in _CHOICES], 'rows': table}
+def _answers(results: _Results) -> list[tuple[float, StudyRow, StudyRow | None]]:
+    """Return for each error wanted our cheapest row and the cheapest peer, in the example."""
+    entry = results[_example(results)]
+    rows = entry.of(entry.shown[0])
+    found = [(error, cheapest(ours(rows), error), cheapest(peers(rows), error))
+             for error in _CHOICES]
+    return [(error, best, other) for error, best, other in found if best is not None]
 
 
-def _first_order(results: _Results) -> Iterator[tuple[str, float, StudyRow, StudyRow, float]]:
+def _cheapest_text(rows: list[StudyRow], error: float) -> str:
+    """Return the cheapest of our methods, its step, its microseconds, and its share of a peer's time."""
+    column = 'path_error' if has_paths(rows) else 'energy_band'
+    best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
+    if best is None:
+        return none_of(ours(rows))
+    text = f'{best.method} h={best.step_size:.3g}: {microseconds(best)}'
+    return f'{text} ({ratio(best, other):.2g})' if other else text
+
+
+def _choices(results: _Results) -> list[list[str]]:
+    return [[name, f'{horizon:g}', 'path' if has_paths(rows) else 'energy [J]',
+             *(_cheapest_text(rows, error) for error in _CHOICES)]
+            for name, horizon, rows in _cases(results)]
+
+
+def _slower(results: _Results) -> dict[str, float]:
+    """Return the scenes in which a peer is faster, and by how much at most."""
+    found: dict[str, float] = {}
+    for name, _, rows in _cases(results):
+        column = 'path_error' if has_paths(rows) else 'energy_band'
+        for error in ERRORS:
+            best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
+            if best is not None and other is not None and ratio(best, other) > 1.0:
+                found[name] = max(found.get(name, 0.0), ratio(best, other))
+    return found
+
+
+def _first_order(results: _Results) -> Iterator[tuple[str, float, StudyRow, StudyRow, float,
+                                                      tuple[StudyRow, StudyRow] | None]]:
+    """Yield the best path of the paper's method, what is as good, and how its energy stays."""
     for name, horizon, rows in _cases(results):
         own = [row for row in rows if row.method == _PAPER and not math.isnan(row.path_error)]
         if horizon != results[name].horizons[0] or not own:
@@ -169,15 +201,8 @@ def _first_order(results: _Results) -> Iterator[tuple[str, float, StudyRow, Stud
         best = min(own, key=lambda row: row.path_error)
         other = cheapest((row for row in ours(rows) if row.method != _PAPER), best.path_error)
         if other is not None:
-            yield name, horizon, best, other, ratio(other, best)
-
-
-def _first_order_wins(results: _Results) -> Iterator[tuple[str, float, float]]:
-    for name, horizon, rows in _cases(results):
-        for error in (1e-1, *_CHOICES):
-            row = cheapest(ours(rows), error)
-            if row is not None and row.method == _PAPER:
-                yield name, horizon, error
+            yield (name, horizon, best, other, ratio(other, best),
+                   _growth(results[name], _PAPER))
 
 
 def _growth(results: Results, method: str) -> tuple[StudyRow, StudyRow] | None:
@@ -193,21 +218,13 @@ def _growth(results: Results, method: str) -> tuple[StudyRow, StudyRow] | None:
     return None
 
 
-def _first_order_energy(results: _Results) -> Iterator[tuple[str, StudyRow, StudyRow]]:
-    for name, entry in results.items():
-        found = _growth(entry, _PAPER)
-        if found is not None:
-            yield name, *found
-
-
 def _drifting(results: _Results
               ) -> Iterator[tuple[str, StudyRow, StudyRow, StudyRow | None, float]]:
     """Yield how the energy of RK4 drifts in each scene, and what is as good."""
     for name, entry in results.items():
         pairs = list(_drifts(entry))
-        # The largest step, the smallest, and one between them.
-        for row, end in [pairs[i] for i in sorted({0, len(pairs) // 2, len(pairs) - 1})
-                         if pairs]:
+        # Of the steps that drift, the middle one.
+        for row, end in pairs[len(pairs) // 2:][:1]:
             best = cheapest((other for other in ours(entry.of(end.horizon))
                              if other.method != _CLASSIC), end.energy_band, 'energy_band')
             yield name, row, end, best, math.nan if best is None else ratio(best, end)
@@ -223,29 +240,6 @@ def _drifts(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:
                  and end.horizon in results.shown]
         if later and later[-1].energy_band > 10.0 * row.energy_band > 1e-10:
             yield row, later[-1]
-
-
-def _peers(results: _Results) -> dict[str, list]:
-    table = []
-    for name, horizon, rows in _cases(results):
-        if not peers(rows):
-            continue
-        # Where no path can be followed, energies are compared.
-        column, what = ('path_error', 'path error') if has_paths(rows) else (
-            'energy_band', 'energy band [J]')
-        cells = [name, f'{horizon:g}', what]
-        for error in _PEER_ERRORS:
-            best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
-            cells.append(f'{ratio(best, other):.2g}' if best and other else '-')
-        table.append(cells)
-    return {'errors': [f'{error:g}' for error in _PEER_ERRORS], 'rows': table}
-
-
-def _learned(results: _Results) -> Iterator[tuple[str, dict[str, Any]]]:
-    for name, entry in results.items():
-        for horizon in entry.shown:
-            if entry.floors[horizon].model is not None:
-                yield name, conditions(entry, horizon)
 
 
 def _scenes(results: _Results) -> dict[str, list[str]]:

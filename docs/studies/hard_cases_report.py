@@ -3,7 +3,7 @@
 """Report on the hard cases: Markdown, CSV and pictures, and the pages of the docs."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import json
 import math
 from pathlib import Path
@@ -21,6 +21,8 @@ from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
+# From the worst to the best; the page shows a sign for each.
+_VERDICTS = ('unstable', 'stopped', 'alarm', 'stable')
 
 
 def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
@@ -47,7 +49,7 @@ def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
 
 def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     """
-    Write the page of the docs, a page and a picture for each case, and the table.
+    Write the page of the docs, a picture for each case, and the table.
 
     Parameters
     ----------
@@ -71,25 +73,33 @@ def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
                   for name in (CSV, *map(_picture, cases))]
         card = folder / CARD
         card.write_text(json.dumps(source.identity, indent=1) + '\n', encoding='utf-8')
-        pages = pages_of(docs)
-        for path, text in pages.items():
-            path.write_text(text, encoding='utf-8')
+        page = docs / PAGE
+        page.write_text(page_of(docs), encoding='utf-8')
     except OSError as problem:
         raise ParameterError(f'--docs {docs}: cannot be written ({problem.strerror}); give a '
                              'folder that can be written') from problem
-    return [*pages, *copies, card]
+    return [page, *copies, card]
 
 
-def pages_of(docs: Path) -> dict[Path, str]:
-    """Return the pages by their files, of the table that the docs hold."""
+def page_of(docs: Path) -> str:
+    """Return the page, from the table that the docs hold."""
     folder = docs / PICTURES
     card = json.loads((folder / CARD).read_text(encoding='utf-8'))
     rows = read_csv(folder / CSV)
     expected = load_expectations(expectations_file(), card.get('run', FULL))
     cases = [case for case in load_plan().cases if _of(case, rows)]
     parts = _parts(cases, rows, expected, card.get('notes', {}))
-    return {docs / PAGE: render(PAGE, cases=parts, machine=card['machine'])} | {
-        docs / f'{part["page"]}.md': render('hard_case.md', at=part) for part in parts}
+    silent = sorted({row.method for row in rows if row.verdict == 'unstable'})
+    return render(PAGE, cases=parts, machine=card['machine'], runs=len(rows), silent=silent,
+                  grid=list(_grid(cases, rows)))
+
+
+def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:
+    """Yield for each method its verdicts in each case, from the worst."""
+    for method in dict.fromkeys(row.method for row in rows):
+        yield method, [Counter(sorted(
+            (row.verdict for row in _of(case, rows) if row.method == method),
+            key=_VERDICTS.index)) for case in cases]
 
 
 def _picture(case: Case) -> str:
@@ -109,12 +119,23 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
         own = _of(case, rows)
         counts = Counter(row.verdict for row in own)
         parts.append({
-            'case': case, 'page': f'{PICTURES}/case_{case.number:02d}', 'picture': _picture(case),
+            'case': case, 'picture': _picture(case), **_short(own),
             'counts': [len(own), *(counts[word] for word in (
                 'stable', 'alarm', 'stopped', 'unstable'))],
             'note': notes.get(str(case.number)), 'wrong': len(differences(own, dict(expected))),
             'rows': [_cells(row, expected.get(row.key)) for row in own]})
     return parts
+
+
+def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
+    """Return the set-ups of a case, and for each method how its run of each ended."""
+    set_ups = list(dict.fromkeys((row.set_up, row.hamiltonian) for row in rows))
+    found = {(row.method, row.set_up, row.hamiltonian): row for row in rows}
+    methods = dict.fromkeys(row.method for row in rows)
+    return {'set_ups': [f'{set_up}, {hamiltonian}' if set_up else hamiltonian
+                        for set_up, hamiltonian in set_ups],
+            'ends': {method: [found.get((method, *set_up)) for set_up in set_ups]
+                     for method in methods}}
 
 
 def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:

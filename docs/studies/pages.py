@@ -4,6 +4,7 @@
 
 import math
 from pathlib import Path
+import re
 from typing import Any
 
 from hnn_vi_ros.models.energy_error import interval_text
@@ -18,6 +19,8 @@ _TEMPLATES.filters |= {
     'g': lambda value, digits=6: f'{value:.{digits}g}',
     'e': lambda value, digits=1: f'{value:.{digits}e}',
     'interval': interval_text,
+    # The anchor of a heading, on the site and on GitHub.
+    'slug': lambda title: re.sub(r'[^\w\- ]', '', title.lower()).replace(' ', '-'),
     # The lines of a table whose head is in the template.
     'table': lambda rows: '\n'.join(f'| {" | ".join(row)} |' for row in rows)}
 _TEMPLATES.tests['known'] = lambda value: not math.isnan(value)

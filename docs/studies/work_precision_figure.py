@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The picture of a work-precision study: small multiples, told apart in grey as well."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,6 +44,18 @@ _VARIANT_MARKS = {'float32': '*'}
 _FLOORS = {'path_error': 'path', 'energy_band': 'energy'}
 _EARLY, _PALE = 'h', '#d9d9d9'
 _EPS = float(np.finfo(np.float64).eps)
+
+
+# What the first picture of the page compares: a label, a style, and whether a row belongs.
+_FRONTS: tuple[tuple[str, dict[str, Any], Callable[[StudyRow], bool]], ...] = (
+    ('ours, the fastest', {'color': '#0b5fa5', 'marker': 'o', 'linewidth': 2.2},
+     lambda row: row.is_ours),
+    ("the paper's, variational_euler", {'color': '#c0392b', 'marker': 's'},
+     lambda row: row.method == 'variational_euler'),
+    *((f'{name}, the fastest', {'color': color, 'marker': marker, 'linestyle': (0, (5, 2))},
+       lambda row, name=name: row.method.startswith(f'{name} '))
+      for name, color, marker in (('diffrax', '#343a40', 'P'), ('scipy', '#1b7f5c', '^'),
+                                  ('torchdiffeq', '#a8623a', 'v'))))
 
 
 class Panel(NamedTuple):
@@ -159,6 +171,53 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
         small = picture.convert('RGB').quantize(128)
     small.save(path, optimize=True)
     return path
+
+
+def draw_fronts(path: Path, rows: Sequence[StudyRow],
+                answers: Iterable[tuple[float, StudyRow, StudyRow | None]]) -> Path:
+    """
+    Draw the least path error that each group of rows reaches in a time, into a PNG file.
+
+    Parameters
+    ----------
+    path : Path
+        Where to write.
+    rows : sequence of StudyRow
+        All of one horizon.
+    answers : iterable
+        Of errors wanted, with the row of ours that is named in the picture.
+
+    """
+    figure = Figure(figsize=(_WIDTH, 4.6), dpi=_DPI, facecolor='white', layout='constrained')
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    panel = PANELS[0]
+    for label, style, belongs in _FRONTS:
+        front = _front([row for row in rows if belongs(row)])
+        ax.plot(*np.array(front).reshape(-1, 2).T, label=label, markersize=5.0, **style)
+    for _, best, _ in answers:
+        ax.annotate(f'{best.method}, {best.step_size:.3g} s',
+                    (best.seconds_per_simulated_second, best.path_error), xytext=(-6, -4),
+                    textcoords='offset points', ha='right', va='top', fontsize=9.0, color=INK)
+    ax.set(xscale='log', yscale='log', xlabel=panel.x_label,
+           ylabel='path error, largest component [SI units]')
+    # Room for the names, to the left of the first line.
+    ax.set_xlim(left=ax.get_xlim()[0] / 4.0)
+    ax.grid(which='major', color='#e3e3e3', linewidth=0.7)
+    ax.spines[['top', 'right']].set_visible(False)
+    ax.legend(frameon=False, fontsize=9.0)
+    figure.savefig(path)
+    return path
+
+
+def _front(rows: Iterable[StudyRow]) -> list[tuple[float, float]]:
+    """Return time and error of the rows that no faster one beats."""
+    points: list[tuple[float, float]] = []
+    for row in sorted((row for row in rows if row.finished and row.path_error > 0.0),
+                      key=lambda row: row.seconds_per_simulated_second):
+        if not points or row.path_error < points[-1][1]:
+            points.append((row.seconds_per_simulated_second, row.path_error))
+    return points
 
 
 def _add_panel(figure: Figure, left: float, top: float) -> Axes:

@@ -87,7 +87,7 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
     """
     bands = {row.key: row.energy_band for row in results.rows if row.finished}
     horizons = results.horizons
-    rows = []
+    rows: list[list[str]] = []
     settings: dict[str, list[float]] = {}
     for row in results.rows:
         steps = settings.setdefault(row.method, []) if '@' in row.method else [row.step_size]
@@ -97,13 +97,17 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
                          for step in _spread(steps, most or len(steps))]:
         for name in (method, method.partition('@')[0]):
             cells = [_number(bands.get((name, step, horizon), math.nan)) for horizon in horizons]
-            if any(cells):
-                rows.append([name, f'{step:g}', *cells])
+            entry = [name, f'{step:g}', *cells]
+            # Two variants share the method itself.
+            if any(cells) and entry not in rows:
+                rows.append(entry)
     return {'horizons': horizons, 'rows': rows}
 
 
 def _spread(items: Sequence, most: int) -> list:
-    """Return some of the items, evenly, the first and the last among them."""
+    """Return some of the items, evenly, the first and the last among them; or the middle one."""
+    if most == 1:
+        return [items[len(items) // 2]]
     n = min(most, len(items))
     return [items[round(k * (len(items) - 1) / max(n - 1, 1))] for k in range(n)]
 
@@ -151,9 +155,9 @@ def _best(rows: Sequence[StudyRow]) -> Iterator[list[str]]:
         best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
         cells = [f'{error:g}{unit}', *(
             [none_of(ours(rows)), '', ''] if best is None else
-            [best.method, f'{best.step_size:g}', _microseconds(best)])]
+            [best.method, f'{best.step_size:g}', microseconds(best)])]
         if peers(rows):
-            cells += [other.method if other else none_of(peers(rows)), _microseconds(other),
+            cells += [other.method if other else none_of(peers(rows)), microseconds(other),
                       f'{ratio(best, other):.2g}' if best and other else '']
         yield cells
 
@@ -164,8 +168,12 @@ def none_of(among: Sequence[StudyRow]) -> str:
     return f'none ({left_out} not run)' if left_out else 'none'
 
 
-def _microseconds(row: StudyRow | None) -> str:
-    return '' if row is None else f'{1e6 * row.seconds_per_simulated_second:.3g}'
+def microseconds(row: StudyRow | None) -> str:
+    """Return the time of a simulated second [us]; nothing without a row."""
+    if row is None:
+        return ''
+    value = 1e6 * row.seconds_per_simulated_second
+    return f'{value:.0f}' if value >= 100.0 else f'{value:.3g}'
 
 
 def _every(rows: Iterable[StudyRow]) -> Iterator[list[str]]:

@@ -18,14 +18,15 @@ _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 
 _HEADING = """\
 # Benchmarks
 
-The speed of this package, compared with its peers: other tools, or the same task without a
-feature. It is for users who choose a tool, and for developers who look for regressions.
+Our speed against our peers: other tools, or the same task without a feature. A ratio divides our
+figure by the peer's, so below 1 we are faster, and a row meets its target if its ratio is at most
+the target. [Rows that miss it](#rows-that-miss-their-target) come with the reason.
 
-A ratio is ours over the peer's: below 1 we are faster, and a row meets its target if its ratio is
-at most the target. Rows that miss it are explained [below](#rows-that-miss-their-target). Ours and
-the peer are measured in turns, in one run, with one thread each unless stated otherwise; the ratio
-is the median over the turns, with its quartiles. `make bench` measures again and writes this page,
-`make bench ARGS='--rows robots'` one group of rows.
+We and the peer take turns in one run, with one thread each unless the row says otherwise.
+The ratio is the median over the turns, with its quartiles. `make bench` measures again and writes
+this page; `make bench ARGS='--rows robots'` measures one group of rows.
+[benchmarks.json](benchmarks.json) holds the turns, settings and conditions of each row. In
+rows on the share of a matrix product, 'ours' is that product alone, by numpy.
 """
 
 
@@ -83,15 +84,15 @@ def read_rows(path: Path) -> list[Row] | None:
 
 def as_table(rows: Sequence[Row]) -> str:
     """Return the rows as a Markdown table."""
-    lines = ['| row | ours | peer | ratio | quartiles | turns | target | met |',
-             '|---|---|---|---|---|---|---|---|']
+    lines = ['| row | ours | peer | ratio | quartiles | target | met |',
+             '|---|---|---|---|---|---|---|']
     for row in rows:
         low, high = row.quartiles
         target = '' if row.target is None else f'{row.target:g}'
         met = {None: '', True: 'yes', False: '**no**'}[row.met]
         lines.append(
             f'| {row.name} | {row.ours} | {row.peer} | {_number(row.ratio)} {row.unit}'.rstrip()
-            + f' | {_number(low)} to {_number(high)} | {row.repetitions} | {target} | {met} |')
+            + f' | {_number(low)}..{_number(high)} | {target} | {met} |')
     return '\n'.join(lines) + '\n'
 
 
@@ -99,16 +100,18 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
     """Return the whole document."""
     rows = [row for group in groups.values() for row in group.rows]
     missed = [row for row in rows if row.met is False]
-    misses = [f'- **{row.name}**, {_number(row.ratio)} for {row.target:g}: '
-              f'{row.miss or "not explained yet."}' for row in missed]
-    notes = [f'- {row.name}: {row.note}.' for row in rows if row.note]
+    # Rows that miss for the same reason share an entry.
+    reasons: dict[str, list[str]] = {}
+    for row in missed:
+        reasons.setdefault(row.miss or 'not explained yet.', []).append(
+            f'**{row.name}**, {_number(row.ratio)} for {row.target:g}')
+    misses = [f'- {"; ".join(names)}: {reason}' for reason, names in reasons.items()]
     # Groups that were measured on the same machine share a line.
     wheres: dict[str, list[str]] = {}
     for name, group in groups.items():
         wheres.setdefault(group.where, []).append(name)
     parts = [_HEADING, as_table(rows), '## Rows that miss their target\n',
-             '\n'.join(misses or ['None.']) + '\n', '## Notes\n', '\n'.join(notes) + '\n',
-             '## Where\n', *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
+             '\n'.join(misses or ['None.']) + '\n', '## Where\n', *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
     return '\n'.join(parts) + '\n'
 
 

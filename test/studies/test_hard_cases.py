@@ -312,7 +312,7 @@ def test_page_of_the_docs_is_written_with_its_pictures(tmp_path):
     assert hard_cases.main(['--quick', '--case', '14', '--jobs', '1', '--out',
                             str(tmp_path / 'out'), '--docs', str(tmp_path / 'docs')]) == 0
     page = (tmp_path / 'docs' / 'hard-cases.md').read_text()
-    assert '| 14 | [repeatability](hard_cases/case_14.md) |' in page
-    assert '![case 14](case_14.png)' in (
-        tmp_path / 'docs' / 'hard_cases' / 'case_14.md').read_text()
+    assert '| variational_euler | [✅2][14] |' in page
+    assert '[14]: #case-14-repeatability' in page and '## Case 14: repeatability' in page
+    assert '![case 14](hard_cases/case_14.png)' in page
     assert Path(tmp_path / 'docs' / 'hard_cases' / 'case_14.png').is_file()

@@ -39,7 +39,8 @@ def page_on_turning_bodies() -> dict[Path, str]:
 
 PAGES = {
     'accuracy': pages_on_accuracy, 'learning': page_on_learning,
-    'hard cases': lambda: hard_cases_report.pages_of(DOCS),
+    'hard cases': lambda: {
+        DOCS / hard_cases_report.PAGE: hard_cases_report.page_of(DOCS)},
     'bag to model': lambda: {DOCS / bag_to_model.PAGE: bag_to_model.as_page(DOCS)},
     'turning bodies': page_on_turning_bodies}
 

@@ -356,26 +356,26 @@ def test_page_says_of_each_method_what_its_rows_say(tmp_path, monkeypatch):
     results['kepler'].commits = ['0therone']
     accuracy_page.keep_results(tmp_path, results)
     written = accuracy_page.write_pages(tmp_path)
-    assert len(written) == 2 + 3 * len(SCENES) and all(path.is_file() for path in written)
+    assert len(written) == 3 + 3 * len(SCENES) and all(path.is_file() for path in written)
     text = written[0].read_text()
     # gauss8 at h = 0.1 costs 200 us; variational_euler at its best, h = 0.05, 60, rk4 at 0.1, 40.
-    assert ('- kepler, T = 10 s: its best path error is 0.05, with h = 0.05 s; rk4 is as good '
-            'with h = 0.1 s in 0.67 of the time.') in text
-    assert '- It is the cheapest for harmonic_oscillator (T = 10 s, error 0.1)' in text
-    # rk4's band of 1e-4 J at h = 0.1 has become 1e-2 J; gauss8 keeps 1e-8 J.
-    assert ('| kepler | 0.1 | 10 | 0.0001 | 1000 | 0.01 | gauss8, h = 0.1 s, 5 of its time |'
-            in text)
-    # The peer takes 800 us and reaches 1e-6; rk4 at h = 0.05 takes 80, gauss8 at h = 0.1, 200.
-    assert '| kepler | 1000 | path error | 0.1 | 0.25 | 0.25 | 0.25 | - |' in text
-    assert ('- pendulum, T = 10 s: All over the box of its data, the learned H is off by 0.0002 J '
-            'RMS (95 %: 0.0001 to 0.0003) and 0.0008 J at most (95 %: 0.0005 to 0.0008). The '
-            'learned H itself is off by 0.001') in text
-    assert text.count('](accuracy/') == 1 + len(SCENES)
+    assert '| kepler | 10 | 0.05 | 0.05 | rk4 | 0.1 | 0.67 |' in text
+    # rk4's band of 6e-6 J at h = 0.05 has become 6e-4 J; gauss8 keeps 1e-8 J.
+    assert '| kepler | 0.05 | 6.3e-06 at 10 | 0.00063 at 1000 | gauss8, h = 0.1 | 2.5 |' in text
+    # The peer takes 800 us and reaches 1e-8; rk4 at h = 0.1 takes 40, gauss8 200 and then 400.
+    assert ('| pendulum | 10 | path | rk4 h=0.1: 40 (0.05) | rk4 h=0.1: 40 (0.05) | '
+            'gauss8 h=0.1: 200 (0.25) | gauss8 h=0.05: 400 |') in text
+    assert '| 0.0001 | `rk4` | 0.1 | 40 | 0.05 |' in text and 'a peer beats us' not in text
+    # The picture, the explorer, and a page for each scene.
+    assert text.count('](accuracy/') == 2 + len(SCENES)
     # One scene measured elsewhere is named.
     assert '\n- 0therone: kepler.\n' in text
     pages = [path for path in written if path.suffix == '.md']
-    assert '| gauss8@1e-4 | 0.1 | 0.01 | 1 |' in next(
-        path for path in pages if path.stem == 'pendulum').read_text()
+    pendulum = next(path for path in pages if path.stem == 'pendulum').read_text()
+    assert '| gauss8@1e-4 | 0.05 | 0.0025 | 0.25 |' in pendulum
+    assert ('Over the box of its data, the learned H is off by 0.0002 J RMS (95 %: 0.0001 to '
+            '0.0003), by 0.0008 J at most (95 %: 0.0005 to 0.0008).') in pendulum
+    assert '- The learned H deviates by 0.001 along the path' in pendulum
     for page in pages:
         assert len(page.read_text().splitlines()) <= 400
         for link in re.findall(r'\]\(([^)]+)\)', page.read_text()):
@@ -408,7 +408,7 @@ def test_page_shows_no_horizon_that_most_rows_were_not_run_to():
     pages = {scene: accuracy_page.scene_page(scene, entry) for scene, entry in results.items()}
     assert '## T = 100000 s' in pages['henon_heiles']
     assert '## T = 100000 s' not in pages['kepler']
-    assert re.search(r'Of kepler, pendulum, T = 100000 s is not shown', text)
+    assert re.search(r'Not shown: T = 100000 s of kepler, pendulum;', text)
 
 
 def test_pages_of_what_is_not_measured_are_refused(tmp_path):
