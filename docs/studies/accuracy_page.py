@@ -14,8 +14,8 @@ from studies.pages import render
 from studies.results import Results, write_rows
 from studies.work_precision_figure import draw, draw_fronts
 from studies.work_precision_report import (
-    cheapest, conditions, drift, ERRORS, has_paths, microseconds, none_of, ours, peers, picture_name,
-    ratio)
+    cheapest, conditions, drift, ERRORS, has_paths, microseconds, none_of, ours, peers,
+    picture_name, ratio)
 
 PAGE, FOLDER, PICTURE = 'accuracy-and-cost.md', 'accuracy', 'fronts.png'
 _PAPER, _CLASSIC = 'variational_euler', 'rk4'
@@ -120,8 +120,8 @@ def as_page(results: _Results) -> str:
     name = _example(results)
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
-    return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name, picture=PICTURE,
-                  horizon=results[name].shown[0], choice_errors=_CHOICES, **{
+    return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name,
+                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES, **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
 
@@ -164,7 +164,7 @@ def _answers(results: _Results) -> list[tuple[float, StudyRow, StudyRow | None]]
 
 
 def _cheapest_text(rows: list[StudyRow], error: float) -> str:
-    """Return the cheapest of our methods, its step, its microseconds, and its share of a peer's time."""
+    """Return our cheapest method, its step, its microseconds, and its share of a peer's time."""
     column = 'path_error' if has_paths(rows) else 'energy_band'
     best, other = (cheapest(some, error, column) for some in (ours(rows), peers(rows)))
     if best is None:

@@ -111,7 +111,8 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
     for name, group in groups.items():
         wheres.setdefault(group.where, []).append(name)
     parts = [_HEADING, as_table(rows), '## Rows that miss their target\n',
-             '\n'.join(misses or ['None.']) + '\n', '## Where\n', *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
+             '\n'.join(misses or ['None.']) + '\n', '## Where\n',
+             *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
     return '\n'.join(parts) + '\n'
 
 
