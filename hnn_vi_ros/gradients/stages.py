@@ -252,6 +252,62 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
     return -1
 
 
+def push_each(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+              states: np.ndarray, sources: np.ndarray, tangents: np.ndarray, x: np.ndarray,
+              work: StageWork) -> int:
+    """
+    Take tangents through the steps of trajectories that begin together, each with its command.
+
+    Parameters
+    ----------
+    kernel, h, tableau, work
+        See ``find_stages``.
+    acting : Acting
+        What effects do: times of K steps, and a command of each of m trajectories.
+    states : np.ndarray, shape (m, K + 1, 2 d)
+        Before and after each step.
+    sources : np.ndarray, shape (r, 2 s d)
+        As of ``push_forward``, the same in all steps.
+    tangents : np.ndarray, shape (m, r, 2 d)
+        Of the first states; of the last ones afterwards, NaN where there are none.
+    x : np.ndarray, shape (2 s d,)
+        Filled again.
+
+    Returns
+    -------
+    int
+        How many trajectories have none.
+
+    """
+    kernel, tableau, acting, states, sources, tangents, x, work = bare(
+        (kernel, tableau, acting, states, sources, tangents, x, work))
+    start, end, flow, failed = work.start, work.end, acting.flow, 0
+    for m in range(states.shape[0]):
+        for n in range(states.shape[1] - 1):
+            acting.clock[0], acting.clock[1] = acting.times[n], 0.0
+            for i in range(acting.command.size):
+                acting.command[i] = acting.commands[m, i]
+            for k in range(flow.size):
+                start[k] = flow[k] * states[m, n, k]
+                end[k] = states[m, n + 1, k] / flow[k] if flow[k] != 0.0 else 0.0
+            found = _find(kernel, h, tableau, start, end, x, work)
+            if found:
+                _fill_slopes(kernel, x, work)
+                _fill_matrix(h, tableau, work, False)
+                found = factorise_rows(work.matrix, work.pivots)
+            if not found:
+                tangents[m] = np.nan
+                failed += 1
+                break
+            for r in range(tangents.shape[1]):
+                for k in range(flow.size):
+                    start[k] = flow[k] * tangents[m, r, k]
+                _push(kernel, h, tableau, sources[r], start, end, work)
+                for k in range(flow.size):
+                    tangents[m, r, k] = flow[k] * end[k]
+    return failed
+
+
 @inlined
 def _enter(acting: Acting, n: int) -> None:
     """Restore the time and command of a step for the forces."""

@@ -1,0 +1,98 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps of many states with commands, and their derivatives."""
+
+from hnn_vi_ros import load_scene, simulate
+from hnn_vi_ros.control import BatchStep
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.scene import Scene
+import numpy as np
+import pytest
+
+H = 0.01
+
+
+def driven(name: str, method: str, coordinate: str, *others: dict) -> Scene:
+    force = {'kind': 'external_force', 'coordinates': [coordinate]}
+    return load_scene(name).with_overrides(H, method, effects=[force, *others])
+
+
+def states(seed: int, count: int, d: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, 2 * d)), rng.normal(size=(count, 1))
+
+
+@pytest.mark.parametrize('method', ['rk4', 'variational_euler', 'implicit_midpoint'])
+def test_steps_equal_those_of_simulate_bit_by_bit(method):
+    scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
+    z, u = states(0, 3, 2)
+    found = BatchStep(scene, 5)(z, u)
+    for start, command, end in zip(z, u, found, strict=True):
+        path = simulate(scene, 5 * H, initial_state=(start[:2], start[2:]),
+                        commands=np.tile(command, (5, 1)))
+        assert np.array_equal(end, np.append(path.q[-1], path.p[-1]))
+
+
+def complex_step(z: np.ndarray, u: complex) -> np.ndarray:
+    """Return a pendulum's rk4 step, H = p^2 / 2 + 9.81 (1 - cos q), with a torque."""
+    def field(z: np.ndarray) -> np.ndarray:
+        return np.array([z[1], -9.81 * np.sin(z[0]) + u])
+    k1 = field(z)
+    k2 = field(z + 0.5 * H * k1)
+    k3 = field(z + 0.5 * H * k2)
+    return z + H / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + field(z + H * k3))
+
+
+def test_derivatives_are_those_by_complex_steps():
+    scene = driven('exact_pendulum', 'rk4', 'angle')
+    scene = scene.model_copy(update={'hamiltonian': scene.hamiltonian.model_copy(update={
+        'mass': 1.0, 'length': 1.0, 'gravity': 9.81})})
+    z, u = states(1, 5, 1)
+    end, by_z, by_u = BatchStep(scene).derivatives(z, u)
+    for k, (start, (command,)) in enumerate(zip(z, u, strict=True)):
+        columns = [complex_step(start + 1e-30j * unit, command).imag / 1e-30
+                   for unit in np.eye(2)]
+        assert np.abs(end[k] - complex_step(start, command)).max() < 1e-14
+        assert np.abs(by_z[k] - np.transpose(columns)).max() < 1e-10
+        assert np.abs(by_u[k, :, 0] - complex_step(
+            start + 0j, command + 1e-30j).imag / 1e-30).max() < 1e-10
+
+
+@pytest.mark.parametrize('method', ['rk4', 'implicit_midpoint', 'variational_euler'])
+def test_derivatives_are_differences_of_held_steps(method):
+    scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
+    steps = BatchStep(scene, 4)
+    z, u = states(2, 3, 2)
+    end, by_z, by_u = steps.derivatives(z, u)
+    assert np.array_equal(end, steps(z, u))
+    # Central differences: their rounding, 2e-16 of a state of some units by e, and e^2.
+    e = 1e-5
+    for k, unit in enumerate(np.eye(4)):
+        found = (steps(z + e * unit, u) - steps(z - e * unit, u)) / (2.0 * e)
+        assert np.abs(found - by_z[..., k]).max() < 1e-8
+    found = (steps(z, u + e) - steps(z, u - e)) / (2.0 * e)
+    assert np.abs(found - by_u[..., 0]).max() < 1e-8
+
+
+def test_a_state_that_cannot_step_is_nan_and_leaves_others():
+    steps = BatchStep(driven('exact_double_pendulum', 'rk4', 'angle2'))
+    z, u = states(3, 3, 2)
+    alone = steps(z[2], u[2])
+    z[1, 3] = np.inf
+    end, by_z, _ = steps.derivatives(z, u)
+    assert np.isnan(end[1]).all() and np.isnan(by_z[1]).all()
+    assert np.array_equal(end[2], alone) and np.isfinite(by_z[[0, 2]]).all()
+
+
+def test_a_scene_without_commands_takes_none():
+    steps = BatchStep('exact_double_pendulum')
+    _, by_z, by_u = steps.derivatives(np.ones(4))
+    assert by_z.shape == (4, 4) and by_u.shape == (4, 0)
+    with pytest.raises(ValueError, match=r'u has shape \(1,\), expected \(0,\)'):
+        steps(np.ones(4), [1.0])
+
+
+def test_what_is_not_a_function_of_state_and_command_is_refused():
+    servo = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 1.0, 'damping': 0.1}
+    with pytest.raises(UnsupportedSystem, match='servo'):
+        BatchStep(load_scene('exact_pendulum').with_overrides(effects=[servo]))
