@@ -30,8 +30,8 @@ FLOORS = (
     'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
     'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'trajectory', 'gradients',
-    'control', 'companions', 'run', 'learning', 'torch', 'sweeps', 'envs', 'ros', 'commands', 'cli',
-    '__main__', '__init__')
+    'control', 'companions', 'run', 'learning', 'torch', 'sweeps', 'envs', 'ros', 'commands',
+    'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',

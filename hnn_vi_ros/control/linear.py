@@ -90,7 +90,8 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
         change = np.linalg.lstsq(matrix, -steps.field(z, u), rcond=None)[0]
         z[moves] += change[:moves.size]
         u += change[moves.size:] if commands else 0.0
-        if np.abs(change).max() <= _TOLERANCE * max(1.0, np.abs(z).max(), np.abs(u).max(initial=0)):
+        size = max(1.0, np.abs(z).max(), np.abs(u).max(initial=0.0))
+        if np.abs(change).max() <= _TOLERANCE * size:
             break
     scale = np.abs(by_z).max() * max(1.0, np.abs(z).max()) + np.abs(u).max(initial=0.0)
     rest = np.abs(steps.field(z, u)).max()
