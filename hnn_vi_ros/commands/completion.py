@@ -46,12 +46,13 @@ def _cases() -> Iterator[str]:
         own = parser_of(name)
         first: list[str] = []
         for action in own.known:
-            names = offered.get(getattr(action, 'names_of', ''), [*action.choices or ()])
+            names = offered.get(getattr(action, 'names_of', ''), list(action.choices or ()))
             if action.option_strings and names:
                 places += [_case(f'"{name} {option}"', names) for option in action.option_strings]
             elif not action.option_strings:
                 first += names
-        options.append(_case(name, [*(word for action in own.known for word in action.option_strings), *first]))
+        options.append(_case(name, [
+            *(word for action in own.known for word in action.option_strings), *first]))
     yield 'if [[ $place == 1 ]]; then'
     yield f"    names='{' '.join(COMMANDS)}'"
     yield 'else'
