@@ -87,11 +87,16 @@ class Parser(argparse.ArgumentParser):
         """Return all arguments, those of groups too, of which argparse has no public list."""
         return self._actions
 
+    @property
+    def options(self) -> list[str]:
+        """Return the words of all options."""
+        return [word for action in self.known for word in action.option_strings]
+
     def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
         """Return what the arguments say, or exit with one line if they are not understood."""
         # Check before argparse misses a required option that this may misspell.
-        options = [option for action in self.known for option in action.option_strings]
+        options = self.options
         for word in args:
             option = word.partition('=')[0]
             if option.startswith('--') and option not in options and option != '--':

@@ -246,7 +246,7 @@ def test_version_is_told(executable):
 @pytest.mark.parametrize('executable', EXECUTABLES)
 def test_misspelt_option_is_one_line_with_the_nearest(executable, capsys):
     found = parser(executable)
-    option = next((name for name in reversed([option for action in found.known for option in action.option_strings])
+    option = next((name for name in reversed(found.options)
                    if name.startswith('--') and len(name) > 4), '--version')
     for misspelt in (option[:-1], f'{option}x', f'{option[:-1]}=3'):
         with pytest.raises(SystemExit, match='2'):

@@ -51,8 +51,7 @@ def _cases() -> Iterator[str]:
                 places += [_case(f'"{name} {option}"', names) for option in action.option_strings]
             elif not action.option_strings:
                 first += names
-        options.append(_case(name, [
-            *(word for action in own.known for word in action.option_strings), *first]))
+        options.append(_case(name, [*own.options, *first]))
     yield 'if [[ $place == 1 ]]; then'
     yield f"    names='{' '.join(COMMANDS)}'"
     yield 'else'

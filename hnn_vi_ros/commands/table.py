@@ -63,8 +63,8 @@ def hnn() -> Parser:
     lines = [line for group, names in GROUPS.items() for line in (
         f'{group}:', *(f'  {name:{width}}  {first_line(parser_of(name))}' for name in names), '')]
     parser = Parser('', (
-        'Simulate learned and exact Hamiltonians with variational integrators. `hnn COMMAND --help` '
-        'lists the arguments of a command.'), [
+        'Simulate learned and exact Hamiltonians with variational integrators. `hnn COMMAND '
+        '--help` lists the arguments of a command.'), [
         'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn scene --list',
         'hnn train --help', 'hnn doctor'], '\n'.join(lines).rstrip())
     parser.usage = 'hnn COMMAND ...'

@@ -149,7 +149,8 @@ def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
 
 def test_new_scene_of_a_formula_runs(tmp_path):
     path = tmp_path / 'mine.yaml'
-    scene_tool.main(['--new', str(path), '--formula', 'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
+    scene_tool.main(['--new', str(path), '--formula',
+                     'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
     scene = load_scene(path)
     assert scene.hamiltonian.coordinates == ['x', 'q1']
     assert scene.hamiltonian.parameters == {'k': 1.0, 'm': 1.0}
