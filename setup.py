@@ -102,7 +102,6 @@ setup(
         'safetensors>=0.4',
         'scipy>=1.13',
         'setuptools',
-        'shtab>=1.7',
     ],
     extras_require={
         # What recordings for the viewer, and the Parquet files of sweeps, take besides.
