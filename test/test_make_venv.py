@@ -57,5 +57,5 @@ def test_every_wheel_of_a_distribution_is_pinned_once(distribution):
     assert all(versions) and len({*names}) == len(names)
     heads = {f'ros-{distribution}-rclpy[fastrtps]', f'ros-{distribution}-common-interfaces'}
     assert heads == {name for name in names if name.startswith(f'ros-{distribution}-')}
-    others = {line for line in (REQUIREMENTS / 'constraints.txt').read_text().splitlines()}
+    others = (REQUIREMENTS / 'constraints.txt').read_text().splitlines()
     assert not any(line.startswith('ros-') for line in others)
