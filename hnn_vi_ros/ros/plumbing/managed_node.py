@@ -8,17 +8,20 @@ import threading
 import time
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
+from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
 from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock as SteadyClock, ClockType, ROSClock
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -65,7 +68,7 @@ class PaceClock:
 
 class RobustNode(Node):
     """
-    A node that ignores impossible times on /clock, and logs that.
+    A node that ignores impossible times on /clock, and logs that; it names unknown parameters.
 
     Attributes
     ----------
@@ -82,6 +85,17 @@ class RobustNode(Node):
         if topic == CLOCK_TOPIC:
             callback = self._heeding(callback)
         return super().create_subscription(msg_type, topic, callback, *args, **more)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """See Node, whose answer to an unknown name, by every service, does not name it."""
+        for name in (parameter.name for parameter in parameter_list):
+            if not self.has_parameter(name):
+                known = sorted(self.list_parameters([], 0).names)
+                hint = did_you_mean(name, known) or '; it has: ' + ', '.join(
+                    own for own in known if not own.startswith(PREFIX))
+                return SetParametersResult(successful=False, reason=(
+                    f'parameter {name[:80]}: {self.get_name()} has none of this name{hint}'))
+        return super().set_parameters_atomically(parameter_list)
 
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
         def on_clock(message: Clock) -> None:
