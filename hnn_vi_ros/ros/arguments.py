@@ -53,6 +53,9 @@ def replay() -> Parser:
         'folder of a bag, or its .mcap file; one that was cut off will do'))
     parser.add_argument('--verify', action='store_true', help=(
         'simulate the bag again, from its own scene, and compare bit by bit'))
+    parser.add_argument('--node', default='', metavar='NAME', help=(
+        'with --verify: the simulator whose run is checked, such as /left/hnn_simulator; all of '
+        'the bag without it'))
     parser.add_argument('--trust-code', action='store_true', help=(
         'with --verify: run Python code that the scene in the bag names'))
     for item in REPLAY_PARAMETERS:

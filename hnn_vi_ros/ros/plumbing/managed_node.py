@@ -5,19 +5,23 @@
 from collections.abc import Awaitable, Callable
 import sys
 import threading
+import time
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
+from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
 from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock as SteadyClock, ClockType
+from rclpy.clock import Clock as SteadyClock, ClockType, ROSClock
 from rclpy.executors import Executor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -31,8 +35,49 @@ def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Tim
     return node.create_timer(period, callback, clock=SteadyClock(clock_type=ClockType.STEADY_TIME))
 
 
+class PaceClock:
+    """
+    The time by which a node is paced: that of /clock under use_sim_time, else a steady one.
+
+    Parameters
+    ----------
+    node : Node
+        Whose parameter use_sim_time counts.
+
+    """
+
+    def __init__(self, node: Node):
+        clock = node.get_clock()
+        assert isinstance(clock, ROSClock), 'that of a node is one'
+        self._clock, self._first = clock, 0
+
+    def __call__(self) -> float:
+        """Return the time since some start [s]; it stands until /clock begins."""
+        if not self.led:
+            return time.monotonic()
+        now = self._clock.now().nanoseconds
+        # A float could not tell nanoseconds of the epoch.
+        self._first = self._first or now
+        return (now - self._first) * 1e-9
+
+    @property
+    def led(self) -> bool:
+        """Return whether it is that of /clock."""
+        return self._clock.ros_time_is_active
+
+
 class RobustNode(Node):
-    """A node that ignores impossible times on /clock, and logs that."""
+    """
+    A node that ignores impossible times on /clock, and logs that; it names unknown parameters.
+
+    Attributes
+    ----------
+    after_clock : callable
+        Called after each message of /clock, where use_sim_time asks for these.
+
+    """
+
+    after_clock: Callable[[], None] = staticmethod(lambda: None)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Callable[[Any], None],
                             *args: Any, **more: Any) -> Subscription:
@@ -41,11 +86,23 @@ class RobustNode(Node):
             callback = self._heeding(callback)
         return super().create_subscription(msg_type, topic, callback, *args, **more)
 
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """See Node, whose answer to an unknown name, by every service, does not name it."""
+        for name in (parameter.name for parameter in parameter_list):
+            if not self.has_parameter(name):
+                known = sorted(self.list_parameters([], 0).names)
+                hint = did_you_mean(name, known) or '; it has: ' + ', '.join(
+                    own for own in known if not own.startswith(PREFIX))
+                return SetParametersResult(successful=False, reason=(
+                    f'parameter {name[:80]}: {self.get_name()} has none of this name{hint}'))
+        return super().set_parameters_atomically(parameter_list)
+
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
         def on_clock(message: Clock) -> None:
             seconds, nanoseconds = message.clock.sec, message.clock.nanosec
             if seconds >= 0 and nanoseconds < 10**9:
                 callback(message)
+                self.after_clock()
             else:
                 self.get_logger().error(
                     f'/clock: message ignored: {seconds} s and {nanoseconds} ns: expected at '
