@@ -14,6 +14,7 @@ from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, RIGID, SLIDING
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 from numpy.typing import ArrayLike
@@ -284,40 +285,67 @@ class _Path(NamedTuple):
 
 
 @kept(error_model='numpy')
-def _place(path: _Path, q: np.ndarray, places: np.ndarray, slopes: np.ndarray) -> None:
-    """Fill the place of the point, (n, 3), and its derivative by the joints, (n, 3, k)."""
-    count, turned, own = len(path.origins), np.empty((3, 3)), np.empty((3, 3))
-    at, axis, moment = np.empty((3, count, 3))
-    for m in range(len(q)):
-        rotation, place = np.eye(3), np.zeros(3)
-        for j in range(count):
-            place = place + rotation @ path.origins[j]
-            rotation = rotation @ path.rotations[j]
-            angle = path.fixed[j]
-            for k in range(q.shape[1]):
-                angle += path.by_q[j, k] * q[m, k]
-            at[j], axis[j] = place, rotation @ path.axes[j]
-            if path.slides[j]:
-                place = place + angle * axis[j]
-                continue
-            x, y, z = path.axes[j]
-            own[0, 0], own[0, 1], own[0, 2] = 0.0, -z, y
-            own[1, 0], own[1, 1], own[1, 2] = z, 0.0, -x
-            own[2, 0], own[2, 1], own[2, 2] = -y, x, 0.0
-            # Rodrigues' formula.
-            turned = np.eye(3) + np.sin(angle) * own + (1.0 - np.cos(angle)) * (own @ own)
-            rotation = rotation @ turned
-        places[m] = place + rotation @ path.end
-        for j in range(count):
-            if path.slides[j]:
-                moment[j] = axis[j]
-            else:
-                arm = places[m] - at[j]
-                moment[j, 0] = axis[j, 1] * arm[2] - axis[j, 2] * arm[1]
-                moment[j, 1] = axis[j, 2] * arm[0] - axis[j, 0] * arm[2]
-                moment[j, 2] = axis[j, 0] * arm[1] - axis[j, 1] * arm[0]
+def _place(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarray) -> None:
+    """
+    Fill the place of the point, (n, 3), for coordinates of the joints, (n, k).
+
+    And its derivative by them, (n, 3, k), unless that is empty.
+    """
+    count = len(path.origins)
+    now, after = np.empty((2, 3, 3))
+    at, axis = np.empty((2, count, 3))
+    for m in range(len(angles)):
+        place = places[m]
+        place[:] = 0.0
+        for i in range(3):
             for k in range(3):
-                slopes[m, k, j] = moment[j, k]
+                now[i, k] = 1.0 if i == k else 0.0
+        for j in range(count):
+            value, (x, y, z) = angles[m, j], path.axes[j]
+            _add_turned(now, path.origins[j], place)
+            _turn(now, path.rotations[j], after)
+            for i in range(3):
+                at[j, i], axis[j, i] = place[i], 0.0
+            _add_turned(after, path.axes[j], axis[j])
+            if path.slides[j]:
+                for i in range(3):
+                    place[i] += value * axis[j, i]
+                    for k in range(3):
+                        now[i, k] = after[i, k]
+                continue
+            # Rodrigues' formula: R + sin R [a] + (1 - cos) R [a]^2.
+            sine, rest = np.sin(value), 1.0 - np.cos(value)
+            for i in range(3):
+                a, b, c = after[i]
+                u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+                now[i, 0] = a + sine * u + rest * (v * z - w * y)
+                now[i, 1] = b + sine * v + rest * (w * x - u * z)
+                now[i, 2] = c + sine * w + rest * (u * y - v * x)
+        _add_turned(now, path.end, place)
+        for j in range(count if slopes.size else 0):
+            a, b, c = axis[j]
+            if not path.slides[j]:
+                x, y, z = place[0] - at[j, 0], place[1] - at[j, 1], place[2] - at[j, 2]
+                a, b, c = b * z - c * y, c * x - a * z, a * y - b * x
+            slopes[m, 0, j], slopes[m, 1, j], slopes[m, 2, j] = a, b, c
+
+
+@inlined
+def _add_turned(rotation: np.ndarray, vector: np.ndarray, target: np.ndarray) -> None:
+    """Add a rotated vector."""
+    for i in range(3):
+        for k in range(3):
+            target[i] += rotation[i, k] * vector[k]
+
+
+@inlined
+def _turn(first: np.ndarray, second: np.ndarray, product: np.ndarray) -> None:
+    """Fill the product of two rotations."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = 0.0
+            for k in range(3):
+                product[i, j] += first[i, k] * second[k, j]
 
 
 class Point(_OfState):
@@ -388,13 +416,14 @@ class Point(_OfState):
 
     def place(self, q: np.ndarray) -> np.ndarray:
         """Return the place of the point [m], shape (..., 3), for q (..., d)."""
-        return self._placed(np.asarray(q, dtype=np.float64))[0]
+        return self._placed(np.asarray(q, dtype=np.float64), 0)[0]
 
-    def _placed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rows = np.ascontiguousarray(q[..., :self._path.by_q.shape[1]]).reshape(
-            -1, self._path.by_q.shape[1])
-        places, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, len(self._path.by_q)))
-        _place(self._path, rows, places, slopes)
+    def _placed(self, q: np.ndarray, derivatives: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return places, and their derivatives by the joints, (n, 3, k), if 1 is given."""
+        joints, moves = self._path.by_q.shape
+        angles = (q[..., :moves] @ self._path.by_q.T + self._path.fixed).reshape(-1, joints)
+        places, slopes = np.empty((len(angles), 3)), np.empty((derivatives * len(angles), 3, joints))
+        _place(self._path, angles, places, slopes)
         return places.reshape(*q.shape[:-1], 3), slopes
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -403,7 +432,7 @@ class Point(_OfState):
         return (away**2).sum(axis=-1)
 
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        places, slopes = self._placed(q)
+        places, slopes = self._placed(q, 1)
         away = (places - self._goal) / self._length
         jacobian = slopes @ self._path.by_q / self._length
         n, d = q.shape

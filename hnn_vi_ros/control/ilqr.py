@@ -14,8 +14,12 @@ from hnn_vi_ros.control.riccati import sweep
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Lengths of a change of all commands that are tried at once.
-_LENGTHS = np.array([1.0, 0.6, 0.3, 0.1, 0.03])
+# Lengths of a change of all commands: that which is tried first, and those that are together.
+_LENGTHS = np.array([1.0]), np.array([0.6, 0.3, 0.1, 0.03])
+# Which share of the predicted gain is enough, and of the cost is too little to go on.
+_ENOUGH, _LITTLE = 0.01, 1e-6
+# Of damping.
+_LEAST, _MOST = 1e-6, 1e3
 # How much worse than planned a plan may become before others are tried.
 _WORSE, _NOTHING = 1.1, 1e-9
 
@@ -170,19 +174,21 @@ class Ilqr(Planner):
         if not convex or not np.isfinite(gains).all():
             self._damp(plan)
             return
-        tried = plan.commands + _LENGTHS[:, None, None] * changes
-        states, commands = steps.rollout(plan.states[0], tried, gains, plan.states[:-1],
-                                         (self._low, self._high), t)
-        costs = self._costs(states, commands)
-        best = int(costs.argmin())
-        gained, length = plan.cost - costs[best], _LENGTHS[best]
-        if gained > -0.01 * (length * linear + length**2 * quadratic) and gained > 0.0:
-            plan.done = gained < 1e-6 * abs(plan.cost)
-            plan.commands, plan.states, plan.cost = commands[best], states[best], costs[best]
-            plan.damping = 0.0 if plan.damping <= 1e-6 else 0.1 * plan.damping
-        else:
-            self._damp(plan)
+        for lengths in _LENGTHS:
+            tried = plan.commands + lengths[:, None, None] * changes
+            states, commands = steps.rollout(plan.states[0], tried, gains, plan.states[:-1],
+                                             (self._low, self._high), t)
+            costs = self._costs(states, commands)
+            best = int(costs.argmin())
+            gained, length = plan.cost - costs[best], lengths[best]
+            if gained > -_ENOUGH * (length * linear + length**2 * quadratic) and gained > 0.0:
+                plan.done = gained < _LITTLE * abs(plan.cost)
+                plan.commands, plan.states, plan.cost = commands[best], states[best], costs[best]
+                plan.damping = 0.0 if plan.damping <= _LEAST else 0.1 * plan.damping
+                return
+        self._damp(plan)
 
     def _damp(self, plan: Plan) -> None:
-        plan.damping = max(1e-6, 10.0 * plan.damping)
-        plan.done = plan.damping > 1e3
+        """Let the next iteration of a plan change it less, or give it up."""
+        plan.damping = max(_LEAST, 10.0 * plan.damping)
+        plan.done = plan.damping > _MOST
