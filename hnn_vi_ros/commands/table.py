@@ -24,6 +24,7 @@ GROUPS = {
         'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint'},
     'nodes of ROS 2': {
         'simulator': 'hnn_vi_ros.ros.simulator_node',
+        'controller': 'hnn_vi_ros.ros.controller_node',
         'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
         'listener': 'hnn_vi_ros.ros.listener_node',
         'hover': 'hnn_vi_ros.ros.hover_node'},
