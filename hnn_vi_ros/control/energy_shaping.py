@@ -4,8 +4,9 @@
 
 import math
 
+from hnn_vi_ros.control.balance import Balance
+from hnn_vi_ros.control.costs import deviation
 from hnn_vi_ros.control.linear import momentum
-from hnn_vi_ros.control.regulator import Regulator
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -28,8 +29,8 @@ class EnergyShaping:
 
     Parameters
     ----------
-    regulator : Regulator
-        Of the goal, with the limits of commands.
+    balance : Balance
+        The regulator of the goal, with the limits of commands.
     gain : float
         g > 0 [s], for a motor whose command is a torque.
     stiffness : float, optional
@@ -49,28 +50,27 @@ class EnergyShaping:
 
     plan = None
 
-    def __init__(self, regulator: Regulator, gain: float = 1.0, stiffness: float = 0.0):
-        self._regulator, self._gain, self._stiffness = regulator, gain, stiffness
-        steps, d = regulator.steps, regulator.steps.dimension
-        self._hamiltonian, self._places, self._d = steps.hamiltonian, steps.places, d
-        self._energy = float(self._hamiltonian.energy(*np.split(regulator.goal, 2)))
+    def __init__(self, balance: Balance, gain: float = 1.0, stiffness: float = 0.0):
+        self._balance, self._gain, self._stiffness = balance, gain, stiffness
+        self._hamiltonian, self._places = balance.steps.hamiltonian, balance.steps.places
+        self._energy = float(self._hamiltonian.energy(*np.split(balance.goal[0], 2)))
         self.mode, self.cost = 'energy', math.nan
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
         """Return the command, shape (c,), at coordinates and velocities, shape (d,) each."""
-        regulator = self._regulator
-        p = momentum(regulator.steps, q, v)
+        balance, q = self._balance, np.asarray(q, dtype=np.float64)
+        p = momentum(balance.steps, q, v)
         z = np.concatenate([q, p])
-        if regulator.catches(z):
-            self.mode, u = 'lqr', regulator.act(z)
-            self.cost = regulator.cost
+        if balance.catches(z):
+            u = balance.act(z)
+            self.mode, self.cost = balance.mode, balance.cost
             return u
-        stretched = self._places @ regulator.deviation(z)[:self._d]
-        excess = float(self._hamiltonian.energy(z[:self._d], p)) - self._energy \
-            + 0.5 * self._stiffness * stretched @ stretched
-        y = self._places @ np.asarray(v)
+        away = deviation(self._hamiltonian, z, balance.goal[0])
+        stretched, y = self._places @ away[:q.size], self._places @ np.asarray(v)
         if np.abs(y).max() < _PUSH:
             y = np.full(y.size, _PUSH)
+        excess = float(self._hamiltonian.energy(q, p)) - self._energy \
+            + 0.5 * self._stiffness * float(stretched @ stretched)
         self.mode, self.cost = 'energy', abs(excess)
         return np.clip(-self._stiffness * stretched - self._gain * excess * y,
-                       -regulator.limits, regulator.limits)
+                       -balance.limits, balance.limits)

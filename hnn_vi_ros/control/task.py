@@ -2,17 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tasks: the schema of their YAML, and how one becomes a controller of a scene."""
 
+from abc import abstractmethod
 from collections import deque
-from collections.abc import Mapping, Sequence
-import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import reduce
+from operator import add
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
 
+from hnn_vi_ros.control.balance import Balance, weights_of
 from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
 from hnn_vi_ros.control.energy_shaping import EnergyShaping
+from hnn_vi_ros.control.ilqr import Ilqr, Regulator
 from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
-from hnn_vi_ros.control.regulator import Regulator
-from hnn_vi_ros.errors import DataError, did_you_mean, listed
+from hnn_vi_ros.control.mppi import Mppi
+from hnn_vi_ros.errors import DataError, did_you_mean, listed, UnsupportedSystem
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
 from hnn_vi_ros.files.yaml_text import KeyPlaces
@@ -23,7 +29,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 Name = Annotated[str, Field(min_length=1, max_length=256)]
-Numbers = Annotated[list[float], Field(min_length=1, max_length=100)]
+Place = Annotated[list[float], Field(min_length=3, max_length=3)]
 Weights = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(
     min_length=1, max_length=100)]
 # Commands are held while a model takes steps that fit into their time [1].
@@ -31,7 +37,7 @@ _FITS = 1e-6
 
 
 class Controller(Protocol):
-    """What acts on a scene: one call a command."""
+    """Source of the commands of a scene: one call each."""
 
     mode: str
     cost: float
@@ -62,17 +68,156 @@ class Stepping(StrictModel):
     step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
 
 
-class RegulatorChoice(StrictModel):
+class Means(NamedTuple):
+    """
+    Parts that controllers and costs are made of.
+
+    Parameters
+    ----------
+    steps : BatchStep
+        Steps of the model, each as long as a command is held.
+    limits : np.ndarray, shape (c,)
+        Largest size of each command.
+    balance : Balance or None
+        The regulator of the goal, if the task has one.
+
+    """
+
+    steps: BatchStep
+    limits: np.ndarray
+    balance: Balance | None
+
+    @property
+    def goal(self) -> Balance:
+        """Return the regulator, or raise ValueError."""
+        if self.balance is None:
+            raise ValueError('needs a goal: give one, as in goal: {near: {angle: 3.14}}')
+        return self.balance
+
+
+class _Term(StrictModel):
+    """A cost with a weight."""
+
+    weight: float = Field(1.0, ge=0.0, le=1e12, description='by which the cost is multiplied')
+    half: float | None = Field(None, gt=0.0, le=1e12, description=(
+        'makes it cost / (cost + half), so that what is far does not dominate'))
+
+    @abstractmethod
+    def cost(self, means: Means) -> Cost:
+        """Return the cost itself."""
+
+    def make(self, means: Means) -> Cost:
+        """Return the cost with its weight."""
+        cost = self.cost(means)
+        return self.weight * (cost if self.half is None else cost.saturating(self.half))
+
+
+class QuadraticChoice(_Term):
+    """Squares of deviations from the goal, and of commands."""
+
+    kind: Literal['quadratic'] = Field(description='weighted squares of deviations from the goal')
+    position: float | Weights = Field(0.0, description='weight of each coordinate')
+    velocity: float | Weights = Field(0.0, description='weight of each velocity')
+    command: float = Field(0.0, ge=0.0, description='weight of each command over its limit')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        at = means.goal.goal
+        return Quadratic(means.steps.hamiltonian, at, weights_of(
+            means.steps, at, self.position, self.velocity),
+            self.command * np.diag(means.limits**-2.0))
+
+
+class EffortChoice(_Term):
+    """Squares of commands."""
+
+    kind: Literal['effort'] = Field(description='the squares of commands over their limits')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        n, c = 2 * means.steps.dimension, means.steps.commands
+        return Quadratic(means.steps.hamiltonian, (np.zeros(n), np.zeros(c)), np.zeros((n, n)),
+                         np.diag(means.limits**-2.0))
+
+
+class RegulatedChoice(_Term):
+    """The cost of the linear regulator from a state on."""
+
+    kind: Literal['regulated'] = Field(description=(
+        'x . P x of the linear regulator: its cost from here on, for the end of a plan'))
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        c = means.steps.commands
+        return Quadratic(means.steps.hamiltonian, means.goal.goal, means.goal.value,
+                         np.zeros((c, c)))
+
+
+class EnergyCostChoice(_Term):
+    """The energy."""
+
+    kind: Literal['energy'] = Field(description='(H - H*)^2, H* that of the goal')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Energy(means.steps.hamiltonian, means.goal.goal[0])
+
+
+class KineticChoice(_Term):
+    """The kinetic energy."""
+
+    kind: Literal['kinetic'] = Field(description='the kinetic energy [J]')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Kinetic(means.steps.hamiltonian)
+
+
+class PointChoice(_Term):
+    """The distance of a point of a robot."""
+
+    kind: Literal['point'] = Field(description='the squared distance of a point of a URDF')
+    link: Name = Field(description='that carries the point')
+    goal: Place = Field(description='where it is to be, in the frame of the root [m]')
+    offset: Place = Field([0.0, 0.0, 0.0], description='the point in the frame of the link [m]')
+    length: float = Field(1.0, gt=0.0, description='unit of the distance [m]')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Point(means.steps.hamiltonian, self.link, self.goal, self.offset, self.length)
+
+
+class TipChoice(_Term):
+    """The distance of the tip of a chain of rods."""
+
+    kind: Literal['tip'] = Field(description=(
+        'the squared distance of the tip of hanging rods, over their length'))
+    lengths: Weights = Field(description='of the rods [m]; the first coordinates are their angles')
+    goal: Place = Field(description='x, y and height above the first joint [m]')
+    relative: bool = Field(False, description='whether angles are those between rods')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Point.chain(self.lengths, self.goal, relative=self.relative)
+
+
+CostChoice = Annotated[
+    QuadraticChoice | EffortChoice | RegulatedChoice | EnergyCostChoice | KineticChoice
+    | PointChoice | TipChoice, Field(discriminator='kind')]
+Costs = Annotated[list[CostChoice], Field(min_length=1, max_length=20)]
+
+
+class LqrChoice(StrictModel):
     """The linear regulator alone."""
 
     kind: Literal['lqr'] = Field(description='the linear regulator of the goal')
 
-    def make(self, regulator: Regulator) -> Controller:
+    def make(self, means: Means) -> Controller:
         """Return the controller."""
-        return regulator
+        return means.goal
 
 
-class EnergyChoice(StrictModel):
+class EnergyShapingChoice(StrictModel):
     """Energy shaping."""
 
     kind: Literal['energy_shaping'] = Field(description=(
@@ -81,13 +226,60 @@ class EnergyChoice(StrictModel):
     stiffness: float = Field(0.0, ge=0.0, le=1e9, description=(
         'of springs that hold the driven coordinates near the goal [N/m] or [N m/rad]'))
 
-    def make(self, regulator: Regulator) -> Controller:
+    def make(self, means: Means) -> Controller:
         """Return the controller."""
-        return EnergyShaping(regulator, self.gain, self.stiffness)
+        return EnergyShaping(means.goal, self.gain, self.stiffness)
+
+
+class _Planning(StrictModel):
+    """A plan over a horizon."""
+
+    horizon: int = Field(ge=2, le=10_000, description='commands of a plan')
+    running: Costs = Field(description='costs of each state and command, which are added')
+    final: Costs = Field(description='costs of the last state')
+    seed: int = Field(0, ge=0, lt=2**63, description='of random commands')
+
+    def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
+        """Return what planners have in common."""
+        running, final = (reduce(add, [term.make(means) for term in terms])
+                          for terms in (self.running, self.final))
+        return means.steps, running, final, self.horizon, (-means.limits, means.limits)
+
+
+class IlqrChoice(_Planning):
+    """A plan by derivatives."""
+
+    kind: Literal['ilqr'] = Field(description='a plan that derivatives improve, anew each period')
+    budget: float = Field(gt=0.0, le=1e3, description='time for a plan [s]')
+    regulate_below: float | None = Field(None, gt=0.0, description=(
+        'the linear regulator takes over where the running cost stays below this in a rollout'))
+    restarts: int = Field(24, ge=1, le=10_000, description='random plans after a disturbance')
+    refined: int = Field(4, ge=1, le=1000, description='how many of them are improved')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        regulator = None if self.regulate_below is None else Regulator(
+            means.goal.goal, means.goal.gain, self.regulate_below)
+        return Ilqr(*self.parts(means), regulator, self.budget, restarts=self.restarts,
+                    refined=self.refined, seed=self.seed)
+
+
+class MppiChoice(_Planning):
+    """A plan by random commands."""
+
+    kind: Literal['mppi'] = Field(description='the weighted mean of random plans')
+    spread: float = Field(0.3, gt=0.0, le=10.0, description='of random commands [limits]')
+    temperature: float = Field(gt=0.0, description='in units of the cost')
+    samples: int = Field(256, ge=1, le=100_000, description='random plans in a period')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        return Mppi(*self.parts(means), self.spread * means.limits, self.temperature,
+                    self.samples, seed=self.seed)
 
 
 class Task(StrictModel):
-    """What is to be done with a scene, by which commands, how often."""
+    """Task in a scene: its commands, how often they come, and what makes them."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     scene: str = Field(min_length=1, max_length=4096, description=(
@@ -102,9 +294,9 @@ class Task(StrictModel):
         'wall time without a usable state, after which the commands are as `on_silence` says [s]'))
     on_silence: Literal['stop', 'hold'] = Field('stop', description=(
         'stop: they are zero; hold: the last one is repeated'))
-    goal: Goal = Field(description='the state at rest to reach')
+    goal: Goal | None = Field(None, description='the state at rest to reach')
     stepping: Stepping | None = Field(None, description='the steps of the model')
-    controller: RegulatorChoice | EnergyChoice = Field(
+    controller: LqrChoice | EnergyShapingChoice | IlqrChoice | MppiChoice = Field(
         discriminator='kind', description='what computes the commands')
 
     @model_validator(mode='after')
@@ -268,21 +460,19 @@ class _Assigning:
         if hold < 1 or abs(hold * step.duration - task.period) > _FITS * task.period:
             raise self._wrong(f'{task.period:g} s must be a multiple of the step size of the '
                               f'model, {step.duration:g} s; see stepping', 'period')
-        steps = BatchStep(step.scene, hold)
-        try:
-            regulator = Regulator(
-                steps, self._goal(step), [*task.inputs.values()],
-                self._weights('position', step, 1.0), self._weights('velocity', step, 0.1))
-            controller = task.controller.make(regulator)
-        except ValueError as problem:
-            if isinstance(problem, DataError):
-                raise
-            raise self._wrong(str(problem), 'goal') from problem
+        steps, limits = BatchStep(step.scene, hold), np.array([*task.inputs.values()])
+        with self._placed('goal'):
+            balance = None if task.goal is None else Balance(
+                steps, self._rest(task.goal, step), limits,
+                self._weights(task.goal, 'position', step, 1.0),
+                self._weights(task.goal, 'velocity', step, 0.1))
+        with self._placed('controller'):
+            controller = task.controller.make(Means(steps, limits, balance))
         return Assignment(task, self.scene, steps.hamiltonian, controller,
                           Prediction(step, task.delay), self._numbers)
 
-    def _goal(self, step: BatchStep) -> tuple[np.ndarray, np.ndarray]:
-        goal, (names, _) = self._task.goal, columns(step.hamiltonian.coordinates)
+    def _rest(self, goal: Goal, step: BatchStep) -> tuple[np.ndarray, np.ndarray]:
+        names, _ = columns(step.hamiltonian.coordinates)
         near = np.array(self.scene.initial_state.q)
         for name, value in goal.near.items():
             if name not in names:
@@ -291,13 +481,21 @@ class _Assigning:
             near[names.index(name)] = value
         return find_equilibrium(step, near, [] if goal.held else None, goal.held)
 
-    def _weights(self, key: Literal['position', 'velocity'], step: BatchStep, default: float
-                 ) -> Sequence[float]:
-        given = getattr(self._task.goal, key)
+    def _weights(self, goal: Goal, key: Literal['position', 'velocity'], step: BatchStep,
+                 default: float) -> Sequence[float]:
+        given = getattr(goal, key)
         if given is not None and len(given) != step.dimension:
             raise self._wrong(f'{len(given)} weights, expected {step.dimension}, one for each '
                               'coordinate', 'goal', key)
         return [default] * step.dimension if given is None else given
+
+    @contextmanager
+    def _placed(self, key: str) -> Iterator[None]:
+        """Add where it stands in the task to what is wrong with a part of it."""
+        try:
+            yield
+        except (ValueError, UnsupportedSystem) as problem:
+            raise self._wrong(str(problem), key) from problem
 
     def _wrong(self, text: str, *key: str) -> DataError:
         return DataError(f'{self._places.place(*key)}: {text}')

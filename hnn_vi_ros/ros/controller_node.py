@@ -40,6 +40,8 @@ from std_msgs.msg import Float64MultiArray, Header
 _RECENT, _REPORT = 1000, 1.0
 # A state may be so much earlier than a period after the last one that was answered [1].
 _EARLY = 0.01
+# Calls that compile a controller, and the time of one that does [s].
+_WARM_CALLS, _COMPILING = 10, 0.5
 # As sensors are heard, but only the newest: a plan begins at no older state.
 _STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -275,11 +277,17 @@ class ControllerNode(ManagedNode):
 
 
 def _warm(assignment: Assignment) -> Assignment:
-    """Call the controller once, which compiles what it needs."""
+    """Call the controller before the first state, until nothing is left to compile."""
     q, p = (np.array(one) for one in (assignment.scene.initial_state.q,
                                       assignment.scene.initial_state.p))
     v = assignment.hamiltonian.gradient(q, p)[1]
-    assignment.controller(*assignment.prediction(0.0, q, v), 0.0)
+    for k in range(-_WARM_CALLS, 0):
+        begin = time.monotonic()
+        t = k * assignment.task.period
+        assignment.controller(*assignment.prediction(t, q, v), t)
+        # A plan with a budget ends when that is spent by a compilation, before all is compiled.
+        if time.monotonic() - begin < _COMPILING:
+            break
     return assignment
 
 
