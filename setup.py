@@ -21,6 +21,7 @@ TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
+    'controller = hnn_vi_ros.cli:controller',
     'evaluate = hnn_vi_ros.cli:evaluate',
     'hover = hnn_vi_ros.cli:hover',
     'identify = hnn_vi_ros.cli:identify',

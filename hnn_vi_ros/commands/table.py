@@ -25,6 +25,7 @@ GROUPS = {
         'hover': 'hnn_vi_ros.ros.hover_node'},
     'ROS': {
         'simulator': 'hnn_vi_ros.ros.simulator_node',
+        'controller': 'hnn_vi_ros.ros.controller_node',
         'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
         'listener': 'hnn_vi_ros.ros.listener_node'},
     'data': {

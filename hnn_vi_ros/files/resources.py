@@ -87,6 +87,7 @@ def can_be_written(folder: Path) -> bool:
 _FOLDERS = {
     'scene': ('config/scenes', '.yaml'),
     'sweep': ('config/sweeps', '.yaml'),
+    'task': ('config/tasks', '.yaml'),
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
@@ -110,7 +111,7 @@ def share_folder() -> Path:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the sorted names of the shipped files of a kind: scene, sweep, training or model."""
+    """Return the sorted names of the shipped files of a kind: scene, sweep, task and so on."""
     folder, suffix = _FOLDERS[kind]
     return sorted(path.stem for path in (share_folder() / folder).glob(f'*{suffix}'))
 
@@ -134,7 +135,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
     Parameters
     ----------
     kind : str
-        ``scene``, ``sweep`` or ``training``.
+        ``scene``, ``sweep``, ``task`` or ``training``.
     text : str
         The name of a shipped file, or the path of a file.
     error : type of HnnViRosError

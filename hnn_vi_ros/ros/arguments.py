@@ -8,7 +8,7 @@ from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros.settings import (
-    BRIDGE_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
+    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
@@ -23,6 +23,10 @@ It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/
 ~ is /hnn_replay. Each parameter is an option as well."""
 _BRIDGE = """\
 It subscribes to the topics of the simulator, and offers nothing."""
+_CONTROLLER = """\
+It hears joint_states, or /hnn_simulator/state of bodies that turn, and commands
+/hnn_simulator/joint_commands, or /hnn_simulator/commands. It publishes /diagnostics. Services:
+those of its lifecycle."""
 _HOVER = """\
 It subscribes to /hnn_simulator/odometry and answers each message on /hnn_simulator/commands."""
 _LISTENER = """\
@@ -79,6 +83,16 @@ def rerun_bridge() -> Parser:
     parser.add_argument('--trust-code', action='store_true', help=(
         'run Python code that a scene names, which others may have written'))
     return parser
+
+
+def controller() -> Parser:
+    """Return the parser of ``controller``."""
+    return Parser('controller', 'Command a simulator or a machine by a task.', [
+        'ros2 run hnn_vi_ros controller --ros-args -p task:=swing_up',
+        'ros2 run hnn_vi_ros controller --ros-args -p task:=my.yaml -p scene:=my_scene.yaml',
+        'ros2 run hnn_vi_ros controller --ros-args -r joint_states:=/robot/joint_states '
+        '-p simulator:=/robot'],
+        _details(_CONTROLLER, CONTROLLER_PARAMETERS))
 
 
 def hover() -> Parser:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that outlive a wrong /clock, and whose slow transitions may be refused."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
+import os
+import signal
 import sys
 import threading
 import time
@@ -11,14 +13,14 @@ from typing import Any
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
-from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
+from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, RCLError, state_machine
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock as SteadyClock, ClockType, ROSClock
-from rclpy.executors import Executor
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -164,6 +166,61 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     def busy(self) -> bool:
         """Return whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
+
+    def stop(self, status: int, reason: str) -> None:
+        """Let the process end with this status, and say why."""
+        if self.exit_status is None:
+            self.exit_status = status
+            log(self, reason, 'ERROR' if status else 'INFO')
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the process."""
+        self.stop(0, 'shut down')
+        return SUCCESS
+
+    async def autostart(self) -> None:
+        """Configure and activate; raise what makes that impossible."""
+        if await self.change_state(Transition.TRANSITION_CONFIGURE):
+            await self.change_state(Transition.TRANSITION_ACTIVATE)
+
+    def serve(self, received: Sequence[int], autostart: bool) -> SingleThreadedExecutor:
+        """
+        Serve until the node has an exit status; return the executor, which nobody spins then.
+
+        Parameters
+        ----------
+        received : sequence of int
+            Signals that have come, to which a handler adds.
+        autostart : bool
+            Whether to configure and activate without being asked to.
+
+        """
+        executor = SingleThreadedExecutor()
+        executor.add_node(self)
+        if autostart:
+            executor.create_task(self.autostart)
+        while self.exit_status is None:
+            if received:
+                self.stop(0, f'stopped by {signal.Signals(received[0]).name}')
+                continue
+            try:
+                executor.spin_once(timeout_sec=0.1)
+            except RCLError as problem:
+                # Such as a client that is gone before its answer: no reason to stop.
+                self.get_logger().warning(
+                    f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
+        return executor
+
+    def end(self, status: int) -> int:
+        """Destroy the node and return the status; end the process if a thread is at work."""
+        busy = self.busy
+        self.destroy_node()
+        if busy:
+            # A compilation that nobody needs cannot be interrupted, nor be left to run into the
+            # end.
+            sys.stdout.flush()
+            os._exit(status)
+        return status
 
     def wait(self, seconds: float) -> None:
         """Wait at most so long for the threads at work."""

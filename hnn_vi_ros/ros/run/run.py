@@ -74,7 +74,8 @@ class Run:
             self._members, simulation.hamiltonian, uncertainty.limit)
         self._twin = None if prepared.twin is None else TwinTopic(
             prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
-                topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
+                topics.hearing.ignored[OBSERVATIONS.topic],
+                topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp)
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
