@@ -69,6 +69,16 @@ def test_what_goes_furthest_is_held_out():
     assert sum(len(run.t) for run in (*kept, *furthest, *ordinary)) == total
 
 
+def test_of_several_runs_whole_ones_are_held_out():
+    motions = [cart_and_pole(seed) for seed in (1, 2, 3, 4)]
+    kept, furthest, ordinary = held_out(motions)
+    far, others = {run.name for run in furthest}, {run.name for run in (*kept, *ordinary)}
+    assert 1 <= len(far) <= 2 and not far & others
+    assert far | others == {run.name for run in motions}
+    speeds = {run.name: float(np.abs(run.v_smooth).max()) for run in motions}
+    assert max(speeds, key=speeds.__getitem__) in far
+
+
 def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
     config = MachineConfig.model_validate({
         'coordinates': [{'name': 'x', 'kind': 'prismatic'},
