@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/learning.md: every number in its tables comes from the results."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import astuple, dataclass, fields
 import json
@@ -132,8 +132,19 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
         dgnet_physics=list(_physics_rows(table, 'dgnet')),
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         real_physics=list(_real_rows(table)),
-        machines=list(machine_rows(folder / FOLDER / MACHINES)),
-        robots=list(robot_rows(folder / FOLDER / ROBOTS)))
+        machines=_once(machine_rows(folder / FOLDER / MACHINES)),
+        robots=_once(robot_rows(folder / FOLDER / ROBOTS)))
+
+
+def _once(rows: Iterable[list[str]]) -> list[list[str]]:
+    """Return rows whose first two cells are empty where they repeat those of the row above."""
+    found, before = [], ['', '']
+    for row in rows:
+        same = row[0] == before[0], row[:2] == before[:2]
+        found.append([*('' if again else cell for cell, again in zip(row[:2], same, strict=True)),
+                      *row[2:]])
+        before = row
+    return found
 
 
 def _summary(results: ResultTable) -> dict[str, int]:
