@@ -106,8 +106,7 @@ def scene_page(name: str, results: Results) -> str:
     horizons = [conditions(results, horizon, picture_name(name, horizon))
                 for horizon in results.shown]
     models = (at['floor'].model for at in horizons)
-    return render('accuracy_scene.md', name=name, drift=drift(results, _DRIFT_STEPS),
-                  horizons=horizons,
+    return render('accuracy_scene.md', name=name, horizons=horizons,
                   box=next((model.box for model in models if model), None))
 
 
@@ -121,7 +120,8 @@ def as_page(results: _Results) -> str:
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
     return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name,
-                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES, **{
+                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES,
+                  drift=drift(results[name], _DRIFT_STEPS), **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
 

@@ -129,20 +129,20 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
 
 
 def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return for each set-up of a case how its runs ended, the best first."""
+    """Return for each set-up of a case how its runs ended that were not stable, the best first."""
     found: dict[str, dict[str, list[str]]] = {}
     for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):
         set_up = f'{row.set_up}, {row.hamiltonian}' if row.set_up else row.hamiltonian
-        end, value = _end(row)
-        found.setdefault(set_up, {}).setdefault(end, []).append(f'{row.method} {value}'.rstrip())
+        ends = found.setdefault(set_up, {})
+        if row.verdict != 'stable':
+            end, step = _end(row)
+            ends.setdefault(end, []).append(f'{row.method} {step}'.rstrip())
     return {'ends': found}
 
 
 def _end(row: CaseRow) -> tuple[str, str]:
-    """Return how a run ended, and its energy band or the step of its alarm."""
+    """Return how a run ended that was not stable, and the step of its alarm."""
     sign = SIGNS[row.verdict]
-    if row.verdict == 'stable':
-        return sign, '' if math.isnan(row.band) else f'{row.band:.2g}'
     if row.verdict == 'unstable':
         return f'{sign} {row.failed}', ''
     words, _, step = row.alarm.split('; ')[0 if row.verdict == 'alarm' else -1].rpartition(

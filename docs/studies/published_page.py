@@ -127,9 +127,10 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
     return render(
         PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
         summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
-        hnn_noise=list(_noise_rows(table)), hnn_physics=list(_physics_rows(table, 'hnn')),
+        hnn_noise=list(_noise_rows(table)),
         dgnet_published=_published_rows(table, 'dgnet'),
-        dgnet_physics=list(_physics_rows(table, 'dgnet')),
+        physics=[['' if k else f'`{name}`', *row] for name in ('hnn', 'dgnet')
+                 for k, row in enumerate(_physics_rows(table, name))],
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         real_physics=list(_real_rows(table)),
         machines=_once(machine_rows(folder / FOLDER / MACHINES)),
