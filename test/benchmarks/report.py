@@ -23,10 +23,9 @@ figure by the peer's: below 1 we are faster. Ratios in **bold** exceed their tar
 [reasons](#rows-that-miss-their-target) follow the table.
 
 We and the peer take turns in one run, with one thread each unless the row says otherwise. The
-ratio is the median over the turns. [benchmarks.json](benchmarks.json) holds the quartiles, settings
-and versions. In rows on the share of a matrix product, 'ours' is that product alone, by numpy.
-`make bench` measures again and writes this page; `make bench ARGS='--rows robots'` measures one
-group of rows.
+ratio is the median over the turns. [benchmarks.json](benchmarks.json) holds quartiles, settings,
+versions, and further rows without a target, such as the cost of each effect. `make bench` measures
+again and writes this page; `make bench ARGS='--rows robots'` measures one group of rows.
 """
 
 
@@ -83,13 +82,12 @@ def read_rows(path: Path) -> list[Row] | None:
 
 
 def as_table(rows: Sequence[Row]) -> str:
-    """Return the rows as a Markdown table."""
+    """Return the rows that have a target as a Markdown table."""
     lines = ['| row | ours | peer | ratio | target |', '|---|---|---|---|---|']
-    for row in rows:
-        target = '' if row.target is None else f'{row.target:g}'
+    for row in (row for row in rows if row.target is not None):
         ratio = f'{_number(row.ratio)} {row.unit}'.rstrip()
         shown = f'**{ratio}**' if row.met is False else ratio
-        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} | {target} |')
+        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} | {row.target:g} |')
     return '\n'.join(lines) + '\n'
 
 
