@@ -36,7 +36,8 @@ pygments_style, pygments_dark_style = 'default', 'github-dark'
 
 html_theme = 'furo'
 html_title = f'hnn_vi_ros {release}'
-html_static_path, html_css_files = ['_static'], ['site.css']
+# The explorer is a page of its own, which another page embeds.
+html_static_path, html_css_files = ['_static', 'accuracy/explore.html'], ['site.css']
 html_theme_options = {'top_of_page_buttons': ['view']}
 html_copy_source = False
 

@@ -26,6 +26,10 @@ _DURATION = 10.0
 _DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 100.0,
               'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
               'tao': 30.0, 'learned_tao': 30.0}
+_ROBOTS = 'Robots and bodies that turn'
+# By whether the model is learned, and whether effects act.
+_TOPICS = {(True, False): 'Learned models', (True, True): 'Learned models with effects',
+           (False, False): 'Formulas', (False, True): 'Formulas with effects'}
 # What a picture is made by: another number makes all of them anew.
 _VERSION = '5'
 
@@ -47,15 +51,25 @@ def write_gallery(docs: Path) -> None:
     wanted = set(scenes) if asked == 'all' else set(asked.split(',')) - {'none'}
     if wanted - set(scenes):
         raise ValueError(f'HNN_DOCS_GALLERY: no scenes {", ".join(sorted(wanted - set(scenes)))}')
-    cards = []
+    topics: dict[str, list[str]] = {
+        topic: [] for topic in (*_TOPICS.values(), _ROBOTS)}
+    bare = []
     for name, path in scenes.items():
         why = draw(name, path, folder) if name in wanted else 'left out of this build'
         write(folder / f'{name}.md', scene_page(name, path, folder, why))
-        cards.append(card(name, path, folder))
+        if (folder / f'{name}.png').is_file():
+            topics[topic_of(path)].append(card(name, path))
+        else:
+            bare.append(f'[{name}]({name}.md)')
     text = ['# Gallery', '', (
         f'The {len(scenes)} shipped scenes. Each page has the pictures of a short run, the YAML '
-        'and the command.'), '', '::::{container} gallery', *cards, '::::', '',
-        '```{toctree}', ':hidden:', '', *scenes, '```', '']
+        'and the command.'), '']
+    for topic, cards in topics.items():
+        if cards:
+            text += [f'## {topic}', '', '::::{container} gallery', *cards, '::::', '']
+    if bare:
+        text += ['## Without a picture', '', f'{", ".join(bare)}.', '']
+    text += ['```{toctree}', ':hidden:', '', *scenes, '```', '']
     write(folder / 'index.md', '\n'.join(text))
 
 
@@ -120,11 +134,18 @@ def scene_page(name: str, path: Path, folder: Path, why: str) -> str:
     return '\n'.join(text)
 
 
-def card(name: str, path: Path, folder: Path) -> str:
+def card(name: str, path: Path) -> str:
     """Return the part of the page of all scenes that shows one."""
-    picture = f'[![{name}]({name}.png)]({name}.md)\n' if (
-        folder / f'{name}.png').is_file() else ''
-    return f':::{{container}} card\n{picture}\n[{name}]({name}.md)\n\n{description(path)}\n:::'
+    return (f':::{{container}} card\n[![{name}]({name}.png)]({name}.md)\n\n[{name}]({name}.md)\n\n'
+            f'{description(path)}\n:::')
+
+
+def topic_of(path: Path) -> str:
+    """Return the heading under which the gallery shows a scene."""
+    scene = yaml.safe_load(path.read_text('utf-8'))
+    if scene['hamiltonian']['kind'] == 'urdf' or scene.get('mechanism') == 'turning_body':
+        return _ROBOTS
+    return _TOPICS['model' in scene['hamiltonian'], bool(scene.get('effects'))]
 
 
 def description(path: Path) -> str:

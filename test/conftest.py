@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Give every test session a ROS 2 graph, a domain and log folders of its own."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+import csv
 from dataclasses import dataclass
 import fcntl
 from hashlib import sha256
@@ -164,33 +165,40 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         _findings.extend(Finding(*row) for row in rows)
 
 
-def findings_table(findings: Iterable[Finding]) -> str:
-    """Return the findings as a table: a line for each claim and bound."""
-    found: dict[tuple[str, str], list[str]] = {}
-    for row in sorted(findings, key=lambda row: (row.claim, row.bound, row.subject)):
-        found.setdefault((row.claim, row.bound), []).append(f'{row.subject}: {row.value:.3g}')
-    return '\n'.join(['| claim | bound | measured |', '|---|---|---|', *(
-        f'| {claim} | {bound} | {"; ".join(texts)} |' for (claim, bound), texts in found.items())])
+def findings_table(findings: Sequence[Finding]) -> str:
+    """Return the range of the findings of each claim and bound as a table."""
+    found: dict[tuple[str, str], list[Finding]] = {}
+    for row in findings:
+        found.setdefault((row.claim, row.bound), []).append(row)
+    lines = ['| claim | bound | measured | cases |', '|---|---|---|---|']
+    for (claim, bound), rows in found.items():
+        ends = dict.fromkeys(f'{end(row.value for row in rows):.3g}' for end in (min, max))
+        lines.append(f'| {claim} | {bound} | {" to ".join(ends)} | {len(rows)} |')
+    return '\n'.join(lines)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let files that tests compare with be renewed by them."""
     parser.addoption('--findings', type=Path, metavar='FILE',
-                     help='write what the verification tests measured into a Markdown file')
+                     help='write what the verification tests measured into a page and a CSV')
     parser.addoption('--policy', action='store_true',
                      help='write the SROS2 policy of the simulator as it is in the graph')
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the findings between the file's markers, sorted by claim and subject."""
+    """Write the findings into a CSV, and their ranges between the markers of the page."""
     path = session.config.getoption('--findings')
     # Workers of pytest-xdist have what their own tests measured only.
     if path is None or hasattr(session.config, 'workerinput'):
         return
-    table = findings_table(_findings)
+    rows = sorted(_findings, key=lambda row: (row.claim, row.bound, row.subject))
+    with path.with_suffix('.csv').open('w', newline='', encoding='utf-8') as file:
+        csv.writer(file, lineterminator='\n').writerows(
+            [['claim', 'bound', 'subject', 'measured'],
+             *([row.claim, row.bound, row.subject, f'{row.value:.3g}'] for row in rows)])
     before, begin, rest = path.read_text(encoding='utf-8').partition('<!-- findings -->\n')
     _, end, after = rest.partition('\n<!-- end of findings -->')
-    path.write_text(f'{before}{begin}{table}{end}{after}', encoding='utf-8')
+    path.write_text(f'{before}{begin}{findings_table(rows)}{end}{after}', encoding='utf-8')
 
 
 def pytest_report_header() -> str:

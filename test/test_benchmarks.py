@@ -54,13 +54,15 @@ def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys, monk
     # To the rounding of sums of some tenths of a second.
     assert abs(written[0]['ratio'] - 0.5) < 1e-12
     text = (tmp_path / 'out' / 'benchmarks.md').read_text()
-    assert '| slow | 3 s | 1 s | 3.00 s more | 3.00..3.00 | 2.5 | **no** |' in text
+    assert '| slow | 3 s | 1 s | **3.00 s more** | 2.5 |' in text
     assert '- **slow**, 3.00 for 2.5: It sleeps.' in text and '**half**' not in text
+    # Without a target it is in the JSON alone.
+    assert '| told |' not in text
     assert 'left' in capsys.readouterr().out
 
 
 def test_groups_that_are_measured_again_leave_the_others(tmp_path):
-    first, second = (Row(name, '1', '2', 0.5, (0.4, 0.6), None, 3) for name in ('one', 'two'))
+    first, second = (Row(name, '1', '2', 0.5, (0.4, 0.6), 1.0, 3) for name in ('one', 'two'))
     write({'many': Group('there', [first]), 'gradient': Group('there', [second])}, tmp_path)
     third = replace(first, ratio=0.004)
     write({'many': Group('here', [third])}, tmp_path)

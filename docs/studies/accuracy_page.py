@@ -106,8 +106,7 @@ def scene_page(name: str, results: Results) -> str:
     horizons = [conditions(results, horizon, picture_name(name, horizon))
                 for horizon in results.shown]
     models = (at['floor'].model for at in horizons)
-    return render('accuracy_scene.md', name=name, drift=drift(results, _DRIFT_STEPS),
-                  horizons=horizons,
+    return render('accuracy_scene.md', name=name, horizons=horizons,
                   box=next((model.box for model in models if model), None))
 
 
@@ -121,7 +120,8 @@ def as_page(results: _Results) -> str:
     machines = dict.fromkeys(entry.identity['machine'] for entry in results.values())
     made = {name: part(results) for name, part in parts.items()}
     return render(PAGE, us=microseconds, machine=' and '.join(machines), example=name,
-                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES, **{
+                  picture=PICTURE, horizon=results[name].shown[0], choice_errors=_CHOICES,
+                  drift=drift(results[name], _DRIFT_STEPS), **{
         name: list(part) if isinstance(part, Iterator) else part for name, part in made.items()})
 
 
@@ -191,9 +191,9 @@ def _slower(results: _Results) -> dict[str, float]:
     return found
 
 
-def _first_order(results: _Results) -> Iterator[tuple[str, float, StudyRow, StudyRow, float,
-                                                      tuple[StudyRow, StudyRow] | None]]:
-    """Yield the best path of the paper's method, what is as good, and how its energy stays."""
+def _first_order(results: _Results) -> list[dict[str, float]]:
+    """Return by scene the best path error of the paper's method, and what is as good."""
+    found = []
     for name, horizon, rows in _cases(results):
         own = [row for row in rows if row.method == _PAPER and not math.isnan(row.path_error)]
         if horizon != results[name].horizons[0] or not own:
@@ -201,12 +201,13 @@ def _first_order(results: _Results) -> Iterator[tuple[str, float, StudyRow, Stud
         best = min(own, key=lambda row: row.path_error)
         other = cheapest((row for row in ours(rows) if row.method != _PAPER), best.path_error)
         if other is not None:
-            yield (name, horizon, best, other, ratio(other, best),
-                   _growth(results[name], _PAPER))
+            found.append({'error': best.path_error, 'share': ratio(other, best),
+                          'growth': _growth(results[name], _PAPER)})
+    return found
 
 
-def _growth(results: Results, method: str) -> tuple[StudyRow, StudyRow] | None:
-    """Return the rows of one step at the shortest and the longest horizon it was run to."""
+def _growth(results: Results, method: str) -> float:
+    """Return how the energy band of one step grows up to the longest horizon it was run to."""
     finished = [row for row in results.rows if row.method == method and row.finished]
     for horizon in reversed(results.horizons[1:]):
         late = [row for row in finished if row.horizon == horizon]
@@ -214,20 +215,15 @@ def _growth(results: Results, method: str) -> tuple[StudyRow, StudyRow] | None:
             end = min(late, key=lambda row: row.energy_band)
             for row in finished:
                 if row.horizon == results.horizons[0] and row.step_size == end.step_size:
-                    return row, end
-    return None
+                    return end.energy_band / row.energy_band
+    return 1.0
 
 
-def _drifting(results: _Results
-              ) -> Iterator[tuple[str, StudyRow, StudyRow, StudyRow | None, float]]:
-    """Yield how the energy of RK4 drifts in each scene, and what is as good."""
-    for name, entry in results.items():
-        pairs = list(_drifts(entry))
-        # Of the steps that drift, the middle one.
-        for row, end in pairs[len(pairs) // 2:][:1]:
-            best = cheapest((other for other in ours(entry.of(end.horizon))
-                             if other.method != _CLASSIC), end.energy_band, 'energy_band')
-            yield name, row, end, best, math.nan if best is None else ratio(best, end)
+def _drifting(results: _Results) -> list[float]:
+    """Return how the band of RK4 grows in each scene, of the middle one of the steps that drift."""
+    pairs = [list(_drifts(entry)) for entry in results.values()]
+    return [end.energy_band / row.energy_band
+            for some in pairs for row, end in some[len(some) // 2:][:1]]
 
 
 def _drifts(results: Results) -> Iterator[tuple[StudyRow, StudyRow]]:

@@ -21,8 +21,9 @@ from studies.pages import render
 
 MARKDOWN = 'hard_cases.md'
 PAGE, PICTURES, CARD = 'hard-cases.md', 'hard_cases', 'hard_cases.json'
-# From the worst to the best; the page shows a sign for each.
-_VERDICTS = ('unstable', 'stopped', 'alarm', 'stable')
+# From the worst to the best.
+SIGNS = {'unstable': '❌', 'stopped': '⏹️', 'alarm': '⚠️', 'stable': '✅'}
+_VERDICTS = list(SIGNS)
 
 
 def write_report(folder: Folder, cases: Sequence[Case], rows: Sequence[CaseRow],
@@ -91,7 +92,7 @@ def page_of(docs: Path) -> str:
     parts = _parts(cases, rows, expected, card.get('notes', {}))
     silent = sorted({row.method for row in rows if row.verdict == 'unstable'})
     return render(PAGE, cases=parts, machine=card['machine'], runs=len(rows), silent=silent,
-                  grid=list(_grid(cases, rows)))
+                  signs=SIGNS, grid=list(_grid(cases, rows)))
 
 
 def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:
@@ -128,14 +129,25 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
 
 
 def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return the set-ups of a case, and for each method how its run of each ended."""
-    set_ups = list(dict.fromkeys((row.set_up, row.hamiltonian) for row in rows))
-    found = {(row.method, row.set_up, row.hamiltonian): row for row in rows}
-    methods = dict.fromkeys(row.method for row in rows)
-    return {'set_ups': [f'{set_up}, {hamiltonian}' if set_up else hamiltonian
-                        for set_up, hamiltonian in set_ups],
-            'ends': {method: [found.get((method, *set_up)) for set_up in set_ups]
-                     for method in methods}}
+    """Return for each set-up of a case how its runs ended that were not stable, the best first."""
+    found: dict[str, dict[str, list[str]]] = {}
+    for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):
+        set_up = f'{row.set_up}, {row.hamiltonian}' if row.set_up else row.hamiltonian
+        ends = found.setdefault(set_up, {})
+        if row.verdict != 'stable':
+            end, step = _end(row)
+            ends.setdefault(end, []).append(f'{row.method} {step}'.rstrip())
+    return {'ends': found}
+
+
+def _end(row: CaseRow) -> tuple[str, str]:
+    """Return how a run ended that was not stable, and the step of its alarm."""
+    sign = SIGNS[row.verdict]
+    if row.verdict == 'unstable':
+        return f'{sign} {row.failed}', ''
+    words, _, step = row.alarm.split('; ')[0 if row.verdict == 'alarm' else -1].rpartition(
+        ' at step ')
+    return f'{sign} {words.split(" here that")[0].split(", given up")[0]}', step
 
 
 def _cells(row: CaseRow, expectation: Expectation | None) -> list[str]:

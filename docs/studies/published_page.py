@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page docs/learning.md: every number in its tables comes from the results."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 import csv
 from dataclasses import astuple, dataclass, fields
 import json
@@ -127,13 +127,25 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
     return render(
         PAGE, quick=quick, machine=table.names('machine'), commit=table.names('commit'),
         summary=_summary(table), hnn_published=_published_rows(table, 'hnn'),
-        hnn_noise=list(_noise_rows(table)), hnn_physics=list(_physics_rows(table, 'hnn')),
+        hnn_noise=list(_noise_rows(table)),
         dgnet_published=_published_rows(table, 'dgnet'),
-        dgnet_physics=list(_physics_rows(table, 'dgnet')),
+        physics=[['' if k else f'`{name}`', *row] for name in ('hnn', 'dgnet')
+                 for k, row in enumerate(_physics_rows(table, name))],
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         real_physics=list(_real_rows(table)),
-        machines=list(machine_rows(folder / FOLDER / MACHINES)),
-        robots=list(robot_rows(folder / FOLDER / ROBOTS)))
+        machines=_once(machine_rows(folder / FOLDER / MACHINES)),
+        robots=_once(robot_rows(folder / FOLDER / ROBOTS)))
+
+
+def _once(rows: Iterable[list[str]]) -> list[list[str]]:
+    """Return rows whose first two cells are empty where they repeat those of the row above."""
+    found, before = [], ['', '']
+    for row in rows:
+        same = row[0] == before[0], row[:2] == before[:2]
+        found.append([*('' if again else cell for cell, again in zip(row[:2], same, strict=True)),
+                      *row[2:]])
+        before = row
+    return found
 
 
 def _summary(results: ResultTable) -> dict[str, int]:

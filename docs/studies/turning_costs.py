@@ -199,8 +199,7 @@ def section(scene: str, results: Results) -> dict[str, Any]:
                           and (' ' in row.method) == is_peer), None) for is_peer in (False, True))
     (horizon, floor), = results.floors.items()
     cells = [[_shown(_name(row)),
-              f'tolerance {row.method.partition("=")[2]}' if np.isnan(row.step_size)
-              else f'h = {row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
+              row.method.partition('=')[2] if np.isnan(row.step_size) else f'{row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
               f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g}'] for row in best]
     return {'scene': scene, 'horizon': horizon, 'floor': floor, 'rows': cells,
             'faster': None if ours is None or theirs is None else {
@@ -216,8 +215,8 @@ def page_part(folder: Path) -> str:
                 for case in cases()]
     with (folder / DRIFTS).open(encoding='utf-8') as file:
         rows = list(csv.DictReader(file))
-    long = [[_shown(row['method']), f'h = {row["setting"]} s' if float(row['setting']) > 1e-4
-             else f'tolerance {row["setting"]}',
+    long = [[_shown(row['method']), f'{row["setting"]} s' if float(row['setting']) > 1e-4
+             else row['setting'],
              *(f'{float(row[name]):.1e}' for name in _DRIFT_COLUMNS[2:6]),
              f'{float(row["milliseconds"]):.3g}'] for row in rows]
     return render('turning_costs.md', sections=sections, good=GOOD, looks=_LOOKS, long=long,

@@ -46,8 +46,8 @@ def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
         note=f'auto chose {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
              'row of the grid that holds the tolerance',
         miss='auto counts gradients, so that its choice does not depend on the load of the '
-             'machine; the fixed cost of an implicit step, one or two microseconds, dominates if '
-             'a gradient takes some nanoseconds.')
+             'machine. The fixed cost of an implicit step, one or two microseconds, dominates '
+             'where a gradient costs some nanoseconds.')
 
 
 def _contestant(problem: InitialValueProblem, method: str | Method, h: float) -> Callable:

@@ -22,15 +22,14 @@ _TARGET = 2.5
 _FEW = 3
 _TOPICS = {'simulator': '/hnn_simulator/q', 'bare': '/bare'}
 _PARAMETERS = ('scene:=harmonic_oscillator', 'rerun_sink:=none', 'record:=false')
-_MISS = ("numba compiles the method's loop and the Hamiltonian separately; later starts of any "
-         'scene with that method, or that Hamiltonian, load it from disk, and `make build` '
-         'compiles those of the shipped scenes.')
+_MISS = ("Numba compiles the method's loop and the Hamiltonian separately. Later starts load both "
+         'from disk, and `make build` compiles all shipped scenes.')
 # A user's simulator and publisher are not kept to one thread.
 OURS_ALONE = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 
 
 def rows(settings: Settings) -> Iterator[Row]:
-    """Measure with the compiled kernel found on disk, and compiled anew."""
+    """Measure with the compiled kernel found on disk, and compiled again."""
     os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     commands = {
         'simulator': [str(simulator()), '--ros-args', *[
@@ -44,13 +43,13 @@ def rows(settings: Settings) -> Iterator[Row]:
         warm = np.array([[listener.seconds(name, command) for name, command in commands.items()]
                          for _ in range(settings.repetitions)])
         yield _row('cold start, kernel on disk', warm, '')
-        settings.say('kernel compiled anew')
+        settings.say('kernel compiled again')
         cold = []
         for _ in range(min(_FEW, settings.repetitions)):
             with tempfile.TemporaryDirectory() as folder:
                 cold.append([listener.seconds(name, command, NUMBA_CACHE_DIR=folder)
                              for name, command in commands.items()])
-        yield _row('cold start, kernel compiled anew', np.array(cold), _MISS)
+        yield _row('cold start, kernel compiled again', np.array(cold), _MISS)
 
 
 def _row(name: str, seconds: np.ndarray, miss: str) -> Row:

@@ -18,15 +18,14 @@ _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 
 _HEADING = """\
 # Benchmarks
 
-Our speed against our peers: other tools, or the same task without a feature. A ratio divides our
-figure by the peer's, so below 1 we are faster, and a row meets its target if its ratio is at most
-the target. [Rows that miss it](#rows-that-miss-their-target) come with the reason.
+Our speed against that of other tools, or of the same task without a feature. A ratio divides our
+figure by the peer's: below 1 we are faster. Ratios in **bold** exceed their target, and the
+[reasons](#rows-that-miss-their-target) follow the table.
 
-We and the peer take turns in one run, with one thread each unless the row says otherwise.
-The ratio is the median over the turns, with its quartiles. `make bench` measures again and writes
-this page; `make bench ARGS='--rows robots'` measures one group of rows.
-[benchmarks.json](benchmarks.json) holds the turns, settings and conditions of each row. In
-rows on the share of a matrix product, 'ours' is that product alone, by numpy.
+We and the peer take turns in one run, with one thread each unless the row says otherwise. The
+ratio is the median over the turns. [benchmarks.json](benchmarks.json) holds quartiles, settings,
+versions, and further rows without a target, such as the cost of each effect. `make bench` measures
+again and writes this page; `make bench ARGS='--rows robots'` measures one group of rows.
 """
 
 
@@ -83,16 +82,12 @@ def read_rows(path: Path) -> list[Row] | None:
 
 
 def as_table(rows: Sequence[Row]) -> str:
-    """Return the rows as a Markdown table."""
-    lines = ['| row | ours | peer | ratio | quartiles | target | met |',
-             '|---|---|---|---|---|---|---|']
-    for row in rows:
-        low, high = row.quartiles
-        target = '' if row.target is None else f'{row.target:g}'
-        met = {None: '', True: 'yes', False: '**no**'}[row.met]
-        lines.append(
-            f'| {row.name} | {row.ours} | {row.peer} | {_number(row.ratio)} {row.unit}'.rstrip()
-            + f' | {_number(low)}..{_number(high)} | {target} | {met} |')
+    """Return the rows that have a target as a Markdown table."""
+    lines = ['| row | ours | peer | ratio | target |', '|---|---|---|---|---|']
+    for row in (row for row in rows if row.target is not None):
+        ratio = f'{_number(row.ratio)} {row.unit}'.rstrip()
+        shown = f'**{ratio}**' if row.met is False else ratio
+        lines.append(f'| {row.name} | {row.ours} | {row.peer} | {shown} | {row.target:g} |')
     return '\n'.join(lines) + '\n'
 
 
@@ -106,14 +101,15 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
         reasons.setdefault(row.miss or 'not explained yet.', []).append(
             f'**{row.name}**, {_number(row.ratio)} for {row.target:g}')
     misses = [f'- {"; ".join(names)}: {reason}' for reason, names in reasons.items()]
-    # Groups that were measured on the same machine share a line.
+    # Groups that were measured on the same machine share a line, without Python and packages.
     wheres: dict[str, list[str]] = {}
     for name, group in groups.items():
-        wheres.setdefault(group.where, []).append(name)
-    parts = [_HEADING, as_table(rows), '## Rows that miss their target\n',
+        parts = group.where.split('; ')
+        wheres.setdefault('; '.join(parts[:2] + parts[4:]), []).append(name)
+    lines = [_HEADING, as_table(rows), '## Rows that miss their target\n',
              '\n'.join(misses or ['None.']) + '\n', '## Where\n',
              *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
-    return '\n'.join(parts) + '\n'
+    return '\n'.join(lines) + '\n'
 
 
 def _number(value: float) -> str:
