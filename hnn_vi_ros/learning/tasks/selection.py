@@ -27,8 +27,10 @@ _RUNS = 4
 # Candidates are trained for this share of the steps, and judged at these horizons, from a state
 # so often [s].
 _SHARE, _HORIZONS, _EVERY = 0.25, (0.1, 0.5), 0.05
-# On what goes furthest no error may be larger than that of the rigid body, but for this share.
-_WORSE = 0.05
+# On what goes furthest no error may be larger than that of the rigid body, but for _WORSE of it;
+# and networks must have errors that are smaller by _GAIN on the mean: what gains less is no better
+# beyond the data, as far as a part of these can tell.
+_WORSE, _GAIN = 0.05, 0.05
 RIGID, ALONE = 'rigid body', 'networks alone'
 _CANDIDATES: dict[str, dict[str, object]] = {
     RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
@@ -89,7 +91,7 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
             f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
     if all(card.failed for card in found):
         raise DataError(f'prior: auto: {found[-1].failed}')
-    best = _best(found)
+    best = best_of(found)
     time, total = (sum(len(run.t) * run.spacing for run in runs)
                    for runs in ((*furthest, *ordinary), motions))
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
@@ -183,8 +185,13 @@ def errors_of(network: Network, pieces: Sequence[Run]) -> Errors:
     return found
 
 
-def _best(found: Sequence[CandidateCard]) -> CandidateCard:
-    """Return the best on the mean of those no worse than the rigid body on what goes furthest."""
+def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
+    """
+    Return the rigid body, or what has smaller errors on the mean by more than _GAIN.
+
+    None of these may be larger, by more than _WORSE, on what goes furthest. Without a rigid body
+    it is the best on the mean.
+    """
     tried = [card for card in found if not card.failed]
     rigid = next((card for card in tried if card.name == RIGID), tried[0])
 
@@ -195,8 +202,11 @@ def _best(found: Sequence[CandidateCard]) -> CandidateCard:
         return np.nan_to_num(own / other, nan=np.inf, posinf=np.inf)
     allowed = [card for card in tried if card is rigid or (
         ratios(card, 'furthest') <= 1.0 + _WORSE).all()] if rigid.name == RIGID else tried
-    return min(allowed, key=lambda card: float(np.log(np.maximum(
-        ratios(card, 'ordinary', 'furthest'), 1e-12)).mean()))
+
+    def gain(card: CandidateCard) -> float:
+        return -float(np.log(np.maximum(ratios(card, 'ordinary', 'furthest'), 1e-12)).mean())
+    best = max(allowed, key=gain)
+    return best if gain(best) > _GAIN or rigid.name != RIGID else rigid
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:
