@@ -26,8 +26,7 @@ GROUPS = {
         'simulator': 'hnn_vi_ros.ros.simulator_node',
         'controller': 'hnn_vi_ros.ros.controller_node',
         'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
-        'listener': 'hnn_vi_ros.ros.listener_node',
-        'hover': 'hnn_vi_ros.ros.hover_node'},
+        'listener': 'hnn_vi_ros.ros.listener_node'},
     'recordings': {
         'replay': 'hnn_vi_ros.ros.replay.replay_node',
         'recover_bag': 'hnn_vi_ros.bags.recover_bag'},
