@@ -32,9 +32,9 @@ class Law(NamedTuple):
 
     Parameters
     ----------
-    gains : np.ndarray, shape (N, c, 2 d)
-        Of what a state deviates; empty for none.
-    about : np.ndarray, shape (N, 2 d)
+    gains : np.ndarray, shape (m, N, c, 2 d)
+        Of what a state deviates, of each of m trajectories; empty for none.
+    about : np.ndarray, shape (m, N, 2 d)
         From where.
     low, high : np.ndarray, shape (c,)
         Least and largest commands.
@@ -64,7 +64,7 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
         # Results must not depend on what stepped before.
         forget(memory)
         for n in range(count):
-            _put(law, n, states[m, n], places, wanted[m, n], command)
+            _put(law, m, n, states[m, n], places, wanted[m, n], command)
             # A command changes H' of the point, which methods keep.
             kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
             outcome = OK
@@ -84,7 +84,7 @@ def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold:
 
 
 @inlined
-def _put(law: Law, n: int, state: np.ndarray, places: np.ndarray, wanted: np.ndarray,
+def _put(law: Law, m: int, n: int, state: np.ndarray, places: np.ndarray, wanted: np.ndarray,
          command: np.ndarray) -> None:
     """Add feedback to wanted commands within limits, and write them as forces find them."""
     command[:] = 0.0
@@ -92,7 +92,7 @@ def _put(law: Law, n: int, state: np.ndarray, places: np.ndarray, wanted: np.nda
     command[command.size - 1] = np.inf
     for i in range(wanted.size):
         for k in range(state.size if law.gains.size else 0):
-            wanted[i] += law.gains[n, i, k] * (state[k] - law.about[n, k])
+            wanted[i] += law.gains[m, n, i, k] * (state[k] - law.about[m, n, k])
         wanted[i] = min(max(wanted[i], law.low[i]), law.high[i])
         for k in range(places.shape[1]):
             command[k] += wanted[i] * places[i, k]
@@ -150,7 +150,7 @@ class BatchStep:
         self._loop = Loop(follow_each, self._system.kernel, method)
         self._points = Point.empty(n), Point.empty(n)
         limit, empty = np.full(self.commands, np.inf), np.zeros((0, 0))
-        self._free = Law(empty[None], empty, -limit, limit)
+        self._free = Law(empty[None, None], empty[None], -limit, limit)
         self._memory = method.memory(n)
         self._derivative: tuple[Any, ...] | None = None
         self._push: Callable[..., int] | None = None
@@ -189,8 +189,8 @@ class BatchStep:
             First states.
         u : array_like, shape (m, N, c)
             Commands, each held as by a call.
-        gains, about : array_like, shape (N, c, 2 d) and (N, 2 d), optional
-            Feedback K (z - about) that is added to the commands.
+        gains, about : array_like, shape (m, N, c, 2 d) and (m, N, 2 d), optional
+            Feedback K (z - about) that is added to the commands; what broadcasts to that.
         limits : tuple of array_like, optional
             Least and largest commands, shape (c,) each.
         time : float, optional
@@ -207,8 +207,8 @@ class BatchStep:
         states, _ = self._checked(np.broadcast_to(z, (rows, 2 * self.dimension)), commands[:, 0])
         law = self._free
         if gains is not None and about is not None:
-            law = law._replace(gains=_filled(gains, (count, self.commands, 2 * self.dimension)),
-                               about=_filled(about, (count, 2 * self.dimension)))
+            law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),
+                               about=_filled(about, (rows, count, 2 * self.dimension)))
         if limits is not None:
             law = law._replace(low=_filled(limits[0], (self.commands,)),
                                high=_filled(limits[1], (self.commands,)))

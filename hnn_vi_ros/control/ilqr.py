@@ -10,7 +10,7 @@ from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost, deviation
 from hnn_vi_ros.control.linear import momentum
 from hnn_vi_ros.control.planning import Plan, Planner
-from hnn_vi_ros.control.riccati import sweep
+from hnn_vi_ros.control.riccati import Stages, sweep
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -102,42 +102,51 @@ class Ilqr(Planner):
         super().__init__(steps, running, final, horizon, limits, seed)
         self._regulator, self._budget, self._clock = regulator, budget, clock
         self._iterations, self._restarts, self._refined = iterations, restarts, refined
+        # Plans of the last call besides the best one that iterations still improve.
+        self._others: list[Plan] = []
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
         """Return the command from t on, shape (c,); see Planner."""
         end = self._clock() + self._budget
-        q = np.asarray(q, dtype=np.float64)
-        z = np.append(q, momentum(self._steps, q, v))
-        candidates = self._candidates(z, t)
-        self.mode = 'plan' if len(candidates) == 1 else 'restart'
+        z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
+        plans = self._candidates(z, t)
         regulated = self._regulated(z, t)
         if regulated is not None:
-            self.mode, best = 'regulate', regulated
-        else:
-            for _ in range(self._iterations):
-                for one in candidates:
-                    if not one.done and self._clock() < end:
-                        self._improve(one, t)
-            best = min(candidates, key=lambda one: one.cost)
+            self.mode, self._others = 'regulate', []
+            return self._take(regulated, t)
+        for _ in range(self._iterations):
+            going = [one for one in plans if not one.done]
+            if not going or self._clock() >= end:
+                break
+            self._improve(going, t)
+        best = min(plans, key=lambda one: one.cost)
+        self._others = [one for one in plans if one is not best and not one.done]
         return self._take(best, t)
 
     def _candidates(self, z: np.ndarray, t: float) -> list[Plan]:
-        """Return the plans to go on from: the last one, or the best of several."""
-        last, shifted = self._last, self._shifted(t)
-        if last is not None and 0 < self._steps_since(t) < len(last.states):
-            planned = last.states[self._steps_since(t)]
-            wanted, found = self._rolled(np.stack([planned, z]), np.stack([shifted, shifted]), t)
-            if found.cost <= _WORSE * wanted.cost + _NOTHING:
-                return [found]
-        return self._fresh(z, t, shifted)
+        """Return the plans to go on from: those of the last call, or the best of random ones."""
+        last, since = self._last, self._steps_since(t)
+        going = [self._shifted(one, t) for one in (last, *self._others)]
+        self.mode = 'plan'
+        if last is not None and since < len(last.states):
+            rows = np.stack([going[0], *going])
+            planned, found, *others = self._rolled(
+                np.stack([last.states[since], *[z] * len(going)]), rows, t)
+            # A jump is further away than the plan moves in any of its steps.
+            moves = np.abs(np.diff(last.states, axis=0)).max(axis=0)
+            if found.cost <= _WORSE * planned.cost + _NOTHING and (
+                    np.abs(z - planned.states[0]) <= moves + _NOTHING).all():
+                return [found, *others]
+        self.mode = 'restart'
+        return self._fresh(z, t, going)
 
-    def _fresh(self, z: np.ndarray, t: float, shifted: np.ndarray) -> list[Plan]:
+    def _fresh(self, z: np.ndarray, t: float, going: list[np.ndarray]) -> list[Plan]:
         """Return the best of plans with random commands that last a part of the horizon each."""
         count, size = self._restarts, (self._horizon, self._steps.commands)
         pieces = self._rng.uniform(self._low, self._high, (count, 6, size[1]))
         guesses = np.repeat(pieces, -(-self._horizon // 6), axis=1)[:, :self._horizon]
-        plans = self._rolled(z, np.concatenate([shifted[None], guesses]), t)
-        return sorted(plans, key=lambda one: one.cost)[:self._refined]
+        last, *plans = self._rolled(z, np.concatenate([going, guesses]), t)
+        return [last, *sorted(plans, key=lambda one: one.cost)[:self._refined - 1]]
 
     def _regulated(self, z: np.ndarray, t: float) -> Plan | None:
         """Return the plan of the regulator where it is trusted."""
@@ -157,38 +166,59 @@ class Ilqr(Planner):
         commands = commands[:, :self._horizon]
         return Plan(commands[0], states[0], float(self._costs(states, commands)[0]))
 
-    def _improve(self, plan: Plan, t: float) -> None:
-        """Change a plan by an iteration of iLQR; it is done where that gains nothing."""
-        steps, count = self._steps, self._horizon
-        times = t + steps.duration * np.arange(count)
-        _, f_z, f_u = steps.derivatives(plan.states[:-1], plan.commands, times)
-        cost = self._running.expand(plan.states[:-1], plan.commands)
-        end = self._final.expand(plan.states[-1:], np.zeros((1, steps.commands)))
-        changes, gains = np.empty_like(plan.commands), np.empty((*plan.commands.shape,
-                                                                plan.states.shape[1]))
-        convex, linear, quadratic = sweep(
-            np.ascontiguousarray(f_z), np.ascontiguousarray(f_u),
-            np.concatenate([cost.by_z, end.by_z]), cost.by_u,
-            np.concatenate([cost.by_zz, end.by_zz]), np.ascontiguousarray(cost.by_uu),
-            self._low - plan.commands, self._high - plan.commands, plan.damping, changes, gains)
-        if not convex or not np.isfinite(gains).all():
-            self._damp(plan)
-            return
+    def _improve(self, plans: list[Plan], t: float) -> None:
+        """Change plans by an iteration of iLQR; those are done where that gains nothing."""
+        commands = np.stack([plan.commands for plan in plans])
+        states = np.stack([plan.states for plan in plans])
+        changes, gains, gained = self._changes(plans, commands, states, t)
+        rest = np.flatnonzero(np.isfinite(gained[:, 0]))
+        failed = set(range(len(plans))) - set(rest.tolist())
         for lengths in _LENGTHS:
-            tried = plan.commands + lengths[:, None, None] * changes
-            states, commands = steps.rollout(plan.states[0], tried, gains, plan.states[:-1],
-                                             (self._low, self._high), t)
-            costs = self._costs(states, commands)
-            best = int(costs.argmin())
-            gained, length = plan.cost - costs[best], lengths[best]
-            if gained > -_ENOUGH * (length * linear + length**2 * quadratic) and gained > 0.0:
-                plan.done = gained < _LITTLE * abs(plan.cost)
-                plan.commands, plan.states, plan.cost = commands[best], states[best], costs[best]
+            rows, much = np.repeat(rest, lengths.size), np.tile(lengths, rest.size)
+            tried = commands[rows] + much[:, None, None] * changes[rows]
+            moved, taken = self._steps.rollout(
+                states[rows, 0], tried, gains[rows], states[rows, :-1], (self._low, self._high), t)
+            costs = self._costs(moved, taken).reshape(rest.size, lengths.size)
+            best = costs.argmin(axis=1)
+            kept = []
+            for i, m in enumerate(rest.tolist()):
+                plan, length, row = plans[m], lengths[best[i]], i * lengths.size + best[i]
+                gain = plan.cost - costs[i, best[i]]
+                predicted = -length * gained[m, 0] - length**2 * gained[m, 1]
+                if not (gain > _ENOUGH * predicted and gain > 0.0):
+                    kept.append(m)
+                    continue
+                plan.done = bool(gain < _LITTLE * abs(plan.cost))
+                plan.commands, plan.states = taken[row], moved[row]
+                plan.cost = float(costs[i, best[i]])
                 plan.damping = 0.0 if plan.damping <= _LEAST else 0.1 * plan.damping
-                return
-        self._damp(plan)
+            rest = np.array(kept, dtype=int)
+            if not rest.size:
+                break
+        for m in (*failed, *rest.tolist()):
+            # Its next iteration changes it less, or gives it up.
+            plans[m].damping = max(_LEAST, 10.0 * plans[m].damping)
+            plans[m].done = plans[m].damping > _MOST
 
-    def _damp(self, plan: Plan) -> None:
-        """Let the next iteration of a plan change it less, or give it up."""
-        plan.damping = max(_LEAST, 10.0 * plan.damping)
-        plan.done = plan.damping > _MOST
+    def _changes(self, plans: list[Plan], commands: np.ndarray, states: np.ndarray, t: float
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return changes of the commands of m plans, gains, and predicted gains; see ``sweep``."""
+        m, count, c = commands.shape
+        n = states.shape[2]
+        z, u = states[:, :-1].reshape(-1, n), commands.reshape(-1, c)
+        times = np.tile(t + self._steps.duration * np.arange(count), m)
+        _, f_z, f_u = self._steps.derivatives(z, u, times)
+        along = self._running.expand(z, u)
+        end = self._final.expand(states[:, -1], np.zeros((m, c)))
+        changes, gains, gained = np.zeros((m, count, c)), np.zeros((m, count, c, n)), \
+            np.empty((m, 2))
+        sweep(Stages(
+            np.ascontiguousarray(f_z).reshape(m, count, n, n),
+            np.ascontiguousarray(f_u).reshape(m, count, n, c),
+            np.concatenate([along.by_z.reshape(m, count, n), end.by_z[:, None]], axis=1),
+            np.concatenate([along.by_zz.reshape(m, count, n, n), end.by_zz[:, None]], axis=1),
+            along.by_u.reshape(m, count, c),
+            np.ascontiguousarray(along.by_uu).reshape(m, count, c, c),
+            self._low - commands, self._high - commands,
+            np.array([plan.damping for plan in plans])), changes, gains, gained)
+        return changes, gains, gained

@@ -57,7 +57,7 @@ class Mppi(Planner):
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
         """Return the command from t on, shape (c,); see Ilqr."""
         z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
-        mean = self._shifted(t)
+        mean = self._shifted(self._last, t)
         noise = self._knots @ self._rng.normal(
             scale=self._spread, size=(self._samples, self._knots.shape[1], self._spread.size))
         # The last plan itself is one of them.

@@ -67,7 +67,7 @@ class Planner(ABC):
         self.mode, self.cost = 'plan', np.inf
         self.plan: np.ndarray | None = None
         self._last: Plan | None = None
-        self._time = -np.inf
+        self._time = 0.0
 
     @abstractmethod
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
@@ -92,11 +92,11 @@ class Planner(ABC):
         """Return how many commands of the last plan are over."""
         return max(0, round((t - self._time) / self._steps.duration))
 
-    def _shifted(self, t: float) -> np.ndarray:
-        """Return the commands of the last plan from now on, shape (N, c), then none."""
+    def _shifted(self, plan: Plan | None, t: float) -> np.ndarray:
+        """Return the commands of a plan of the last call from now on, shape (N, c), then none."""
         commands = np.clip(np.zeros((self._horizon, self._steps.commands)), self._low, self._high)
-        if self._last is not None:
-            rest = self._last.commands[self._steps_since(t):]
+        if plan is not None:
+            rest = plan.commands[self._steps_since(t):]
             commands[:len(rest)] = rest
         return commands
 
