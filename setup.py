@@ -23,7 +23,6 @@ TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 FOR_ROS = [
     'controller = hnn_vi_ros.cli:controller',
     'evaluate = hnn_vi_ros.cli:evaluate',
-    'hover = hnn_vi_ros.cli:hover',
     'identify = hnn_vi_ros.cli:identify',
     'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
     'listener = hnn_vi_ros.cli:listener',

@@ -25,7 +25,7 @@ EXECUTABLES = [name for name in re.findall(
     r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text()) if name not in ALIASES]
 # The parsers are told apart by the package that their executable belongs to.
 HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
-         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'hover'],
+         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'controller'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What is installed in place of any missing package of ROS: all of its wheels at once.
 ROS = 'ros-jazzy-rclpy[fastrtps]" "ros-jazzy-common-interfaces'

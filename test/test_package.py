@@ -37,7 +37,7 @@ INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
                  'train', 'evaluate', 'scene_numbers'),
     'ros': ('plumbing', 'settings', 'node_parameters', 'arguments', 'recording', 'topics',
-            'replay', 'run', 'rerun_bridge', 'services', 'initial_state', 'hover_node', 'controller_node',
+            'replay', 'run', 'rerun_bridge', 'services', 'initial_state', 'controller_node',
             'listener_node', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {

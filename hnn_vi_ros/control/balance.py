@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 # by the linear model exp(-10).
 _CONSTANTS, _LEFT = 5.0, 1e-2
 _LONGEST_ROLLOUT = 5000
-# A cost that grows so much from where the regulator took over ends its turn.
-_GROWTH = 2.0
+# Farther out no rollout is tried [limits]; and a cost that grows so much from where the regulator
+# took over ends its turn.
+_FARTHEST, _GROWTH = 3.0, 2.0
 
 
 class Balance:
@@ -37,8 +38,10 @@ class Balance:
     ----------
     mode, cost, plan
         ``'lqr'``; x . P x of the deviation x at the last call; none.
-    gain, weights, value : np.ndarray
-        K, shape (c, 2 d); the weights Q of deviations and P, shape (2 d, 2 d).
+    at : tuple of np.ndarray
+        z* and u*.
+    gain, value : np.ndarray, shape (c, 2 d) and (2 d, 2 d)
+        K and P.
 
     Raises
     ------
@@ -55,11 +58,11 @@ class Balance:
 
     def __init__(self, steps: BatchStep, goal: tuple[np.ndarray, np.ndarray], limits: ArrayLike,
                  position: ArrayLike = 1.0, velocity: ArrayLike = 0.1):
-        self.steps, self.goal, self.cost = steps, goal, math.nan
+        self.steps, self.at, self.cost = steps, goal, math.nan
         self.limits = np.asarray(limits, dtype=np.float64)
         _, a, b = steps.derivatives(*goal)
-        self.weights = weights_of(steps, goal, position, velocity)
-        self.gain, self.value = lqr(a, b, steps.duration * self.weights,
+        weights = weights_of(steps, goal, position, velocity)
+        self.gain, self.value = lqr(a, b, steps.duration * weights,
                                     steps.duration * np.diag(self.limits**-2.0), discrete=True)
         slowest = np.abs(np.linalg.eigvals(a - b @ self.gain)).max()
         self._count = min(_LONGEST_ROLLOUT, math.ceil(-_CONSTANTS / math.log(slowest)))
@@ -71,13 +74,13 @@ class Balance:
 
     def act(self, z: np.ndarray) -> np.ndarray:
         """Return the command at a state, shape (2 d,)."""
-        away = deviation(self.steps.hamiltonian, z, self.goal[0])
+        away = deviation(self.steps.hamiltonian, z, self.at[0])
         self.cost = float(away @ self.value @ away)
-        return np.clip(self.goal[1] - self.gain @ away, -self.limits, self.limits)
+        return np.clip(self.at[1] - self.gain @ away, -self.limits, self.limits)
 
     def catches(self, z: np.ndarray) -> bool:
         """Return whether the law, within its limits, leads from a state to the goal."""
-        away = deviation(self.steps.hamiltonian, z, self.goal[0])
+        away = deviation(self.steps.hamiltonian, z, self.at[0])
         cost = float(away @ self.value @ away)
         if not cost <= self._most:
             self._most = _GROWTH * cost if self._holds(away, cost) else 0.0
@@ -85,7 +88,9 @@ class Balance:
 
     def _holds(self, away: np.ndarray, cost: float) -> bool:
         """Simulate the model under the law."""
-        z, u = self.goal
+        if (np.abs(self.gain @ away) > _FARTHEST * self.limits).any():
+            return False
+        z, u = self.at
         states, _ = self.steps.rollout(
             z + away, np.broadcast_to(u, (1, self._count, u.size)), -self.gain, z,
             (-self.limits, self.limits))

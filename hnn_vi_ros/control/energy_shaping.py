@@ -53,7 +53,7 @@ class EnergyShaping:
     def __init__(self, balance: Balance, gain: float = 1.0, stiffness: float = 0.0):
         self._balance, self._gain, self._stiffness = balance, gain, stiffness
         self._hamiltonian, self._places = balance.steps.hamiltonian, balance.steps.places
-        self._energy = float(self._hamiltonian.energy(*np.split(balance.goal[0], 2)))
+        self._energy = float(self._hamiltonian.energy(*np.split(balance.at[0], 2)))
         self.mode, self.cost = 'energy', math.nan
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
@@ -65,7 +65,7 @@ class EnergyShaping:
             u = balance.act(z)
             self.mode, self.cost = balance.mode, balance.cost
             return u
-        away = deviation(self._hamiltonian, z, balance.goal[0])
+        away = deviation(self._hamiltonian, z, balance.at[0])
         stretched, y = self._places @ away[:q.size], self._places @ np.asarray(v)
         if np.abs(y).max() < _PUSH:
             y = np.full(y.size, _PUSH)

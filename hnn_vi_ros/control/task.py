@@ -6,32 +6,36 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import reduce
+from functools import cached_property, reduce
 from operator import add
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
 
+from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.control.balance import Balance, weights_of
 from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
 from hnn_vi_ros.control.energy_shaping import EnergyShaping
+from hnn_vi_ros.control.hover import Hover
 from hnn_vi_ros.control.ilqr import Ilqr, Regulator
 from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
 from hnn_vi_ros.control.mppi import Mppi
-from hnn_vi_ros.errors import DataError, did_you_mean, listed, UnsupportedSystem
+from hnn_vi_ros.errors import DataError, did_you_mean, listed, SceneError, UnsupportedSystem
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.system import System
 import numpy as np
 from pydantic import Field, model_validator
 
 Name = Annotated[str, Field(min_length=1, max_length=256)]
 Place = Annotated[list[float], Field(min_length=3, max_length=3)]
-Weights = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(
-    min_length=1, max_length=100)]
+Weight = Annotated[float, Field(ge=0.0, le=1e9)]
+Weights = Annotated[list[Weight], Field(min_length=1, max_length=100)]
+_ROTORS = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
 # Commands are held while a model takes steps that fit into their time [1].
 _FITS = 1e-6
 
@@ -55,10 +59,9 @@ class Goal(StrictModel):
     held: bool = Field(False, description=(
         'whether commands hold the coordinates exactly there, against forces; without it the '
         'state is one that needs none'))
-    position: Weights | None = Field(None, description=(
-        'weight of the deviation of each coordinate; default: 1'))
-    velocity: Weights | None = Field(None, description=(
-        'weight of the deviation of each velocity; default: 0.1'))
+    position: Weight | Weights = Field(1.0, description=(
+        'weight of deviations of coordinates, for the linear regulator: one, or one for each'))
+    velocity: Weight | Weights = Field(0.1, description='the same of velocities')
 
 
 class Stepping(StrictModel):
@@ -68,31 +71,60 @@ class Stepping(StrictModel):
     step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
 
 
-class Means(NamedTuple):
+class Means:
     """
-    Parts that controllers and costs are made of.
+    What controllers and costs are made of; each part is made when it is first asked for.
 
     Parameters
     ----------
-    steps : BatchStep
-        Steps of the model, each as long as a command is held.
+    task : Task
+        With inputs and goal.
+    scene : Scene
+        The model with these inputs.
+    hold : int
+        Steps that each command lasts.
+
+    Attributes
+    ----------
     limits : np.ndarray, shape (c,)
         Largest size of each command.
-    balance : Balance or None
-        The regulator of the goal, if the task has one.
 
     """
 
-    steps: BatchStep
-    limits: np.ndarray
-    balance: Balance | None
+    def __init__(self, task: 'Task', scene: Scene, hold: int):
+        self.task, self.scene, self._hold = task, scene, hold
+        self.limits = np.array([*task.inputs.values()])
 
-    @property
+    @cached_property
+    def steps(self) -> BatchStep:
+        """Return the steps of the model, each as long as a command is held."""
+        return BatchStep(self.scene, self._hold)
+
+    @cached_property
     def goal(self) -> Balance:
-        """Return the regulator, or raise ValueError."""
-        if self.balance is None:
+        """Return the regulator of the goal, or raise ValueError."""
+        goal, steps = self.task.goal, self.steps
+        if goal is None:
             raise ValueError('needs a goal: give one, as in goal: {near: {angle: 3.14}}')
-        return self.balance
+        names, near = columns(steps.hamiltonian.coordinates)[0], [*self.scene.initial_state.q]
+        for name, value in goal.near.items():
+            if name not in names:
+                raise ValueError(f'the goal names {name}{did_you_mean(name, names)}; '
+                                 f'coordinates: {listed(names)}')
+            near[names.index(name)] = value
+        at = find_equilibrium(steps, near, [] if goal.held else None, goal.held)
+        return Balance(steps, at, self.limits, spread_over(steps, 'goal.position', goal.position),
+                       spread_over(steps, 'goal.velocity', goal.velocity))
+
+
+def spread_over(steps: BatchStep, key: str, weights: float | Sequence[float]) -> np.ndarray:
+    """Return a weight for each coordinate, shape (d,), or raise ValueError."""
+    found = np.array(weights, dtype=np.float64)
+    if found.shape not in ((), (steps.dimension,)):
+        names = listed(one.name for one in steps.hamiltonian.coordinates)
+        raise ValueError(f'{key} has {found.size} weights, expected one, or one for each '
+                         f'coordinate: {names}')
+    return np.broadcast_to(found, steps.dimension)
 
 
 class _Term(StrictModel):
@@ -116,15 +148,16 @@ class QuadraticChoice(_Term):
     """Squares of deviations from the goal, and of commands."""
 
     kind: Literal['quadratic'] = Field(description='weighted squares of deviations from the goal')
-    position: float | Weights = Field(0.0, description='weight of each coordinate')
-    velocity: float | Weights = Field(0.0, description='weight of each velocity')
+    position: Weight | Weights = Field(0.0, description='of coordinates: one, or one for each')
+    velocity: Weight | Weights = Field(0.0, description='of velocities: one, or one for each')
     command: float = Field(0.0, ge=0.0, description='weight of each command over its limit')
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
-        at = means.goal.goal
+        at = means.goal.at
         return Quadratic(means.steps.hamiltonian, at, weights_of(
-            means.steps, at, self.position, self.velocity),
+            means.steps, at, spread_over(means.steps, 'position', self.position),
+            spread_over(means.steps, 'velocity', self.velocity)),
             self.command * np.diag(means.limits**-2.0))
 
 
@@ -149,7 +182,7 @@ class RegulatedChoice(_Term):
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
         c = means.steps.commands
-        return Quadratic(means.steps.hamiltonian, means.goal.goal, means.goal.value,
+        return Quadratic(means.steps.hamiltonian, means.goal.at, means.goal.value,
                          np.zeros((c, c)))
 
 
@@ -160,7 +193,7 @@ class EnergyCostChoice(_Term):
 
     def cost(self, means: Means) -> Cost:
         """Return the cost."""
-        return Energy(means.steps.hamiltonian, means.goal.goal[0])
+        return Energy(means.steps.hamiltonian, means.goal.at[0])
 
 
 class KineticChoice(_Term):
@@ -231,6 +264,21 @@ class EnergyShapingChoice(StrictModel):
         return EnergyShaping(means.goal, self.gain, self.stiffness)
 
 
+class HoverChoice(StrictModel):
+    """The flight of a quadrotor."""
+
+    kind: Literal['hover'] = Field(description='a quadrotor flies to a place and stays there')
+    place: Place = Field(description='x, y and z, upwards [m]')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        body = means.scene.hamiltonian
+        if body.kind != 'quadrotor' or [*means.task.inputs] != _ROTORS:
+            raise ValueError(f'hover flies a quadrotor by the inputs {listed(_ROTORS)}, not '
+                             f'{body.kind} by {listed(means.task.inputs)}')
+        return Hover(body.mass, body.mass * body.gravity, body.inertia, self.place)
+
+
 class _Planning(StrictModel):
     """A plan over a horizon."""
 
@@ -259,7 +307,7 @@ class IlqrChoice(_Planning):
     def make(self, means: Means) -> Controller:
         """Return the controller."""
         regulator = None if self.regulate_below is None else Regulator(
-            means.goal.goal, means.goal.gain, self.regulate_below)
+            means.goal.at, means.goal.gain, self.regulate_below)
         return Ilqr(*self.parts(means), regulator, self.budget, restarts=self.restarts,
                     refined=self.refined, seed=self.seed)
 
@@ -296,7 +344,7 @@ class Task(StrictModel):
         'stop: they are zero; hold: the last one is repeated'))
     goal: Goal | None = Field(None, description='the state at rest to reach')
     stepping: Stepping | None = Field(None, description='the steps of the model')
-    controller: LqrChoice | EnergyShapingChoice | IlqrChoice | MppiChoice = Field(
+    controller: LqrChoice | EnergyShapingChoice | HoverChoice | IlqrChoice | MppiChoice = Field(
         discriminator='kind', description='what computes the commands')
 
     @model_validator(mode='after')
@@ -347,16 +395,16 @@ class Prediction:
 
     Parameters
     ----------
-    steps : BatchStep
-        Single steps of the model.
+    steps : BatchStep or None
+        Single steps of the model; None without a delay.
     delay : float
         From a state to when its command acts [s], rounded to steps.
 
     """
 
-    def __init__(self, steps: BatchStep, delay: float):
-        self._steps, self._count = steps, round(delay / steps.duration)
-        self.delay = self._count * steps.duration
+    def __init__(self, steps: BatchStep | None, delay: float):
+        self._steps, self._count = steps, round(delay / steps.duration) if steps else 0
+        self.delay = self._count * steps.duration if steps else 0.0
         # When commands act, and they, newest last.
         self._sent: deque[tuple[float, np.ndarray]] = deque()
 
@@ -371,17 +419,15 @@ class Prediction:
     def __call__(self, t: float, q: np.ndarray, v: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
         """Return q and v, shape (d,) each, when the command to a state at a time [s] acts."""
-        if not self._count:
+        if self._steps is None or not self._count:
             return q, v
-        z = np.concatenate([q, momentum(self._steps, q, v)])
-        h, half = self._steps.duration, 0.5 * self._steps.duration
-        for k in range(self._count):
-            begin = t + k * h
-            while len(self._sent) > 1 and self._sent[1][0] < begin + half:
-                self._sent.popleft()
-            acting = self._sent and self._sent[0][0] < begin + half
-            z = self._steps(z, self._sent[0][1] if acting else np.zeros(self._steps.commands),
-                            begin)
+        z, h = np.concatenate([q, momentum(self._steps, q, v)]), self._steps.duration
+        # A command acts in the step that begins nearest to its time.
+        while len(self._sent) > 1 and self._sent[1][0] < t + 0.5 * h:
+            self._sent.popleft()
+        for begin in t + h * np.arange(self._count):
+            acting = [u for since, u in self._sent if since < begin + 0.5 * h]
+            z = self._steps(z, acting[-1] if acting else np.zeros(self._steps.commands), begin)
         q, p = np.split(z, 2)
         return q, velocity(self._steps, q, p)
 
@@ -447,54 +493,37 @@ class _Assigning:
         others = [effect.model_dump(by_alias=True) for effect in scene.effects
                   if effect.kind != 'external_force']
         force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
-        self.scene = scene.changed({'effects': [*others, force]})
-        if task.stepping is not None:
-            self.scene = self.scene.with_overrides(
-                task.stepping.step_size, task.stepping.integrator)
+        with self._placed('stepping'):
+            self.scene, _ = resolve(scene.changed({'effects': [*others, force]}) if (
+                stepping := task.stepping) is None else scene.changed(
+                    {'effects': [*others, force]}).with_overrides(
+                        stepping.step_size, stepping.integrator))
         numbers = own[0].coordinates if own and own[0].coordinates else [*task.inputs]
         self._numbers = [*numbers, *(name for name in task.inputs if name not in numbers)]
 
     def assignment(self) -> Assignment:
-        task, step = self._task, BatchStep(self.scene)
-        hold = round(task.period / step.duration)
-        if hold < 1 or abs(hold * step.duration - task.period) > _FITS * task.period:
+        """Return it, ready."""
+        task, h = self._task, self.scene.known_step_size
+        with self._placed('inputs'):
+            parts = self.scene.parts()
+            System(parts.hamiltonian, parts.effects, parts.integrator)
+        hold = round(task.period / h)
+        if hold < 1 or abs(hold * h - task.period) > _FITS * task.period:
             raise self._wrong(f'{task.period:g} s must be a multiple of the step size of the '
-                              f'model, {step.duration:g} s; see stepping', 'period')
-        steps, limits = BatchStep(step.scene, hold), np.array([*task.inputs.values()])
-        with self._placed('goal'):
-            balance = None if task.goal is None else Balance(
-                steps, self._rest(task.goal, step), limits,
-                self._weights(task.goal, 'position', step, 1.0),
-                self._weights(task.goal, 'velocity', step, 0.1))
+                              f'model, {h:g} s; see stepping', 'period')
         with self._placed('controller'):
-            controller = task.controller.make(Means(steps, limits, balance))
-        return Assignment(task, self.scene, steps.hamiltonian, controller,
-                          Prediction(step, task.delay), self._numbers)
-
-    def _rest(self, goal: Goal, step: BatchStep) -> tuple[np.ndarray, np.ndarray]:
-        names, _ = columns(step.hamiltonian.coordinates)
-        near = np.array(self.scene.initial_state.q)
-        for name, value in goal.near.items():
-            if name not in names:
-                raise self._wrong(f'no such coordinate{did_you_mean(name, names)}; valid: '
-                                  f'{listed(names)}', 'goal', 'near', name)
-            near[names.index(name)] = value
-        return find_equilibrium(step, near, [] if goal.held else None, goal.held)
-
-    def _weights(self, goal: Goal, key: Literal['position', 'velocity'], step: BatchStep,
-                 default: float) -> Sequence[float]:
-        given = getattr(goal, key)
-        if given is not None and len(given) != step.dimension:
-            raise self._wrong(f'{len(given)} weights, expected {step.dimension}, one for each '
-                              'coordinate', 'goal', key)
-        return [default] * step.dimension if given is None else given
+            controller = task.controller.make(Means(task, self.scene, hold))
+        with self._placed('delay'):
+            prediction = Prediction(BatchStep(self.scene) if task.delay else None, task.delay)
+        return Assignment(task, self.scene, parts.hamiltonian, controller, prediction,
+                          self._numbers)
 
     @contextmanager
     def _placed(self, key: str) -> Iterator[None]:
         """Add where it stands in the task to what is wrong with a part of it."""
         try:
             yield
-        except (ValueError, UnsupportedSystem) as problem:
+        except (ValueError, SceneError, UnsupportedSystem) as problem:
             raise self._wrong(str(problem), key) from problem
 
     def _wrong(self, text: str, *key: str) -> DataError:

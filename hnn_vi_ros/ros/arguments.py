@@ -8,7 +8,7 @@ from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros.settings import (
-    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
+    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS, Specification)
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
@@ -27,8 +27,6 @@ _CONTROLLER = """\
 It hears joint_states, or /hnn_simulator/state of bodies that turn, and commands
 /hnn_simulator/joint_commands, or /hnn_simulator/commands. It publishes /diagnostics. Services:
 those of its lifecycle."""
-_HOVER = """\
-It subscribes to /hnn_simulator/odometry and answers each message on /hnn_simulator/commands."""
 _LISTENER = """\
 It subscribes to /hnn_simulator/energy, and has no parameters."""
 
@@ -93,14 +91,6 @@ def controller() -> Parser:
         'ros2 run hnn_vi_ros controller --ros-args -r joint_states:=/robot/joint_states '
         '-p simulator:=/robot'],
         _details(_CONTROLLER, CONTROLLER_PARAMETERS))
-
-
-def hover() -> Parser:
-    """Return the parser of ``hover``."""
-    return Parser('hover', 'Fly the scene quadrotor to a place and hold it there.', [
-        'ros2 run hnn_vi_ros hover',
-        'ros2 run hnn_vi_ros hover --ros-args -p x:=0.0 -p y:=0.0 -p z:=5.0'],
-        _details(_HOVER, HOVER_PARAMETERS))
 
 
 def listener() -> Parser:

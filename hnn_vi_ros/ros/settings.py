@@ -207,20 +207,11 @@ class ControllerSettings:
         'name, or commands, the numbers of all of them', choices=('joint_commands', 'commands'))
 
 
-@dataclass(frozen=True)
-class HoverSettings:
-    """Point where the quadrotor is to be held."""
-
-    x: float = parameter(1.0, 'of the place that it is led to', 'm', -1e3, 1e3)
-    y: float = parameter(-1.0, 'the same', 'm', -1e3, 1e3)
-    z: float = parameter(12.0, 'the same; upwards', 'm', -1e3, 1e3)
-
-
 PARAMETERS = specifications(Settings)
 # The other nodes take theirs when they start.
-BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS, HOVER_PARAMETERS = (
+BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
     tuple(replace(item, changes=START) for item in specifications(settings))
-    for settings in (BridgeSettings, ControllerSettings, ReplaySettings, HoverSettings))
+    for settings in (BridgeSettings, ControllerSettings, ReplaySettings))
 
 
 def shown(value: Value) -> str:

@@ -247,7 +247,7 @@ def test_parameter_in_the_manner_of_launch_is_refused_with_that_of_ros(words):
 
 
 @pytest.mark.parametrize('executable', [
-    'simulator', 'replay', 'rerun_bridge', 'listener', 'hover'])
+    'simulator', 'replay', 'rerun_bridge', 'listener', 'controller'])
 @pytest.mark.parametrize('words, what', [
     (['--ros-args', '-p', 'integratr:=rk4'], 'integratr'), (['scene:=kepler'], 'scene:=kepler'),
     (['--ros-args', 'scene:=kepler'], 'scene:=kepler'), (['--ros-args', '-p', 'x'], '-p x')])
