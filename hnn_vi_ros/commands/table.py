@@ -22,10 +22,9 @@ GROUPS = {
         'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
         'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint'},
     'control': {
-        'hover': 'hnn_vi_ros.ros.hover_node'},
+        'controller': 'hnn_vi_ros.ros.controller_node'},
     'ROS': {
         'simulator': 'hnn_vi_ros.ros.simulator_node',
-        'controller': 'hnn_vi_ros.ros.controller_node',
         'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
         'listener': 'hnn_vi_ros.ros.listener_node'},
     'data': {

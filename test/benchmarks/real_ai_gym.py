@@ -8,7 +8,7 @@ acrobot. Fifteen times both joints are pushed for 0.2 s towards random angles. T
 share of the time in which the tip is above 0.9 of its greatest height. Real time is enforced: a
 command acts when its plan is found, by the processor time that it took.
 
-    .venv/bin/python -m test.benchmarks.real_ai_gym acrobot --seeds 10
+    cd test && ../.venv/bin/python -m benchmarks.real_ai_gym acrobot --seeds 10
 """
 
 import argparse
@@ -20,10 +20,10 @@ import math
 from pathlib import Path
 import tempfile
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.control import (
-    BatchStep, find_equilibrium, Ilqr, Kinetic, linearise, lqr, momentum, Mppi, Point, Quadratic,
+    BatchStep, find_equilibrium, Ilqr, Kinetic, linearise, lqr, momentum, Point, Quadratic,
     Regulator, velocity)
 from hnn_vi_ros.learning.scene_numbers.identify import main as identify
 from hnn_vi_ros.scene import Scene
@@ -175,18 +175,21 @@ def predictor(scene: Scene, steps: int) -> Callable[[np.ndarray, np.ndarray], np
     return predict
 
 
-def ilqr(scene: Scene, hold: int, horizon: int, budget: float, wf=6.0, half=20.0, below=.66, kin=.01, wv=.1, wu=.1, sat=.1, **options: float) -> Ilqr:
-    """Return the planner of part 15, with the regulator at the top."""
+def ilqr(scene: Scene, hold: int, horizon: int, budget: float, kinetic: float = 0.01,
+         **options: Any) -> Ilqr:
+    """Return the planner, with the regulator at the top."""
     steps = BatchStep(scene, hold)
     at = find_equilibrium(steps, [np.pi, 0.0])
     a, b = linearise(steps, at, hold=hold)
-    gain, cost = lqr(a, b, np.diag([1.0, 1.0, wv, wv]), wu * np.eye(1), discrete=True)
+    gain, cost = lqr(a, b, np.diag([1.0, 1.0, 0.1, 0.1]), 0.1 * np.eye(1), discrete=True)
     model = steps.hamiltonian
-    tip = Point.chain(LENGTHS, [0.0, 0.0, 0.5], relative=True).saturating(sat)
-    running = tip + kin * Kinetic(model) + Quadratic(model, at, np.zeros((4, 4)), [[1e-4]])
-    final = wf * Quadratic(model, at, cost, [[0.0]]).saturating(half)
-    return Ilqr(steps, running, final, horizon, ([-TORQUE], [TORQUE]), Regulator(at, gain, below),
-                budget, clock=time.thread_time, **options)
+    tip = Point.chain(LENGTHS, [0.0, 0.0, sum(LENGTHS)], relative=True).saturating(0.1)
+    running = tip + kinetic * Kinetic(model) + Quadratic(
+        model, at, np.zeros((4, 4)), [[1e-4]])
+    final = 6.0 * Quadratic(model, at, cost, [[0.0]]).saturating(20.0)
+    # Where the cost of the tip's place stays below, the tip is above the line.
+    return Ilqr(steps, running, final, horizon, ([-TORQUE], [TORQUE]),
+                Regulator(at, gain, 0.66), budget, clock=time.thread_time, **options)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -200,12 +203,14 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--hold', type=int, default=1, help='steps of the method in 0.02 s')
     parser.add_argument('--horizon', type=int, default=55, help='commands of 0.02 s')
     parser.add_argument('--budget', type=float, default=0.0145, help='of a plan [s]')
+    parser.add_argument('--kinetic', type=float, default=0.01, help='weight of kinetic energy')
     chosen = parser.parse_args(argv)
     scores = []
     for seed in range(chosen.first, chosen.first + chosen.seeds):
         numbers = NUMBERS if chosen.model == 'exact' else identified(chosen.robot, seed)
         scene = scene_of(chosen.robot, PERIOD / chosen.hold, chosen.method, numbers)
-        controller = ilqr(scene, chosen.hold, chosen.horizon, chosen.budget, seed=seed)
+        controller = ilqr(scene, chosen.hold, chosen.horizon, chosen.budget, chosen.kinetic,
+                          seed=seed)
         controller(np.zeros(2), np.zeros(2), 0.0)
         found = run(chosen.robot, seed, controller, predictor(
             scene_of(chosen.robot, 0.005, 'rk4', numbers), 4))
