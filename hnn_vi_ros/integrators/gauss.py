@@ -216,7 +216,8 @@ def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
     width = problem.kernel.dimension
     d = width - problem.kernel.channels
     m, at, sums = 2 * d, 0, problem.work.sums
-    factors, products, inverses = problem.work.factors, problem.work.products, problem.work.inverses
+    factors, products = problem.work.factors, problem.work.products
+    inverses = problem.work.inverses
     for i in range(0, n, width):
         for j in range(2 * s):
             for a in range(j * n + i, j * n + i + d):
@@ -404,8 +405,8 @@ class Gauss(Collocation):
         """Return the workspace of the equation; see Integrator."""
         (size,) = self.unknowns(n)
         kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
-        return (GaussWork(kept, SolverWork.empty(size, dtype), ModesWork.empty(self.stages, n, dtype),
-                          np.zeros(size, dtype)),)
+        return (GaussWork(kept, SolverWork.empty(size, dtype),
+                          ModesWork.empty(self.stages, n, dtype), np.zeros(size, dtype)),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
