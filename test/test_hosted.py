@@ -44,7 +44,8 @@ def test_package_is_built_on_each_distribution_that_is_taken():
     taken = re.search(r'^    (jazzy( \| \w+)*)\)$', (ROOT / 'requirements/make_venv').read_text(),
                       re.MULTILINE)
     assert job['strategy']['matrix']['distribution'] == taken[1].split(' | ')
-    files = re.findall(r'\$TARGET_REPO_PATH/(\S+)', job['env']['AFTER_INSTALL_TARGET_DEPENDENCIES'])
+    files = re.findall(r'\$TARGET_REPO_PATH/(\S+)',
+                       job['env']['AFTER_INSTALL_TARGET_DEPENDENCIES'])
     assert len(files) == 4 and all((ROOT / file).is_file() for file in files)
 
 
