@@ -14,8 +14,8 @@ from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 from hnn_vi_ros.simulation import Sample
 import numpy as np
 
-# More debt than this is given up: the run is then slower than asked, but loses no step [s]. Of a
-# clock that others set, whose second may pass in a tenth of one, a stall of the machine asks for more.
+# More debt than this is given up: the run is then slower than asked, but loses no step [s]. A
+# clock that others set may be ten times as fast, so that a short stall makes more of it.
 LARGEST_DEBT, LARGEST_DEBT_TO_OTHERS = 1.0, 10.0
 # One timer call works at most this long: a request may wait for two of them [s].
 LONGEST_CALL = 0.01
@@ -91,7 +91,9 @@ class Pacer:
     @property
     def wait(self) -> float:
         """Return the wall time until the next tick is due [s]; endless if others decide that."""
-        return math.inf if self.led else self._origin + (self._done + 1) * self._wall_per_tick - self._now()
+        if self.led:
+            return math.inf
+        return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
 
     def due(self) -> bool:
         """Return whether one more tick is due; if so, it counts as taken."""
@@ -136,9 +138,9 @@ class OverrunGuard(Guard):
             return None
         self._seen = overruns
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
-                     f'{overruns} overruns: more than {self._pacer.largest_debt:g} s behind the clock, which '
-                     'is given up; use a lower real_time_factor or publish_rate, a larger '
-                     'step_size or a cheaper integrator', '1')
+                     f'{overruns} overruns: more than {self._pacer.largest_debt:g} s behind the '
+                     'clock, which is given up; use a lower real_time_factor or publish_rate, '
+                     'a larger step_size or a cheaper integrator', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -168,14 +168,14 @@ def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_p
 
 
 @pytest.mark.parametrize('name, value, words', [
-    ('publish_clock', 'true', 'cannot follow the /clock that it publishes; set it, or publish_'),
+    ('publish_clock', 'true', 'the simulator cannot follow the /clock that it publishes; set '),
     ('real_time_factor', '0.0', 'real_time_factor = 0 follows no clock; set it to the simulated')])
 def test_clock_that_cannot_be_followed_is_one_line(tmp_path: Path, name: str, value: str,
                                                    words: str):
     status, _, error = finish(start(
         tmp_path, scene='exact_pendulum', use_sim_time=True, **{name: value}))
     assert status == 1 and error.count('\n') == 1
-    assert f'parameter use_sim_time = true: {"the simulator " * ("cannot" in words)}{words}' in error
+    assert f'parameter use_sim_time = true: {words}' in error
 
 
 def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):

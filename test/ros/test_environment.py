@@ -11,7 +11,9 @@ import sys
 from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
+from hnn_vi_ros.scene import load_scene
 import pytest
+from recorded import record_run
 
 NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')
 from_wheels = pytest.mark.skipif(
@@ -104,6 +106,12 @@ def test_simulator_runs_where_only_the_interpreter_tells_where_ros_is():
          '-p', 'rerun_sink:=none'], capture_output=True, text=True, timeout=120, check=False,
         env={name: value for name, value in os.environ.items() if name != 'AMENT_PREFIX_PATH'})
     assert (result.returncode, 'Traceback' in result.stderr) == (0, False), result.stderr
+
+
+def test_bag_names_the_distribution_that_it_was_recorded_with(tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'kilted')
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 1)
+    assert '  ros_distro: kilted' in (bag / 'metadata.yaml').read_text()
 
 
 def test_node_says_it_before_ros_ends_the_process():

@@ -11,7 +11,6 @@ from helpers import content_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags import bag_files
 from hnn_vi_ros.bags.mcap_file import McapFile
-from hnn_vi_ros.bags.bag_files import bag_files
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
@@ -313,13 +312,13 @@ def test_split_bag_without_a_description_is_read_in_the_order_of_its_numbers(
     names = [scheme.format(number, 1 + number) for number in range(8, 12)]
     for name in names:
         shutil.copy(run / 'bag_0.mcap', tmp_path / name)
-    assert [path.name for path in bag_files(tmp_path)] == names
+    assert [path.name for path in bag_files.bag_files(tmp_path)] == names
     (tmp_path / names[2]).unlink()
     with pytest.raises(RecordingError, match=f'is number 10, between {names[1]} and {names[3]}'):
-        bag_files(tmp_path)
+        bag_files.bag_files(tmp_path)
     shutil.copy(run / 'bag_0.mcap', tmp_path / scheme.replace('run', 'other').format(10, 11))
     with pytest.raises(RecordingError, match='found 4 files; give one of them'):
-        bag_files(tmp_path)
+        bag_files.bag_files(tmp_path)
 
 
 def test_bag_that_lacks_a_file_between_two_others_is_refused(run, tmp_path):

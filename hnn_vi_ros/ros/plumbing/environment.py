@@ -62,7 +62,7 @@ def settle_ros_environment() -> None:
 
 
 def distribution() -> str:
-    """Return the name of the ROS 2 that Python imports, or the version of its rclpy; '' if none."""
+    """Return the name of the ROS 2 that Python imports, or the version of its rclpy."""
     for name in ('ros-rclpy', 'rclpy'):
         with suppress(metadata.PackageNotFoundError):
             version = metadata.version(name)
