@@ -8,9 +8,10 @@ from pathlib import Path
 import shutil
 import sys
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from gallery import picture_of
-from hnn_vi_ros import load_scene, simulate, simulate_many, simulate_spread
+from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
 from hnn_vi_ros.learning.scene_numbers import identify
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
@@ -164,10 +165,8 @@ def write_fit(path: Path) -> None:
 
 def write_bands(path: Path) -> None:
     """Draw the error of an ensemble and its bands; `train --ensemble` made it, in models/."""
-    scene = load_scene('pendulum').with_overrides(
-        hamiltonian={'kind': 'learned', 'model': str(HERE.parent / 'models' / _ENSEMBLE)},
-        integrator={'kind': 'gauss8'}, uncertainty={})
-    found = simulate_spread(scene, 60.0, every=10)
+    scene = _learned(HERE.parent / 'models' / _ENSEMBLE, uncertainty={})
+    found = simulate_spread(scene, 60.0, integrator='gauss8', every=10)
     exact = simulate('exact_pendulum', 60.0, integrator='gauss8', every=10,
                      step_size=scene.step_size)
     figure, (axes,) = _figure(3.2)
@@ -176,6 +175,36 @@ def write_bands(path: Path) -> None:
     axes.fill_between(t, -band, band, alpha=0.3, label='band of 90 %')
     axes.set(xlabel='t [s]', ylabel='angle [rad]')
     axes.legend(loc='upper left')
+    figure.savefig(path, dpi=110)
+
+
+def write_learned(path: Path) -> None:
+    """Train on a log by the configuration of the tutorial, and draw the model's motion."""
+    # Imported here: the other pictures need no torch.
+    from hnn_vi_ros.learning import train
+    rng, rows = np.random.default_rng(0), []
+    for k, angle in enumerate(np.linspace(0.3, 2.4, 8)):
+        run = simulate('exact_pendulum', 3.0, integrator='gauss8', step_size=0.01,
+                       initial_state=([angle], [0.0]))
+        rows.append(np.column_stack([np.full(len(run.t), k), run.t,
+                                     np.hstack([run.q, run.p]) + rng.normal(
+                                         0.0, 1e-3, (len(run.t), 2))]))
+    text = (HERE / 'tutorials' / 'train.md').read_text(encoding='utf-8')
+    with TemporaryDirectory() as folder:
+        log, config, model = (Path(folder) / f'pendulum.{end}' for end in (
+            'csv', 'yaml', 'safetensors'))
+        np.savetxt(log, np.vstack(rows), '%.6g', ',', header='swing,t,angle,momentum', comments='')
+        config.write_text(text.partition('```yaml\n')[2].partition('```')[0], encoding='utf-8')
+        train.main(['--config', str(config), '--data', str(log), '--out', str(model)])
+        scene = _learned(model)
+        runs = [simulate(one, 10.0, integrator='gauss8', initial_state=([1.0], [0.0]))
+                for one in (load_scene('exact_pendulum'), scene)]
+    figure, (axes,) = _figure(3.2)
+    for run, line, label in zip(runs, ('-', '--'), ('pendulum', 'learned from the log'),
+                                strict=True):
+        axes.plot(run.t, run.q[:, 0], line, label=label)
+    axes.set(xlabel='t [s]', ylabel='angle [rad]')
+    figure.legend(loc='outside upper right', ncols=2)
     figure.savefig(path, dpi=110)
 
 
@@ -208,6 +237,12 @@ def write_flow(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def _learned(model: Path, **more: Any) -> Scene:
+    """Return the scene of a learned pendulum."""
+    return load_scene('pendulum').changed(
+        {'hamiltonian': {'kind': 'learned', 'model': str(model)}, **more})
+
+
 def _figure(height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels above each other, and those."""
     figure = Figure(figsize=(8.0, height), layout='constrained')
@@ -221,6 +256,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     'scenes.png': write_strip, 'double_pendulum.gif': write_moving, 'hover.png': write_hover,
     'sensitivity.png': write_sensitivity, 'orders.png': write_orders, 'sweep.png': write_sweep,
     'architecture.png': write_flow, 'identify_fit.png': write_fit, 'uncertainty.png': write_bands,
+    'tutorials/csv.png': write_learned,
     'tutorials/oscillator.png': partial(write_run, name='harmonic_oscillator', duration=20.0),
     'tutorials/arm.png': partial(write_run, name='two_joint_arm', duration=5.0)}
 
