@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from functools import partial
+import json
 from pathlib import Path
 import shutil
 import sys
@@ -208,6 +209,28 @@ def write_learned(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def write_machines(path: Path) -> None:
+    """Draw the errors of models of machines over those that others reached."""
+    rows = [row for row in json.loads((HERE / 'learning' / 'machines.json').read_text('utf-8'))
+            if row['measure'].startswith('RMS')]
+    figure, (axes,) = _figure(0.3 * len(rows) + 1.0)
+    for k, row in enumerate(rows):
+        for values, mark, label in ((row['ours'], 'o', 'ours'), (
+                row['baselines']['plain network'], 'x', 'a plain network')):
+            axes.plot(np.divide(values, row['reference']), [k] * len(values), mark, color={
+                'o': '#0072b2', 'x': '#d55e00'}[mark], label='' if k else label)
+    axes.axvline(1.0, color='grey', linestyle=':', label='the best of others')
+    axes.set_xscale('log', base=2)
+    axes.set(xlabel='error of each joint over the best of others', yticks=range(len(rows)),
+             yticklabels=[f'{row["case"].removeprefix("real ")}, {row["model"]}: '
+                          f'{row["measure"].removeprefix("RMS error [rad] ")}' for row in rows])
+    axes.xaxis.set_major_formatter('{x:g}')
+    axes.tick_params('y', labelsize=8)
+    axes.invert_yaxis()
+    figure.legend(loc='outside upper right', ncols=3, fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
 def write_flow(path: Path) -> None:
     """Draw what becomes of a scene: boxes by column and row, and the arrows between them."""
     boxes = {
@@ -256,7 +279,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     'scenes.png': write_strip, 'double_pendulum.gif': write_moving, 'hover.png': write_hover,
     'sensitivity.png': write_sensitivity, 'orders.png': write_orders, 'sweep.png': write_sweep,
     'architecture.png': write_flow, 'identify_fit.png': write_fit, 'uncertainty.png': write_bands,
-    'tutorials/csv.png': write_learned,
+    'machines.png': write_machines, 'tutorials/csv.png': write_learned,
     'tutorials/oscillator.png': partial(write_run, name='harmonic_oscillator', duration=20.0),
     'tutorials/arm.png': partial(write_run, name='two_joint_arm', duration=5.0)}
 
