@@ -1,13 +1,24 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of README and tutorials: `python docs/pictures.py` in the environment writes them."""
+"""Pictures of pages: `python docs/pictures.py [NAME ...]` in the environment writes them."""
 
+from collections.abc import Callable
+from functools import partial
+import json
 from pathlib import Path
+import shutil
+import sys
+from tempfile import TemporaryDirectory
+from typing import Any
 
 from gallery import picture_of
-from hnn_vi_ros import load_scene, simulate
+from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
 from hnn_vi_ros.control.task import assign
+from hnn_vi_ros.learning.scene_numbers import identify
 from hnn_vi_ros.simulation.build import build
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 import numpy as np
 from PIL import Image, ImageDraw
 from sketch import sketch
@@ -19,6 +30,9 @@ SCENES = ('double_pendulum', 'kepler', 'henon_heiles', 'fput_chain', 'heavy_top'
 _SIDE, _TITLE, _GAP = 260, 26, 8
 # Of the moving picture: simulated time [s], pictures a second [Hz], and how many colours.
 _SECONDS, _RATE, _COLOURS = 6.0, 15.0, 32
+# In models/: `hnn train --ensemble 5` with the configuration pendulum, two layers of 32 and 300
+# steps of L-BFGS makes it.
+_ENSEMBLE = 'pendulum5.safetensors'
 
 
 def write_strip(path: Path) -> None:
@@ -73,7 +87,195 @@ def write_hover(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def write_run(path: Path, name: str, duration: float) -> None:
+    """Draw the series of a shipped scene, as `hnn run --plot` does."""
+    simulate(load_scene(name), duration=duration).plot().savefig(path, dpi=90)
+
+
+def write_sensitivity(path: Path) -> None:
+    """Draw the angle of a pendulum, and its derivatives by the initial angle and the length."""
+    # Imported here: the other pictures need no torch.
+    from hnn_vi_ros.torch import DifferentiableSimulation
+    import torch
+    simulation = DifferentiableSimulation('exact_pendulum', ['hamiltonian.length'])
+    angle, length = (torch.tensor(value, dtype=torch.float64, requires_grad=True)
+                     for value in ([2.5], 1.0))
+    motion = simulation(angle, torch.zeros(1, dtype=torch.float64), duration=10.0, every=10,
+                        parameters={'hamiltonian.length': length})
+    figure, panels = _figure(3.6, rows=3)
+    panels[0].plot(motion.t, motion.q.detach())
+    for axes, unknown in zip(panels[1:], (angle, length), strict=True):
+        axes.plot(motion.t, [torch.autograd.grad(q, unknown, retain_graph=True)[0].item()
+                             for q in motion.q[:, 0]])
+    for axes, title in zip(panels, ('angle [rad]', 'its derivative by the initial angle',
+                                    'its derivative by the length [rad/m]'), strict=True):
+        axes.set_title(title, loc='left', fontsize=9)
+    panels[-1].set_xlabel('t [s]')
+    figure.savefig(path, dpi=110)
+
+
+def write_orders(path: Path) -> None:
+    """Draw the error after a second of a non-separable system over the step size."""
+    def end(method: str, steps: int) -> np.ndarray:
+        run = simulate('tao', 1.0, integrator=method, step_size=1.0 / steps)
+        return np.append(run.q[-1], run.p[-1])
+
+    exact, steps = end('gauss16', 64), np.array([8, 16, 32, 64, 128, 256])
+    figure, (axes,) = _figure(4.2)
+    for method, mark in zip(('variational_euler', 'generalized_leapfrog', 'yoshida4', 'gauss4',
+                             'gauss6', 'gauss8'), 'os^Dv*', strict=True):
+        errors = np.array([np.abs(end(method, n) - exact).max() for n in steps.tolist()])
+        # Less is rounding.
+        shown = errors > 1e-15
+        axes.loglog(1.0 / steps[shown], errors[shown], mark + '-', label=method)
+    axes.set(xlabel='step size h [s]', ylabel='largest error of q and p after 1 s')
+    figure.legend(loc='outside right upper', fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def write_sweep(path: Path) -> None:
+    """Draw the angles at the end of a sweep over initial states."""
+    q, p = (grid.reshape(-1, 1) for grid in np.meshgrid(
+        np.linspace(-3.1, 3.1, 62), np.linspace(-7.0, 7.0, 46)))
+    many = simulate_many('exact_pendulum', q=q, p=p, duration=3.0)
+    figure, (axes,) = _figure(4.2)
+    found = axes.scatter(q, p, c=np.cos(many.q[-1]), cmap='viridis', s=22, marker='s')
+    axes.set(xlabel='initial angle [rad]', ylabel='initial momentum [kg m2/s]')
+    figure.colorbar(found, label='cosine of the angle after 3 s')
+    figure.savefig(path, dpi=110)
+
+
+def write_fit(path: Path) -> None:
+    """Draw what `identify` draws: a fit to noisy data of a damped, driven pendulum."""
+    run = simulate('exact_damped_driven_pendulum', 6.0, every=2)
+    rng = np.random.default_rng(1)
+    with TemporaryDirectory() as folder:
+        data = Path(folder) / 'log.npz'
+        np.savez(data, t=run.t, q=run.q + rng.normal(0.0, 0.05, run.q.shape))
+        identify.main(['exact_damped_driven_pendulum', '--data', str(data), '--free', 'length',
+                       'damping.rate', '--out', f'{folder}/report'])
+        shutil.copyfile(Path(folder) / 'report' / identify.FIT, path)
+
+
+def write_bands(path: Path) -> None:
+    """Draw the error of an ensemble and its bands; `train --ensemble` made it, in models/."""
+    scene = _learned(HERE.parent / 'models' / _ENSEMBLE, uncertainty={})
+    found = simulate_spread(scene, 60.0, integrator='gauss8', every=10)
+    exact = simulate('exact_pendulum', 60.0, integrator='gauss8', every=10,
+                     step_size=scene.step_size)
+    figure, (axes,) = _figure(3.2)
+    t, band = found.mean.t, found.spread_q[:, 0]
+    axes.plot(t, found.mean.q[:, 0] - exact.q[:, 0], label='error of the mean')
+    axes.fill_between(t, -band, band, alpha=0.3, label='band of 90 %')
+    axes.set(xlabel='t [s]', ylabel='angle [rad]')
+    axes.legend(loc='upper left')
+    figure.savefig(path, dpi=110)
+
+
+def write_learned(path: Path) -> None:
+    """Train on a log by the configuration of the tutorial, and draw the model's motion."""
+    # Imported here: the other pictures need no torch.
+    from hnn_vi_ros.learning import train
+    rng, rows = np.random.default_rng(0), []
+    for k, angle in enumerate(np.linspace(0.3, 2.4, 8)):
+        run = simulate('exact_pendulum', 3.0, integrator='gauss8', step_size=0.01,
+                       initial_state=([angle], [0.0]))
+        rows.append(np.column_stack([np.full(len(run.t), k), run.t,
+                                     np.hstack([run.q, run.p]) + rng.normal(
+                                         0.0, 1e-3, (len(run.t), 2))]))
+    text = (HERE / 'tutorials' / 'train.md').read_text(encoding='utf-8')
+    with TemporaryDirectory() as folder:
+        log, config, model = (Path(folder) / f'pendulum.{end}' for end in (
+            'csv', 'yaml', 'safetensors'))
+        np.savetxt(log, np.vstack(rows), '%.6g', ',', header='swing,t,angle,momentum', comments='')
+        config.write_text(text.partition('```yaml\n')[2].partition('```')[0], encoding='utf-8')
+        train.main(['--config', str(config), '--data', str(log), '--out', str(model)])
+        scene = _learned(model)
+        runs = [simulate(one, 10.0, integrator='gauss8', initial_state=([1.0], [0.0]))
+                for one in (load_scene('exact_pendulum'), scene)]
+    figure, (axes,) = _figure(3.2)
+    for run, line, label in zip(runs, ('-', '--'), ('pendulum', 'learned from the log'),
+                                strict=True):
+        axes.plot(run.t, run.q[:, 0], line, label=label)
+    axes.set(xlabel='t [s]', ylabel='angle [rad]')
+    figure.legend(loc='outside upper right', ncols=2)
+    figure.savefig(path, dpi=110)
+
+
+def write_machines(path: Path) -> None:
+    """Draw the errors of models of machines over those that others reached."""
+    rows = [row for row in json.loads((HERE / 'learning' / 'machines.json').read_text('utf-8'))
+            if row['measure'].startswith('RMS')]
+    figure, (axes,) = _figure(0.3 * len(rows) + 1.0)
+    for k, row in enumerate(rows):
+        for values, mark, label in ((row['ours'], 'o', 'ours'), (
+                row['baselines']['plain network'], 'x', 'a plain network')):
+            axes.plot(np.divide(values, row['reference']), [k] * len(values), mark, color={
+                'o': '#0072b2', 'x': '#d55e00'}[mark], label='' if k else label)
+    axes.axvline(1.0, color='grey', linestyle=':', label='the best of others')
+    axes.set_xscale('log', base=2)
+    axes.set(xlabel='error of each joint over the best of others', yticks=range(len(rows)),
+             yticklabels=[f'{row["case"].removeprefix("real ")}, {row["model"]}: '
+                          f'{row["measure"].removeprefix("RMS error [rad] ")}' for row in rows])
+    axes.xaxis.set_major_formatter('{x:g}')
+    axes.tick_params('y', labelsize=8)
+    axes.invert_yaxis()
+    figure.legend(loc='outside upper right', ncols=3, fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def write_flow(path: Path) -> None:
+    """Draw what becomes of a scene: boxes by column and row, and the arrows between them."""
+    boxes = {
+        'scene.yaml': (0, 1, ''), 'Scene': (1, 1, 'scene/'),
+        'model.safetensors': (0, 0, ''), 'Kernel of H': (1, 0, 'models/, hamiltonians/,\nkernels/'),
+        'Simulation': (2, 1, 'simulation/,\nintegrators/, effects/'),
+        'Trajectory': (3, 0, 'trajectory/, gradients/,\nsweeps/'), 'Run': (3, 1, 'run/, ros/run/'),
+        'alarms': (4, 2, 'guards/'), 'topics': (4, 1, 'ros/topics/'),
+        'bag, picture': (4, 0, 'bags/, viewer/')}
+    arrows = [('scene.yaml', 'Scene'), ('Scene', 'Simulation'), ('Kernel of H', 'Simulation'),
+              ('model.safetensors', 'Kernel of H'), ('Simulation', 'Run'),
+              ('Simulation', 'Trajectory'), ('Run', 'alarms'), ('Run', 'topics'),
+              ('Run', 'bag, picture')]
+    figure = Figure(figsize=(9.0, 3.4))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(-0.5, 4.5), ylim=(-0.5, 2.5))
+    axes.axis('off')
+    for name, (x, y, rooms) in boxes.items():
+        axes.add_patch(FancyBboxPatch((x - 0.37, y - 0.27), 0.74, 0.54, facecolor='#eaf2f8',
+                                      edgecolor='#0072b2', boxstyle='round,pad=0.03'))
+        axes.text(x, y + (0.12 if rooms else 0.0), name, ha='center', va='center', fontsize=9,
+                  weight='bold')
+        axes.text(x, y - 0.09, rooms, ha='center', va='center', fontsize=7)
+    for start, end in arrows:
+        (x, y, _), (to, at, _) = boxes[start], boxes[end]
+        axes.annotate('', (to - 0.41, at), (x + 0.41, y), arrowprops={'arrowstyle': '-|>'})
+    figure.savefig(path, dpi=110)
+
+
+def _learned(model: Path, **more: Any) -> Scene:
+    """Return the scene of a learned pendulum."""
+    return load_scene('pendulum').changed(
+        {'hamiltonian': {'kind': 'learned', 'model': str(model)}, **more})
+
+
+def _figure(height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels above each other, and those."""
+    figure = Figure(figsize=(8.0, height), layout='constrained')
+    panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    return figure, panels
+
+
+PICTURES: dict[str, Callable[[Path], None]] = {
+    'scenes.png': write_strip, 'double_pendulum.gif': write_moving, 'hover.png': write_hover,
+    'sensitivity.png': write_sensitivity, 'orders.png': write_orders, 'sweep.png': write_sweep,
+    'architecture.png': write_flow, 'identify_fit.png': write_fit, 'uncertainty.png': write_bands,
+    'machines.png': write_machines, 'tutorials/csv.png': write_learned,
+    'tutorials/oscillator.png': partial(write_run, name='harmonic_oscillator', duration=20.0),
+    'tutorials/arm.png': partial(write_run, name='two_joint_arm', duration=5.0)}
+
 if __name__ == '__main__':
-    write_strip(HERE / 'scenes.png')
-    write_moving(HERE / 'double_pendulum.gif')
-    write_hover(HERE / 'hover.png')
+    for name in sys.argv[1:] or PICTURES:
+        PICTURES[name](HERE / name)

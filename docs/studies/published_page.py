@@ -14,6 +14,7 @@ import numpy as np
 from studies.pages import render
 
 PAGE, FOLDER, CSV = 'learning.md', 'learning', 'published_tables.csv'
+PICTURE = 'published.png'
 MACHINES = 'machines.json'
 ROBOTS = 'robots.json'
 REAL = 'real_pendulum'
@@ -118,6 +119,28 @@ def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
     """Write the page; return the file."""
     path = folder / PAGE
     path.write_text(as_page(folder, results, quick), encoding='utf-8')
+    draw(folder / FOLDER / PICTURE, results)
+    return path
+
+
+def draw(path: Path, results: Sequence[Result]) -> Path:
+    """Draw our values, of each seed and in the mean, over those of the papers."""
+    from matplotlib.figure import Figure
+    table = ResultTable(results)
+    figure = Figure(figsize=(8.0, 4.0), layout='constrained')
+    axes = figure.subplots()
+    names = []
+    for (name, system, measure), published in PUBLISHED.items():
+        ratios = table.values(name, system, measure) / published
+        axes.plot(ratios, [len(names)] * len(ratios), 'o', color='#56b4e9', markersize=4)
+        axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
+        names.append(f'{name}, {SYSTEMS[system]}: {measure.removeprefix("published ")}')
+    axes.axvline(1.0, color='grey', linestyle=':')
+    axes.set(xscale='log', xlabel='our error over the published one: seeds, and their mean',
+             yticks=range(len(names)), yticklabels=names)
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
     return path
 
 

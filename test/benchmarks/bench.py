@@ -12,7 +12,8 @@ import time
 
 from benchmarks.measurement import Row, Settings
 from benchmarks.report import (
-    as_json, as_markdown, as_table, Group, measured_here, read_groups, read_rows, write_rows)
+    as_json, as_markdown, as_table, draw, Group, measured_here, read_groups, read_rows,
+    write_rows)
 from studies.results import commit
 
 # A group of rows: its module, and about how long it takes [s].
@@ -88,7 +89,7 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
 
 
 def write(groups: Mapping[str, Group], folder: Path) -> None:
-    """Write benchmarks.md and benchmarks.json into a folder; other groups stay as they are."""
+    """Write benchmarks.md, .json and .png into a folder; other groups stay as they are."""
     folder.mkdir(parents=True, exist_ok=True)
     known = read_groups(folder / 'benchmarks.json') | groups
     order = [*(name for name in GROUPS if name in known),
@@ -96,6 +97,7 @@ def write(groups: Mapping[str, Group], folder: Path) -> None:
     known = {name: known[name] for name in order}
     (folder / 'benchmarks.md').write_text(as_markdown(known))
     (folder / 'benchmarks.json').write_text(as_json(known))
+    draw(known, folder / 'benchmarks.png')
 
 
 def main(argv: list[str]) -> int:

@@ -26,6 +26,8 @@ We and the peer take turns in one run, with one thread each unless the row says 
 ratio is the median over the turns. [benchmarks.json](benchmarks.json) holds quartiles, settings,
 versions, and further rows without a target, such as the cost of each effect. `make bench` measures
 again and writes this page; `make bench ARGS='--rows robots'` measures one group of rows.
+
+![Ratio of each row that has a target, by group](benchmarks.png)
 """
 
 
@@ -110,6 +112,28 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
              '\n'.join(misses or ['None.']) + '\n', '## Where\n',
              *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
     return '\n'.join(lines) + '\n'
+
+
+def draw(groups: Mapping[str, Group], path: Path) -> Path:
+    """Draw the ratios to peers of the rows that have a target, by group."""
+    from matplotlib.figure import Figure
+    rows = [(name, row) for name, group in groups.items() for row in group.rows
+            if row.target is not None and not row.unit and row.ratio > 1e-4]
+    figure = Figure(figsize=(8.0, 4.2), layout='constrained')
+    axes = figure.subplots()
+    names = list(dict.fromkeys(name for name, _ in rows))
+    for met, colour, label in ((True, '#0072b2', 'target met'),
+                               (False, '#d55e00', 'target missed')):
+        found = [(row.ratio, names.index(name)) for name, row in rows if row.met is met]
+        axes.scatter([x for x, _ in found], [y for _, y in found], color=colour, label=label)
+    axes.axvline(1.0, color='grey', linestyle=':', label='as fast as the peer')
+    axes.set(xscale='log', xlabel='our figure over that of the peer', yticks=range(len(names)),
+             yticklabels=[name.replace('_', ' ') for name in names])
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3)
+    figure.legend(loc='outside upper center', ncols=3)
+    figure.savefig(path, dpi=110)
+    return path
 
 
 def _number(value: float) -> str:
