@@ -5,6 +5,7 @@
 import argparse
 from collections.abc import Sequence
 from contextvars import ContextVar
+import re
 from textwrap import fill
 from typing import NoReturn
 
@@ -108,6 +109,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line."""
-        line = f'{self.prog}: {" ".join(message.split())}; see {self.prog} --help'
+        # The types of Python are no words of a user.
+        message = re.sub(r"invalid (int|float) value: ('.*')", lambda found: (
+            f'{found[2]} is no {"whole " * (found[1] == "int")}number'), ' '.join(message.split()))
+        line = f'{self.prog}: {message}; see {self.prog} --help'
         write_problem(line)
         self.exit(_USAGE)

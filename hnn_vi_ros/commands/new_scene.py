@@ -336,6 +336,8 @@ def formula_text(text: str, schema: str) -> str:
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
         parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()}, 1.0)
+        if not owners:
+            raise ValueError('no momentum: write p_x for that of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
         q, p = 0.1 * np.arange(1.0, d + 1.0), np.zeros(d)
         hamiltonian.check_state(q, p)

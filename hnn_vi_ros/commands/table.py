@@ -81,5 +81,5 @@ def refuse(word: str) -> NoReturn:
     parser = hnn()
     if word.startswith('-'):
         parser.parse_args([word])
-    parser.error(f'unknown command {word!r}{did_you_mean(word, COMMANDS)}; valid: '
+    parser.error(f'unknown command {word!r}{did_you_mean(word, COMMANDS, 0.6)}; valid: '
                  f'{", ".join(COMMANDS)}')

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+import re
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
@@ -158,8 +159,10 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
             parameter = node.declare_parameter(
                 name, specification.default, _descriptor(specification))
         except (InvalidParameterTypeException, InvalidParameterValueException) as problem:
-            raise ParameterError(f'parameter {name}: {specification.expected}; '
-                                 f'{" ".join(str(problem).split())}') from problem
+            value = re.search(r'parameter value \((.*?)\)', str(problem))
+            given = f' = {value[1]}' if value else ''
+            raise ParameterError(f'parameter {name}{given}: {specification.expected}'
+                                 ) from problem
         values[name] = specification.check(parameter.value)
     return settings(**values)
 

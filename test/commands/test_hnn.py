@@ -157,7 +157,7 @@ def test_new_scene_of_a_formula_runs(tmp_path):
     # The springs of 2 x 100 N/m between two masses of 1 kg: sqrt(200) rad/s, a hundred steps.
     assert scene.step_size == 0.002
     assert np.ptp(simulate(scene, 1.0).energy) < 1e-12
-    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'coordinates'),
+    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'write p_x'),
                        ('p_x^2/2 + log(-x)', r"H column 11: 'log\(-x\)' is nan at")):
         with pytest.raises(SceneError, match=f'--formula: .*{said}'):
             scene_tool.main(['--new', str(tmp_path / 'other.yaml'), '--formula', text])
