@@ -118,6 +118,10 @@ class BatchStep:
     ----------
     dimension, commands : int
         Coordinates d, and numbers c of a command, 0 without an external_force.
+    inputs : list of str
+        What each of these is for, where that has a name.
+    hold : int
+        Steps that each command lasts.
     duration : float
         Time that a command is held [s].
 
@@ -138,13 +142,14 @@ class BatchStep:
         if parts.hamiltonian.rotations:
             raise UnsupportedSystem(f'{self.scene.name} has coordinates that turn, whose steps '
                                     'under commands have no derivatives yet')
-        self._h, self._hold = self.scene.known_step_size, int(hold)
+        self._h, self.hold = self.scene.known_step_size, int(hold)
         self._system = System(parts.hamiltonian, parts.effects, parts.integrator)
         self._acting = ActingEffects(self._system, parts.hamiltonian, parts.effects, self._h)
         self.hamiltonian, self.dimension = self._system.hamiltonian, parts.hamiltonian.dimension
-        self.duration = self._hold * self._h
+        self.duration = self.hold * self._h
         takes = NUMBERS in self._system.motors.takes
         self.commands = self._system.motors.size if takes else 0
+        self.inputs = list(self._system.motors.names) if takes else []
         self._places = self._acting.places if takes else np.zeros((0, self.dimension))
         n, method = self._system.kernel.dimension, self._system.integrator
         self._loop = Loop(follow_each, self._system.kernel, method)
@@ -175,7 +180,7 @@ class BatchStep:
 
         """
         states, commands = self._checked(z, u)
-        return self._advanced(states, commands, time, 1, self._hold)[:, 1].reshape(np.shape(z))
+        return self._advanced(states, commands, time, 1, self.hold)[:, 1].reshape(np.shape(z))
 
     def rollout(self, z: ArrayLike, u: ArrayLike, gains: ArrayLike | None = None,
                 about: ArrayLike | None = None, limits: tuple[ArrayLike, ArrayLike] | None = None,
@@ -214,7 +219,7 @@ class BatchStep:
                                high=_filled(limits[1], (self.commands,)))
         path = np.empty((rows, count + 1, 2 * self.dimension))
         path[:, 0] = states
-        self._follow(path, commands, time, self._hold, law)
+        self._follow(path, commands, time, self.hold, law)
         return path, commands
 
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
@@ -241,11 +246,11 @@ class BatchStep:
 
         """
         states, commands = self._checked(z, u)
-        path = self._advanced(states, commands, time, self._hold, 1)
+        path = self._advanced(states, commands, time, self.hold, 1)
         tableau, work, sources, flow, x, first, unpadded = self._prepared()
         tangents = np.repeat(first[None], len(states), axis=0)
         state = self._system.effect_state
-        times = np.broadcast_to(time, len(states))[:, None] + np.arange(self._hold) * self._h
+        times = np.broadcast_to(time, len(states))[:, None] + np.arange(self.hold) * self._h
         acting = Acting(state.clock, state.command, times, self._rows(commands), flow)
         arguments = (self._h, tableau, acting, self._acting.padded(path), sources, tangents, x,
                      work)
