@@ -315,6 +315,8 @@ class Force(Effect):
     ----------
     depends_on_momentum : bool
         Whether it depends on p, for given t and q.
+    held : bool
+        Whether it is the same all through a step.
     add_force : callable
         ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds f_q and f_p to the last two
         arguments; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in numba's subset.
@@ -327,6 +329,7 @@ class Force(Effect):
 
     acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
+    held: bool = False
     add_force: Callable[..., None]
 
     @property
@@ -336,7 +339,7 @@ class Force(Effect):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Return whether the method takes this force at its nodes."""
-        return integrator.requirements.take_force(self.depends_on_momentum)
+        return integrator.requirements.take_force(self.depends_on_momentum, self.held)
 
 
 class Layer:
