@@ -124,6 +124,7 @@ class OverrunGuard(Guard):
 
     """
 
+    by_sample = False
     kind = 'real-time overrun'
     remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
               'cheaper integrator; results are not affected')
