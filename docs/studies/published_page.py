@@ -133,7 +133,8 @@ def draw(path: Path, results: Sequence[Result]) -> Path:
     for (name, system, measure), published in PUBLISHED.items():
         ratios = table.values(name, system, measure) / published
         axes.plot(ratios, [len(names)] * len(ratios), 'o', color='#56b4e9', markersize=4)
-        axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
+        if len(ratios):
+            axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
         names.append(f'{name}, {SYSTEMS[system]}: {measure.removeprefix("published ")}')
     axes.axvline(1.0, color='grey', linestyle=':')
     axes.set(xscale='log', xlabel='our error over the published one: seeds, and their mean',
