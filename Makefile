@@ -10,6 +10,7 @@ MAKEFLAGS += --no-print-directory
 
 PYTHON ?= python3
 TORCH ?=
+ROS ?=
 SCENE ?= harmonic_oscillator
 DURATION ?= 20
 ARGS ?=
@@ -17,7 +18,7 @@ NAME ?=
 OUT ?= docs
 # Nobody else's graph is disturbed unless that is asked for.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-export PYTHON TORCH
+export PYTHON TORCH ROS
 
 # What there is already, as its requirements and sources are, is left as it is: in milliseconds.
 VENV := @requirements/make_venv
@@ -40,6 +41,7 @@ help:
 	@echo 'make study [NAME=... ARGS=...]                 run another study; without NAME, list them'
 	@echo 'make docs                                      build the site into docs/_build/html'
 	@echo 'make build [TORCH=cpu|cuda|any|none]           set up .venv, build, compile all scenes'
+	@echo '           [ROS=jazzy|kilted]                  by this ROS 2, where none is sourced'
 	@echo 'make clean                                     remove what was built'
 	@echo 'make distclean                                 remove .venv as well'
 

@@ -21,8 +21,8 @@ TRAIN = ['plotly>=6,<7', *RERUN, 'torch>=2.3,<3']
 
 # What `ros2 run hnn_vi_ros NAME` finds in lib/hnn_vi_ros, where setup.cfg has it installed.
 FOR_ROS = [
+    'controller = hnn_vi_ros.cli:controller',
     'evaluate = hnn_vi_ros.cli:evaluate',
-    'hover = hnn_vi_ros.cli:hover',
     'identify = hnn_vi_ros.cli:identify',
     'import_checkpoint = hnn_vi_ros.cli:import_checkpoint',
     'listener = hnn_vi_ros.cli:listener',
@@ -102,7 +102,6 @@ setup(
         'safetensors>=0.4',
         'scipy>=1.13',
         'setuptools',
-        'shtab>=1.7',
     ],
     extras_require={
         # What recordings for the viewer, and the Parquet files of sweeps, take besides.

@@ -13,8 +13,8 @@ from typing import Any
 
 from gallery import picture_of
 from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
+from hnn_vi_ros.control.task import assign
 from hnn_vi_ros.learning.scene_numbers import identify
-from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -62,21 +62,13 @@ def write_moving(path: Path) -> None:
 
 
 def write_hover(path: Path) -> None:
-    """Draw the quadrotor on its way to where the example controller holds it."""
-    # Imported here: the other pictures need no ROS.
-    from hnn_vi_ros.ros.hover_node import commands_of
-    from hnn_vi_ros.ros.settings import HoverSettings
-    from hnn_vi_ros.ros.topics.poses import OdometryEncoder
-    from nav_msgs.msg import Odometry
-    from rclpy.serialization import deserialize_message
-    run, settings = build(load_scene('quadrotor')), HoverSettings()
-    place = np.array([settings.x, settings.y, settings.z])
-    sampler, encoder = Sampler(run, 50.0), OdometryEncoder(run.hamiltonian.coordinates, 'map')
+    """Draw the quadrotor on its way to where the task `hover` holds it."""
+    ready = assign('hover')
+    run, place = build(load_scene('quadrotor')), np.array(ready.task.controller.place)
     rows = []
-    for _ in range(300):
-        run.advance(sampler.every)
-        (payload,) = encoder.encode(sampler.sample())
-        commands = commands_of(deserialize_message(payload, Odometry), place)
+    for _ in range(600):
+        run.advance(round(ready.task.period / run.step_size))
+        commands = ready.controller(run.q, run.hamiltonian.gradient(run.q, run.p)[1], run.time)
         rows.append([run.time, *(run.q[:3] - place), commands[0]])
         run.set_command(commands)
     t, *away, thrust = np.array(rows).T

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.command_line import call_by_hnn, called
-from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES, module_of, parser_of, refuse
+from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError, pip_command
 from hnn_vi_ros.files.resources import private_folder, usual_folder
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output, write_problem
@@ -36,10 +36,12 @@ _INTERRUPTED = 128 + signal.SIGINT
 def main() -> NoReturn:
     """Run ``hnn``: one command for all executables, and for what needs no ROS."""
     call_by_hnn()
-    word = sys.argv[1] if len(sys.argv) > 1 else '--help'
+    word, *argv = sys.argv[1:] or ['--help']
+    if word == 'help':
+        word, argv = argv[0] if argv else '--help', ['--help']
     name = word.replace('-', '_')
-    if name in COMMANDS:
-        _run(name, sys.argv[2:])
+    if name in COMMANDS or name in ALIASES:
+        _run(name, argv)
     guard_streams()
     status: str | int | None
     try:
@@ -92,7 +94,9 @@ def _answer_at_once(name: str, argv: Sequence[str]) -> None:
 
 def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
     """Call the ``main`` of an executable, and exit; whatever it prints, errors are one line."""
-    argv, shown = list(sys.argv[1:] if argv is None else argv), called(name)
+    argv = list(sys.argv[1:] if argv is None else argv)
+    name, *meant = ALIASES.get(name, (name,))
+    argv, shown = [*meant, *argv], called(name)
     _merge_interrupts()
     guard_streams()
     # The viewer's library would write lines of its own to standard error.

@@ -3,11 +3,11 @@
 """The command lines of the executables: what they have in common."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextvars import ContextVar
-from pathlib import Path
+import re
 from textwrap import fill
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.files.standard_streams import write_problem
@@ -16,7 +16,6 @@ from hnn_vi_ros.version import __version__
 # How an executable is called where ROS 2 finds it, and by the command for all of them.
 _BY_ROS, _BY_HNN = 'ros2 run hnn_vi_ros', 'hnn'
 _called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
-_FILES = {'bash': '_shtab_compgen_files', 'zsh': '_files', 'tcsh': 'f'}
 # The status of a command line that is not understood, as argparse has it.
 _USAGE = 2
 _WIDTH = 99
@@ -37,14 +36,9 @@ def command(words: str) -> str:
     return f'{_called.get()} {words}'
 
 
-def named(kind: str) -> dict[str, str]:
-    """Return what completes names of a kind by shell; commands/completion.py defines it."""
-    return {'bash': f'_hnn_{kind}', 'zsh': f'_hnn_{kind}', 'tcsh': 'f'}
-
-
-def complete_by(action: argparse.Action, completer: Mapping[str, str]) -> None:
-    """Let shells complete an argument by a function of theirs, as shtab looks it up."""
-    setattr(action, 'complete', completer)  # noqa: B010  argparse declares no such attribute
+def complete_by(action: argparse.Action, kind: str) -> None:
+    """Let shells complete an argument by names of a kind; see commands/completion.py."""
+    setattr(action, 'names_of', kind)  # noqa: B010  argparse declares no such attribute
 
 
 def seconds(text: str) -> float:
@@ -89,19 +83,21 @@ class Parser(argparse.ArgumentParser):
             formatter_class=argparse.RawDescriptionHelpFormatter)
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
 
-    def add_argument(self, *names: Any, **options: Any) -> argparse.Action:
-        """Add an argument, as argparse does; what is a path is completed as such."""
-        action = super().add_argument(*names, **options)
-        if options.get('type') is Path:
-            complete_by(action, _FILES)
-        return action
+    @property
+    def known(self) -> list[argparse.Action]:
+        """Return all arguments, those of groups too, of which argparse has no public list."""
+        return self._actions
+
+    @property
+    def options(self) -> list[str]:
+        """Return the words of all options."""
+        return [word for action in self.known for word in action.option_strings]
 
     def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
         """Return what the arguments say, or exit with one line if they are not understood."""
-        # Check before argparse misses a required option that this may misspell. argparse has no
-        # public list of the options, which groups add as well.
-        options = list(self._option_string_actions)
+        # Check before argparse misses a required option that this may misspell.
+        options = self.options
         for word in args:
             option = word.partition('=')[0]
             if option.startswith('--') and option not in options and option != '--':
@@ -113,6 +109,9 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Exit with one line."""
-        line = f'{self.prog}: {" ".join(message.split())}; see {self.prog} --help'
+        # The types of Python are no words of a user.
+        message = re.sub(r"invalid (int|float) value: ('.*')", lambda found: (
+            f'{found[2]} is no {"whole " * (found[1] == "int")}number'), ' '.join(message.split()))
+        line = f'{self.prog}: {message}; see {self.prog} --help'
         write_problem(line)
         self.exit(_USAGE)

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
+from difflib import get_close_matches, SequenceMatcher
 from math import isnan
 import re
 import sys
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # Names in a list; characters of a message, of a longer one from its begin and from its end.
 _MOST_LISTED = 20
+# Letters of all names that stand next to an unknown one, and how many stand there if all do not.
+_MOST_LETTERS, _MOST_NEAR = 200, 8
 _LONGEST, _TAIL = 2000, 400
 # Characters that a terminal obeys, C0, DEL and C1, which can make it write files or hide output;
 # and characters that are invisible, end lines, or turn the reading direction.
@@ -45,6 +47,29 @@ def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
     """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
     nearest = get_close_matches(word, known, n=1, cutoff=cutoff)
     return f'; did you mean {nearest[0]}?' if nearest else ''
+
+
+def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
+    """
+    Return ``'; did you mean ...?; valid: ...'``: of many names those that are most like a word.
+
+    Parameters
+    ----------
+    word : str
+        The name that is unknown.
+    known : iterable of str
+        The valid ones.
+    what : str, optional
+        What they are.
+
+    """
+    names = [*known]
+    text = ', '.join(names)
+    if len(text) > _MOST_LETTERS:
+        near = sorted(names, key=lambda name: -SequenceMatcher(None, name, word).ratio())
+        shown = near[:_MOST_NEAR]
+        text = f'{", ".join(shown)}, ... ({len(names) - len(shown)} more)'
+    return f'{did_you_mean(word, names)}; {what}: {text}'
 
 
 def listed(names: Iterable[object]) -> str:

@@ -18,7 +18,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
-from hnn_vi_ros.integrators.gauss import Gauss, Tableau
+from hnn_vi_ros.integrators.gauss import Gauss, in_fours, Tableau
 from hnn_vi_ros.integrators.lie.equations import LieOptions
 from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -224,7 +224,10 @@ def exact_options(integrator: Integrator) -> tuple:
         return options
     # The eigenvectors are known to double precision: without them.
     solver = options.solver._replace(solve=solvers.anderson)
-    return Tableau(*exact_tableau(integrator.stages), solver, options.modes)
+    matrix, weights, start = exact_tableau(integrator.stages)
+    if isinstance(integrator, Gauss):
+        matrix, start = in_fours(matrix), in_fours(start)
+    return Tableau(matrix, weights, start, solver, options.modes)
 
 
 def exact_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

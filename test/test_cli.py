@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 from hnn_vi_ros import cli
 from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.commands.table import ALIASES
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.networks.activations import ACTIVATIONS
 from hnn_vi_ros.ros import settings as parameters
@@ -20,10 +21,11 @@ import pytest
 from urdf_robots import chain
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text())
+EXECUTABLES = [name for name in re.findall(
+    r"'(\w+) = hnn_vi_ros\.cli:\1'", (ROOT / 'setup.py').read_text()) if name not in ALIASES]
 # The parsers are told apart by the package that their executable belongs to.
 HOMES = {'learning': ['train', 'evaluate', 'identify', 'import_checkpoint'],
-         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'hover'],
+         'ros': ['simulator', 'replay', 'rerun_bridge', 'listener', 'controller'],
          'bags': ['recover_bag'], 'sweeps': ['sweep']}
 # What is installed in place of any missing package of ROS: all of its wheels at once.
 ROS = 'ros-jazzy-rclpy[fastrtps]" "ros-jazzy-common-interfaces'
@@ -204,7 +206,7 @@ def test_help_comes_without_the_libraries_that_the_work_takes(executable):
 @pytest.mark.parametrize('executable', EXECUTABLES)
 def test_help_tells_every_option(executable):
     text = parser(executable).format_help()
-    for action in parser(executable)._actions:
+    for action in parser(executable).known:
         assert action.help, f'{executable}: {action.dest}'
     # Command lines can be pasted: they are not broken.
     assert all(len(line) <= 99 or 'ros2 run' in line for line in text.splitlines())
@@ -244,7 +246,7 @@ def test_version_is_told(executable):
 @pytest.mark.parametrize('executable', EXECUTABLES)
 def test_misspelt_option_is_one_line_with_the_nearest(executable, capsys):
     found = parser(executable)
-    option = next((name for name in reversed(found._option_string_actions)
+    option = next((name for name in reversed(found.options)
                    if name.startswith('--') and len(name) > 4), '--version')
     for misspelt in (option[:-1], f'{option}x', f'{option[:-1]}=3'):
         with pytest.raises(SystemExit, match='2'):

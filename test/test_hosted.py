@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 import re
 
+from hnn_vi_ros.ros.topics.outputs import OUTPUTS
 import pytest
 import yaml
 
@@ -37,6 +38,17 @@ def test_workflow_runs_scripts_that_are_there():
     assert scripts == {'.ci/run'} and all((ROOT / script).is_file() for script in scripts)
 
 
+def test_package_is_built_on_each_distribution_that_is_taken():
+    job = yaml.safe_load((ROOT / '.github/workflows/distributions.yml').read_text())[
+        'jobs']['industrial_ci']
+    taken = re.search(r'^    (jazzy( \| \w+)*)\)$', (ROOT / 'requirements/make_venv').read_text(),
+                      re.MULTILINE)
+    assert job['strategy']['matrix']['distribution'] == taken[1].split(' | ')
+    files = re.findall(r'\$TARGET_REPO_PATH/(\S+)',
+                       job['env']['AFTER_INSTALL_TARGET_DEPENDENCIES'])
+    assert len(files) == 4 and all((ROOT / file).is_file() for file in files)
+
+
 def test_hooks_before_a_commit_are_linters_of_the_tests():
     (repository,) = yaml.safe_load((ROOT / '.pre-commit-config.yaml').read_text())['repos']
     hooks = {hook['id'] for hook in repository['hooks']}
@@ -50,6 +62,18 @@ def test_citation_has_what_its_format_asks_for():
     assert {'cff-version', 'message', 'title', 'authors'} <= set(citation)
     assert re.fullmatch(r'\d{4}-\d\d-\d\d', citation['date-released'])
     assert all({'type', 'title', 'authors'} <= set(work) for work in citation['references'])
+
+
+def test_layout_of_foxglove_shows_topics_that_there_are():
+    text = (ROOT / 'config/foxglove/simulator.json').read_text()
+    there = {output.topic.replace('~', '/hnn_simulator') for output in OUTPUTS}
+    there |= {topic if topic[0] == '/' else f'/{topic}' for topic in there}
+    services = (ROOT / 'docs/reference/services.md').read_text()
+    shown = re.findall(r'"(/[\w/]+)[."]', text)
+    asked = re.findall(r'"serviceName": "/hnn_simulator/(\w+)"', text)
+    assert len(asked) == 3 and all(f'`~/{name}`' in services for name in asked)
+    topics = {name for name in shown if name.rpartition('/')[2] not in asked}
+    assert {'/joint_states', '/diagnostics', '/hnn_simulator/energy'} <= topics <= there
 
 
 def test_containers_and_editors_have_files_that_can_be_read():

@@ -88,7 +88,7 @@ else:
 @pytest.mark.parametrize('module, hidden', [
     *[(module, {'rerun', 'pyarrow'}) for module in (
         'commands.cost', 'envs', 'learning.scene_numbers.identify', 'learning.import_checkpoint',
-        'ros.hover_node', 'companions.members', 'torch')],
+        'ros.controller_node', 'companions.members', 'torch')],
     *[(module, TRAINING) for module in ('ros.rerun_bridge', 'viewer.rerun_sink')],
     *[(module, TRAINING | {'rerun', 'pyarrow'}) for module in (
         'bags.recover_bag', 'commands.scene_tool', 'ros.listener_node', 'ros.replay.replay_node',

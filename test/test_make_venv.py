@@ -31,3 +31,31 @@ def test_checkout_of_another_user_is_told_as_such():
     assert (result.returncode, result.stdout) == (1, '')
     assert result.stderr == (f"error: '{folder}' cannot be written by this user; clone the "
                              'repository into a folder of yours\n')
+
+
+@pytest.mark.parametrize('environment, words', [
+    ({'ROS': 'humble'}, 'there are no wheels of ROS=humble; choose jazzy or kilted, or source '),
+    ({'ROS_DISTRO': 'humble'}, 'needs ROS 2 Jazzy or newer, and ROS 2 humble is sourced; use a '),
+    ({'ROS_DISTRO': 'kilted', 'ROS': 'jazzy'}, 'ROS=jazzy was asked for, and ROS 2 kilted is s'),
+    ({'ROS_DISTRO': 'lyrical', 'PYTHON': '/usr/bin/python3'}, 'ROS 2 lyrical is sourced but '),
+])
+def test_ros_that_cannot_be_had_is_one_line(tmp_path, environment, words):
+    shutil.copytree(REQUIREMENTS, tmp_path / 'requirements')
+    result = subprocess.run(
+        ['/bin/sh', tmp_path / 'requirements' / 'make_venv', 'run'], check=False,
+        capture_output=True, text=True, env={'PATH': '/usr/bin:/bin'} | environment)
+    assert (result.returncode, result.stdout) == (1, '')
+    assert words in result.stderr and result.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize('distribution', ['jazzy', 'kilted'])
+def test_every_wheel_of_a_distribution_is_pinned_once(distribution):
+    lines = [line for name in (distribution, f'{distribution}_test')
+             for line in (REQUIREMENTS / f'{name}.txt').read_text().splitlines()
+             if line[0] not in '#-']
+    names, versions = zip(*(line.split('==') for line in lines), strict=True)
+    assert all(versions) and len({*names}) == len(names)
+    heads = {f'ros-{distribution}-rclpy[fastrtps]', f'ros-{distribution}-common-interfaces'}
+    assert heads == {name for name in names if name.startswith(f'ros-{distribution}-')}
+    others = (REQUIREMENTS / 'constraints.txt').read_text().splitlines()
+    assert not any(line.startswith('ros-') for line in others)

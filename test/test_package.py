@@ -37,7 +37,7 @@ INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
                  'train', 'evaluate', 'scene_numbers'),
     'ros': ('plumbing', 'settings', 'node_parameters', 'arguments', 'recording', 'topics',
-            'replay', 'run', 'rerun_bridge', 'services', 'initial_state', 'hover_node',
+            'replay', 'run', 'rerun_bridge', 'services', 'initial_state', 'controller_node',
             'listener_node', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
@@ -68,7 +68,6 @@ HOMES = {
                   r'|commands/cost_figure\.py',
     'pandas': r'trajectory/\w+\.py',
     'xarray': r'trajectory/\w+\.py',
-    'shtab': r'commands/completion\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',

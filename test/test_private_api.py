@@ -26,7 +26,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # as _replace of a named tuple, is no such thing.
 PRIVATE = {
     'bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
-    'command_line.py': ('argparse', {'_option_string_actions'}),
+    'command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
         '_cache', '_cache_hits', '_cache_path', '_codegen', '_data_path', '_final_module',
         '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
@@ -91,7 +91,7 @@ def test_what_others_keep_to_themselves_is_used_in_one_file_for_each():
 def test_argparse_keeps_all_options_by_their_words():
     parser = argparse.ArgumentParser()
     parser.add_argument_group('more').add_argument('--own')
-    assert {'--help', '--own'} <= parser._option_string_actions.keys()
+    assert {'--help', '--own'} <= {word for one in parser._actions for word in one.option_strings}
 
 
 def test_mcap_notes_the_chunks_of_a_file_in_a_list():

@@ -147,11 +147,12 @@ def _requirements(name: str) -> Iterator[Requirement]:
 @pytest.mark.parametrize('python', ['3.11', '3.12', '3.13'])
 def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
-        'constraints.txt', 'bench.txt', 'ray.txt') for pin in _requirements(name)}
+        'constraints.txt', 'bench.txt', 'ray.txt', 'jazzy.txt', 'jazzy_test.txt')
+            for pin in _requirements(name)}
     environment = {'python_version': python, 'python_full_version': f'{python}.0'}
     pending = [requirement for name in (
-        'build.txt', 'runtime.txt', 'rerun.txt', 'sweep.txt', 'ros.txt', 'train.txt', 'test.txt',
-        'ros_test.txt', 'ray.txt')
+        'build.txt', 'runtime.txt', 'rerun.txt', 'sweep.txt', 'jazzy.txt', 'train.txt', 'test.txt',
+        'jazzy_test.txt', 'ray.txt')
                for requirement in _requirements(name)]
     seen: set[tuple[str, frozenset[str]]] = set()
     unpinned = set()

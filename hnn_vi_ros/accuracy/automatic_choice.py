@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
+from importlib.util import find_spec
 import json
 import math
 import os
@@ -199,7 +200,9 @@ _BEYOND_FLOOR = 10.0
 # Wall time in which the cost that is reported is measured [s], and in how many pieces.
 _TIMED, _PIECES = 0.05, 9
 # Format of remembered choices; another number discards them all.
-_FORMAT = 2
+_FORMAT = 3
+# What the integrator taylor is given, as shares of a path error.
+_SERIES = 10.0 ** -np.arange(0.0, 8.0)
 
 
 @dataclass(frozen=True)
@@ -219,8 +222,8 @@ class Choice:
         The simulated time over which it was seen [s]; less than the horizon where that is long.
     seconds_per_simulated_second : float
         Cost of a simulated second on this machine [s/s]; for the report, not for the choice.
-    gradients_per_simulated_second : float
-        Basis of the choice [1/s].
+    work_per_simulated_second : float
+        Basis of the choice: gradients, and the rest of the steps in gradients [1/s].
     arguments : mapping
         Of the method.
     energy_scale : float
@@ -235,7 +238,7 @@ class Choice:
     error: float
     checked: float
     seconds_per_simulated_second: float
-    gradients_per_simulated_second: float
+    work_per_simulated_second: float
     arguments: Mapping[str, Any]
     energy_scale: float
     largest_step: float | None = None
@@ -251,7 +254,7 @@ class Choice:
         return (f'chose {Method(self.method, self.arguments)} with h = {self.step_size:g} s for '
                 f'{tolerance.kind} {tolerance.error:g}{relative} up to {tolerance.horizon:g} s: '
                 f'the cheapest that holds it, with {self.error:.2g}{extent}, at '
-                f'{self.gradients_per_simulated_second:.3g} gradients and '
+                f'the work of {self.work_per_simulated_second:.3g} gradients and '
                 f'{1e6 * self.seconds_per_simulated_second:.3g} us per simulated second{limit}')
 
 
@@ -260,8 +263,8 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
     """
     Try methods and step sizes, and return the cheapest that holds a tolerance.
 
-    Cost is counted in gradients, and so is how long trials run: the same problem gives the same
-    choice, however busy the machine is.
+    Cost is counted, in gradients and steps, and so is how long trials run: the same problem gives
+    the same choice, however busy the machine is.
 
     Parameters
     ----------
@@ -309,6 +312,9 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
             bound = min(bound, _BEYOND_FLOOR * found.least_cost)
         if parts is not None and found.tried[parts].cost < bound:
             best, bound = (found, parts), found.tried[parts].cost
+    if tolerance.kind == 'path_error':
+        for found in _series(problem, base, judge, bound):
+            best = (found, 1)
     if best is None:
         raise CalibrationError(_refusal(tolerance, base, searches))
     found, parts = best
@@ -326,6 +332,22 @@ def _candidates(known: PathSurvey) -> Iterator[Method]:
                 yield Method('time_transformed',
                              {'base': base, 'force': float(f'{share * known.force:.3g}')})
     yield from map(Method, CANDIDATES[:-1])
+
+
+def _series(problem: InitialValueProblem, base: float, judge: Judge, bound: float
+            ) -> Iterator[StepSearch]:
+    """Yield the loosest Taylor series that hold a path error, if they cost less than a bound."""
+    for error in np.clip(_SERIES * judge.tolerance.error, 1e-16, 1e-3):
+        found = StepSearch(Method('taylor', {'tolerance': float(f'{error:.3g}')}), 1, base, {})
+        try:
+            found.tried[1] = _try(problem, found.method, base, judge, bound)
+        except UnsupportedSystem:
+            return
+        if found.dear(1, judge, bound):
+            return
+        if found.holds(found.tried[1], judge):
+            yield found
+            return
 
 
 def _first_step(method: Method, known: PathSurvey) -> float:
@@ -382,7 +404,8 @@ def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step:
 
     """
     key = json.dumps([_FORMAT, name, problem.hamiltonian.provenance, largest_step, __version__,
-                      numba.__version__, platform.node(), os.cpu_count()])
+                      numba.__version__, platform.node(), os.cpu_count(),
+                      find_spec('heyoka') is not None])
     file = _cache_folder() / f'{sha256(key.encode()).hexdigest()[:32]}.json'
     try:
         return Choice(**json.loads(file.read_text()))

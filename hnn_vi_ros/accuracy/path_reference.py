@@ -319,4 +319,4 @@ class PathJudge:
 
         # Rounding of the time does not count: it is over at the last instant.
         return judged(simulation, errors(), self.tolerance, extent * (1.0 - 1e-9),
-                      min(4.0 * PATIENCE * self._limit, bound * extent), 1.0)
+                      4.0 * PATIENCE * self._limit, bound, 1.0)

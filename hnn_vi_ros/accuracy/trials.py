@@ -127,6 +127,18 @@ def _numbers(kernel: Kernel) -> int:
     return found
 
 
+def work(simulation: Simulation) -> float:
+    """
+    Return the work of a run's steps so far, in gradients: those that it took, and all else.
+
+    A gradient of nanoseconds costs less than what an implicit step does with it.
+    """
+    kernel = simulation.hamiltonian.kernel
+    gradient = _GRADIENT * (1.0 + _numbers(kernel) / _EACH) if kernel.compiled else _IN_PYTHON
+    fixed, more = simulation.integrator.own_times(kernel)
+    return simulation.gradients * (1.0 + more / gradient) + simulation.steps * fixed / gradient
+
+
 @dataclass(frozen=True)
 class Trial:
     """
@@ -139,7 +151,7 @@ class Trial:
     checked : float
         Simulated time that was seen [s].
     cost : float
-        Gradients for each simulated second [1/s].
+        Work of each simulated second, in gradients [1/s].
     complete : bool
         Whether it was seen as long as it must be.
     dear : bool
@@ -225,8 +237,7 @@ class EnergyJudge:
         steps = math.ceil(self.tolerance.horizon / h * (1.0 - 1e-12))
         every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
         return judged(simulation, self._errors(simulation, every, math.ceil(steps / every)),
-                      self.tolerance, self._extent, min(4.0 * self._limit, bound * self._extent),
-                      0.0, self._limit)
+                      self.tolerance, self._extent, 4.0 * self._limit, bound, 0.0, self._limit)
 
     def _errors(self, simulation: Simulation, every: int, count: int) -> Iterator[float]:
         """Yield the largest error of the next samples, of ``count`` that are ``every`` apart."""
@@ -242,7 +253,7 @@ class EnergyJudge:
 
 
 def judged(simulation: Simulation, errors: Iterable[float], tolerance: Tolerance, extent: float,
-           most: float, least: float, enough: float = math.inf) -> Trial:
+           most: float, bound: float, least: float, enough: float = math.inf) -> Trial:
     """
     Return what the errors of a simulation show, which is taken on by asking for the next.
 
@@ -258,6 +269,8 @@ def judged(simulation: Simulation, errors: Iterable[float], tolerance: Tolerance
         Simulated time that must be seen [s].
     most, enough : float
         Gradients that it may take up to there, and from which on no more than that is seen.
+    bound : float
+        Its largest cost [1/s].
     least : float
         See ``carried``.
 
@@ -266,8 +279,8 @@ def judged(simulation: Simulation, errors: Iterable[float], tolerance: Tolerance
     try:
         for error in errors:
             seen.append(error)
-            time, cost = simulation.time, simulation.gradients / simulation.time
-            dear = simulation.gradients > most and time < extent
+            time, cost = simulation.time, work(simulation) / simulation.time
+            dear = time < extent and (simulation.gradients > most or cost * time > bound * extent)
             if dear or error > ENOUGH * tolerance.error:
                 return Trial(max(seen), time, cost, False, dear)
             if simulation.gradients > enough and time >= extent:
@@ -433,3 +446,5 @@ def _agree(one: PathSurvey, other: PathSurvey) -> bool:
 # Gradients that a run may take, of an H whose kernel holds few numbers; of one whose gradient is
 # plain Python. A network's gradient takes time in proportion to its weights.
 _GRADIENTS, _WEIGHTS, _PLAIN = 3_000_000, 2000, 20_000
+# The time of a gradient [s]: compiled, of so many numbers for each as much again, and in Python.
+_GRADIENT, _EACH, _IN_PYTHON = 1e-8, 40, 2e-5

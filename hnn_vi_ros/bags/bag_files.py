@@ -122,8 +122,9 @@ class SqliteFile(Source):
 _SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 _PACKED = '.zstd'
 _BLOCK = 2**18
-# rosbag2 numbers the files of a bag.
-_NUMBERED = re.compile(r'(.*)_(\d+)\.')
+# rosbag2 numbers the files of a bag, since Lyrical before the name, which the time of each ends.
+_NUMBERED = re.compile(
+    r'(?P<first>\d+)_(?P<name>.*)_\d{4}_\d\d_\d\d-\d\d_\d\d_\d\d\.|(?P<prefix>.*)_(?P<last>\d+)\.')
 
 
 def bag_files(bag: Path) -> list[Path]:
@@ -163,9 +164,9 @@ def bag_files(bag: Path) -> list[Path]:
 def _numbered(bag: Path, files: list[Path]) -> list[Path]:
     """Return the files of one bag in the order of their numbers."""
     found = {path: match for path in files if (match := _NUMBERED.match(path.name))}
-    numbers = {path: int(match[2]) for path, match in found.items()}
+    numbers = {path: int(match['first'] or match['last']) for path, match in found.items()}
     if not files or len(found) < len(files) or len(set(numbers.values())) < len(files) \
-            or len({match[1] for match in found.values()}) > 1:
+            or len({match.group('name', 'prefix') for match in found.values()}) > 1:
         what = f'{len(files)} files; give one of them' if files else f'none{_nearest(bag)}'
         raise RecordingError(f'{bag}: expected a folder with one bag (.mcap or .db3), found '
                              f'{what}')

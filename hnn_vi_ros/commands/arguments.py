@@ -4,16 +4,17 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, named, Parser, seconds
+from hnn_vi_ros.command_line import complete_by, Parser, seconds
 
-SHELLS = ('bash', 'zsh', 'tcsh')
+SHELLS = ('bash', 'zsh')
 
 
 def _add_run(parser: Parser) -> None:
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see hnn scene --list, or a YAML file')), named('scene'))
+        'the name of a shipped scene, see hnn scene --list, or a YAML file')), 'scene')
     parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
                         help='simulated time [s] (default: 10)')
+    parser.add_argument('--force', action='store_true', help='overwrite files that exist')
 
 
 def run() -> Parser:
@@ -27,7 +28,7 @@ def run() -> Parser:
     parser.add_argument('--step-size', type=seconds, metavar='SECONDS',
                         help="h [s], in place of the scene's")
     complete_by(parser.add_argument('--integrator', metavar='NAME', help=(
-        "in place of the scene's")), named('integrator'))
+        "in place of the scene's")), 'integrator')
     parser.add_argument('--every', type=int, default=1, metavar='N',
                         help='steps from one sample to the next (default: 1)')
     parser.add_argument('--plot', type=Path, metavar='FILE', help=(
@@ -46,26 +47,46 @@ def run() -> Parser:
 def scene() -> Parser:
     """Return the parser of ``scene``."""
     parser = Parser('scene', (
-        'Check, list, explain and compile scenes; print their schema.'), [
-        'ros2 run hnn_vi_ros scene --list',
-        'ros2 run hnn_vi_ros scene --check pendulum my_scene.yaml',
-        'ros2 run hnn_vi_ros scene --explain double_pendulum',
-        'ros2 run hnn_vi_ros scene --compile my_scene.yaml'], (
-            '`new_scene` writes a scene to begin from.'))
+        'Write, check, list, explain and compile scenes. One of the first options says which.'), [
+            'ros2 run hnn_vi_ros scene --list',
+            'ros2 run hnn_vi_ros scene --explain double_pendulum',
+            'ros2 run hnn_vi_ros scene --new mine.yaml --like double_pendulum',
+            'ros2 run hnn_vi_ros scene --new --robot my_robot.urdf',
+            "ros2 run hnn_vi_ros scene --new my_well --formula 'p_x^2/(2*m) + k*x^4/4'",
+            'ros2 run hnn_vi_ros scene --check pendulum mine.yaml'], (
+                'The new scene of a robot has its joints, their limits and friction. A line in '
+                'the others\nnames the schema by which editors complete and check them.'))
     # argparse would keep a group of exclusive options on one line, however long.
-    parser.usage = (f'{parser.prog} [-h] [--version] (--check NAME [NAME ...] | --list |\n'
-                    '                 --schema | --explain NAME | --compile [NAME ...])')
-    task = parser.add_mutually_exclusive_group(required=True)
-    task.add_argument('--check', nargs='+', metavar='NAME', help=(
-        'say of each scene, a shipped name or a file, whether it is valid'))
+    parser.usage = (f'{parser.prog} --list | --explain NAME | --check NAME ... | --compile '
+                    '[NAME ...] | --schema |\n       --new [FILE] [--like SCENE | --formula H | '
+                    '--robot URDF] [--force]')
+    task = parser.add_mutually_exclusive_group()
     task.add_argument('--list', action='store_true', help='name the shipped scenes')
+    complete_by(task.add_argument('--explain', metavar='NAME', help=(
+        'print what a scene simulates, and measure what each of its effects adds to a step')),
+        'scene')
+    complete_by(task.add_argument('--check', nargs='+', metavar='NAME', help=(
+        'say of each scene, a shipped name or a file, whether it is valid')), 'scene')
+    complete_by(task.add_argument('--compile', nargs='*', metavar='NAME', help=(
+        'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
+        'first start need not')), 'scene')
     task.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check scenes'))
-    task.add_argument('--explain', metavar='NAME', help=(
-        'print what a scene simulates, and measure what each of its effects adds to a step'))
-    task.add_argument('--compile', nargs='*', metavar='NAME', help=(
-        'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
-        'first start need not'))
+    task.add_argument('--new', action='store_true', help=(
+        'write a scene to begin from: like another, of a formula, or of a robot'))
+    parser.add_argument('file', type=Path, nargs='?', metavar='FILE', help=(
+        'with --new: what to write; .yaml is added where it has no suffix (of a robot: '
+        'ROBOT.yaml)'))
+    source = parser.add_mutually_exclusive_group()
+    complete_by(source.add_argument('--like', metavar='SCENE', help=(
+        'with --new: the scene to copy, a shipped name or a file (default: exact_pendulum)')),
+        'scene')
+    source.add_argument('--formula', metavar='H', help=(
+        'with --new: H [J] of coordinates c and their momenta p_c; other names become parameters'))
+    source.add_argument('--robot', metavar='URDF', help=(
+        'with --new: the robot, a path or package://PACKAGE/PATH'))
+    parser.add_argument('--force', action='store_true', help=(
+        'with --new: overwrite FILE if it exists'))
     return parser
 
 
@@ -89,28 +110,6 @@ def cost() -> Parser:
         'draw error against time: .png, .svg or .pdf'))
     parser.add_argument('--csv', type=Path, metavar='FILE', help=(
         'write every method and step size as a line of text'))
-    return parser
-
-
-def new_scene() -> Parser:
-    """Return the parser of ``new_scene``."""
-    parser = Parser('new_scene', (
-        'Write a scene to begin from: of a robot, of a formula, or like another.'), [
-            'ros2 run hnn_vi_ros new_scene my_arm',
-            'ros2 run hnn_vi_ros new_scene mine.yaml --like double_pendulum',
-            'ros2 run hnn_vi_ros new_scene --robot my_robot.urdf',
-            "ros2 run hnn_vi_ros new_scene my_well --formula 'p_x^2/(2*m) + k*x^4/4'"], (
-                'The scene of a robot has its joints, their limits and friction. A line in the '
-                'others\nnames the schema by which editors complete and check them.'))
-    parser.add_argument('file', type=Path, nargs='?', metavar='FILE', help=(
-        'what to write; .yaml is added where it has no suffix (of a robot: ROBOT.yaml)'))
-    source = parser.add_mutually_exclusive_group()
-    complete_by(source.add_argument('--like', default='exact_pendulum', metavar='SCENE', help=(
-        'the scene to copy: a shipped name, or a file (default: exact_pendulum)')), named('scene'))
-    source.add_argument('--formula', metavar='H', help=(
-        'H [J] of coordinates c and their momenta p_c; other names become parameters'))
-    source.add_argument('--robot', metavar='URDF', help='a path, or package://PACKAGE/PATH')
-    parser.add_argument('--force', action='store_true', help='overwrite FILE if it exists')
     return parser
 
 

@@ -2,44 +2,68 @@
 # SPDX-License-Identifier: Apache-2.0
 """Print the script by which a shell completes ``hnn``, made of the parsers themselves."""
 
-import argparse
+from collections.abc import Iterable, Iterator
 
-from hnn_vi_ros.command_line import named
 from hnn_vi_ros.commands import arguments
-from hnn_vi_ros.commands.table import COMMANDS, first_line, parser_of
-from hnn_vi_ros.errors import optional
+from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 
-# Function that completes a name or a YAML file, by shell. tcsh knows no functions.
-_FUNCTION = {
-    'bash': '{function}() {{ compgen -W "{names}" -- "$1"; compgen -f -X "!*.yaml" -- "$1"; }}',
-    'zsh': "{function}() {{ _alternative 'names:{kind}:({names})' 'files:file:_files' }}",
-}
+# Where there is no name to offer, and next to names, each shell offers files.
+_SCRIPT = {'bash': """\
+_hnn() {{
+    local place=$COMP_CWORD word=${{COMP_WORDS[COMP_CWORD]}} names=''
+    local command=${{COMP_WORDS[1]}} before=${{COMP_WORDS[COMP_CWORD-1]}}
+{cases}
+    mapfile -t COMPREPLY < <(
+        compgen -W "$names" -- "$word"; [[ $word == -* ]] || compgen -f -- "$word")
+}}
+complete -o filenames -F _hnn hnn
+""", 'zsh': """\
+#compdef hnn
+local place=$((CURRENT - 1)) word=$words[CURRENT] names=''
+local command=$words[2] before=$words[CURRENT-1]
+{cases}
+compadd -- ${{=names}}
+[[ $word == -* ]] || _files
+"""}
 
 
 def main(argv: list[str]) -> int:
     """Print the script of a shell."""
     shell = arguments.completion().parse_args(argv).shell
-    with optional('shtab', 'completion'):
-        import shtab
-    offered = {kind: shipped_names(kind) for kind in ('scene', 'sweep', 'training')}
-    functions = [_FUNCTION[shell].format(function=named(kind)[shell], kind=kind,
-                                         names=' '.join(names))
-                 for kind, names in (offered | {'integrator': list(INTEGRATORS)}).items()
-                 if shell in _FUNCTION]
-    print(shtab.complete(whole_parser(), shell, preamble={shell: '\n'.join(functions)}))
+    print(_SCRIPT[shell].format(cases='\n'.join(_cases())), end='')
     return 0
 
 
-def whole_parser() -> argparse.ArgumentParser:
-    """Return one parser of all commands with all their options."""
-    parser = argparse.ArgumentParser('hnn')
-    commands = parser.add_subparsers()
+def _cases() -> Iterator[str]:
+    """Yield lines, of any shell, that set ``names`` to what can stand in a place."""
+    offered = {kind: shipped_names(kind) for kind in ('scene', 'sweep', 'training')}
+    offered['integrator'] = [*INTEGRATORS]
+    options: list[str] = []
+    places: list[str] = []
     for name in COMMANDS:
         own = parser_of(name)
-        # `hnn new-scene` is `hnn new_scene`.
-        dashed = [name.replace('_', '-')] if '_' in name else []
-        commands.add_parser(name, aliases=dashed, parents=[own], add_help=False,
-                            help=first_line(own))
-    return parser
+        first: list[str] = []
+        for action in own.known:
+            names = offered.get(getattr(action, 'names_of', ''), list(action.choices or ()))
+            if action.option_strings and names:
+                places += [_case(f'"{name} {option}"', names) for option in action.option_strings]
+            elif not action.option_strings:
+                first += names
+        options.append(_case(name, [*own.options, *first]))
+    yield 'if [[ $place == 1 ]]; then'
+    yield f"    names='{' '.join(COMMANDS)}'"
+    yield 'else'
+    # Dashes may stand in names of commands, too.
+    yield '    case ${command//-/_} in'
+    yield from options
+    yield '    esac'
+    yield '    case "${command//-/_} $before" in'
+    yield from places
+    yield '    esac'
+    yield 'fi'
+
+
+def _case(pattern: str, names: Iterable[object]) -> str:
+    return f"        {pattern}) names='{' '.join(map(str, names))}';;"

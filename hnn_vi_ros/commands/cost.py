@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
         if value is not None and not 0.0 < value < math.inf:
             raise ParameterError(f'--{name} {value:g}: must be a positive number')
     paths = {'--csv': options.csv, '--plot': options.plot}
-    check_outputs(paths)
+    check_outputs(paths, options.force)
     if options.plot is not None:
         # Found out now, not after a minute: a package may be missing.
         from hnn_vi_ros.commands.cost_figure import draw

@@ -16,7 +16,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError, pip_command
 from hnn_vi_ros.files.resources import cache_folder, can_be_written, share_folder, shipped_names
 from hnn_vi_ros.processors import usable_processors
-from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
+from hnn_vi_ros.ros.plumbing.environment import distribution, settle_ros_environment
 from hnn_vi_ros.version import __version__
 
 # Import names of packages that simulating needs, and of optional ones; names on PyPI that differ.
@@ -24,7 +24,7 @@ _NEEDED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetenso
            'contourpy')
 _OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
              'pandas': 'to_dataframe', 'xarray': 'to_xarray', 'pyarrow': 'sweeps',
-             'ray': 'sweep --ray', 'shtab': 'completion'}
+             'ray': 'sweep --ray'}
 _ON_PYPI = {'rerun': 'rerun-sdk', 'yaml': 'PyYAML'}
 
 
@@ -95,17 +95,20 @@ def _ros() -> Iterator[Finding]:
         yield Finding('ROS 2', 'absent', 'only for simulator, replay, listener and rerun_bridge: '
                       'source ROS 2 Jazzy, or take `make build` of the checkout')
         return
+    named = os.environ.get('AMENT_PREFIX_PATH', '')
     try:
         settle_ros_environment()
     except ParameterError as problem:
         yield Finding('ROS 2', 'wrong', str(problem))
         return
-    distribution = os.environ.get('ROS_DISTRO', 'not sourced')
+    prefix = os.environ.get('AMENT_PREFIX_PATH', '')
+    where = f'AMENT_PREFIX_PATH={prefix}' + (
+        '' if prefix == named else ', as found by the prefix of this Python')
     place = Path(found.origin or '').parent
     domain = os.environ.get('ROS_DOMAIN_ID', '0')
     reach = os.environ.get('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
-    yield Finding('ROS 2', 'ok', f'{distribution}, rclpy in {place}, domain {domain}, discovery '
-                  f'{reach}')
+    yield Finding('ROS 2', 'ok', f'{distribution() or "unknown"}, rclpy in {place}, {where}, '
+                  f'domain {domain}, discovery {reach}')
     if shutil.which('ros2') is None:
         yield Finding('ros2', 'absent', 'the command of ROS 2 is not on the PATH; nodes run '
                       'without it, by hnn simulator')

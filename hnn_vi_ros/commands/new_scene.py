@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write a scene file to begin from: a copy of a shipped one, a scene of a robot or a formula."""
 
+from argparse import Namespace
 from collections.abc import Iterable
 import json
 import math
@@ -9,8 +10,7 @@ import os
 from pathlib import Path
 import re
 
-from hnn_vi_ros.command_line import command
-from hnn_vi_ros.commands import arguments
+from hnn_vi_ros.command_line import command, Parser
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import package_file, SCHEME, share_folder
@@ -32,7 +32,7 @@ _LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
 # Speed of dry friction, unless the step needs a larger one: the default of the effect.
 _SPEED = 0.01
 _TEXT = """\
-# A first scene of {robot}, written by `hnn new_scene`; change what you like.
+# A first scene of {robot}, written by `hnn scene --new`; change what you like.
 #   hnn scene --explain {scene}    # all keys with their units
 #   hnn run {scene} --plot motion.png
 #   ros2 run hnn_vi_ros simulator --ros-args -p scene:={scene}
@@ -336,6 +336,8 @@ def formula_text(text: str, schema: str) -> str:
         owners = {name: f'q{name[1:]}' if f'q{name[1:]}' in names or name[1:].isdecimal() else
                   name[2:] for name in names if re.match(r'p(_\w|\d+$|$)', name)}
         parameters = dict.fromkeys(names.keys() - owners.keys() - {*owners.values()}, 1.0)
+        if not owners:
+            raise ValueError('no momentum: write p_x for that of the coordinate x')
         hamiltonian, d = Formula([*owners.values()], text, parameters), len(owners)
         q, p = 0.1 * np.arange(1.0, d + 1.0), np.zeros(d)
         hamiltonian.check_state(q, p)
@@ -355,10 +357,8 @@ def formula_text(text: str, schema: str) -> str:
         q=np.round(q, 6).tolist(), p=p.tolist())
 
 
-def main(argv: list[str]) -> int:
-    """Write the file, and print what can be done with it."""
-    parser = arguments.new_scene()
-    options = parser.parse_args(argv)
+def write_new(options: Namespace, parser: Parser) -> int:
+    """Do what `scene --new` asks for: write the file, and print what can be done with it."""
     if options.file is None and options.robot is None:
         parser.error('FILE is missing: name what to write')
     path = options.file if options.file is None or options.file.suffix in ('.yaml', '.yml') else \
@@ -369,7 +369,7 @@ def main(argv: list[str]) -> int:
     if options.formula is not None:
         text = formula_text(options.formula, schema)
     else:
-        scene = load_scene(options.like)
+        scene = load_scene(options.like or 'exact_pendulum')
         text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
         for name, file in scene.model_files().items():
             # Paths relative to the folder of the original would not be found from the copy.

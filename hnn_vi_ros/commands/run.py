@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
@@ -19,7 +20,7 @@ SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',)
             '--rerun': ('.rrd',)}
 
 
-def check_outputs(paths: Mapping[str, Path | None]) -> None:
+def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
     """
     Check that files can be written.
 
@@ -27,22 +28,29 @@ def check_outputs(paths: Mapping[str, Path | None]) -> None:
     ----------
     paths : mapping
         By option; None where one is not asked for.
+    force : bool
+        Whether files that exist may be overwritten.
 
     Raises
     ------
     ParameterError
-        A file has another suffix, exists already, or its folder does not exist.
+        A file has another suffix, exists already, is asked for twice, or its folder does not
+        exist.
 
     """
-    for option, path in paths.items():
-        if path is None:
-            continue
+    asked = {option: path for option, path in paths.items() if path is not None}
+    for option, path in asked.items():
+        others = [other for other in asked if other != option and asked[other] == path]
+        if others:
+            raise ParameterError(f'{option} {path}: {others[0]} names the same file; name two')
         valid = SUFFIXES.get(option, (path.suffix,))
         if path.suffix not in valid:
             raise ParameterError(f'{option} {path}: no file of this kind can be written; valid: '
                                  f'{", ".join(valid)}')
-        if os.path.lexists(path):
-            raise ParameterError(f'{option} {path}: exists already; name another file')
+        if os.path.lexists(path) and not (force and path.is_file()):
+            raise ParameterError(f'{option} {path}: ' + (
+                f'{no_file(path)}; name a file' if force else
+                'exists already; name another file, or add --force'))
         if not path.parent.is_dir():
             raise ParameterError(f'{option} {path}: no folder {str(path.parent)!r}; make it first')
 
@@ -70,6 +78,8 @@ def write_outputs(paths: Mapping[str, Path | None],
         if path is None:
             continue
         try:
+            # Some writers refuse a file that exists: that it may be overwritten is known by now.
+            path.unlink(missing_ok=True)
             write(path)
         except OSError as problem:
             raise ParameterError(f'{option} {path}: cannot be written '
@@ -83,7 +93,7 @@ def main(argv: list[str]) -> int:
     """Simulate, print the result in a line, and write the files that were asked for."""
     options = arguments.run().parse_args(argv)
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
-    check_outputs(paths)
+    check_outputs(paths, options.force)
     try:
         trajectory = simulate(
             options.scene, options.duration, step_size=options.step_size,

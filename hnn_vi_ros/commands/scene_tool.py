@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check, list, explain and compile scenes, and print their JSON schema."""
+"""Write, check, list, explain and compile scenes, and print their JSON schema."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
@@ -28,7 +28,16 @@ _STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
 
 def main(argv: list[str]) -> int:
     """Do what the one option asks for; return 1 if a scene is not valid."""
-    options = arguments.scene().parse_args(argv)
+    parser = arguments.scene()
+    options = parser.parse_args(argv)
+    if options.new:
+        from hnn_vi_ros.commands.new_scene import write_new
+        return write_new(options, parser)
+    if options.file is not None:
+        parser.error(f'say what to do with {options.file}: --explain, --check, --compile or --new')
+    for name in ('like', 'formula', 'robot', 'force'):
+        if getattr(options, name):
+            parser.error(f'--{name} is for a new scene: add --new')
     if options.check:
         return check(options.check)
     if options.compile is not None:
@@ -38,8 +47,10 @@ def main(argv: list[str]) -> int:
         lines = list_scenes()
     elif options.schema:
         lines = [json_schema(Scene, 'A scene of hnn_vi_ros')]
-    else:
+    elif options.explain is not None:
         lines = explain(load_scene(options.explain))
+    else:
+        parser.error('say what to do: --list, --explain, --check, --compile, --schema or --new')
     for line in lines:
         print(line, flush=True)
     return 0

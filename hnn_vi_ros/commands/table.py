@@ -13,21 +13,21 @@ from hnn_vi_ros.errors import did_you_mean
 GROUPS = {
     'simulate': {
         'run': 'hnn_vi_ros.commands.run',
-        'cost': 'hnn_vi_ros.commands.cost',
-        'new_scene': 'hnn_vi_ros.commands.new_scene',
         'scene': 'hnn_vi_ros.commands.scene_tool',
+        'cost': 'hnn_vi_ros.commands.cost',
         'sweep': 'hnn_vi_ros.sweeps.sweep'},
-    'learn from data': {
+    'learn': {
         'train': 'hnn_vi_ros.learning.train',
         'evaluate': 'hnn_vi_ros.learning.evaluate',
         'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
         'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint'},
-    'nodes of ROS 2': {
+    'control': {
+        'controller': 'hnn_vi_ros.ros.controller_node'},
+    'ROS': {
         'simulator': 'hnn_vi_ros.ros.simulator_node',
         'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
-        'listener': 'hnn_vi_ros.ros.listener_node',
-        'hover': 'hnn_vi_ros.ros.hover_node'},
-    'recordings': {
+        'listener': 'hnn_vi_ros.ros.listener_node'},
+    'data': {
         'replay': 'hnn_vi_ros.ros.replay.replay_node',
         'recover_bag': 'hnn_vi_ros.bags.recover_bag'},
     'this installation': {
@@ -35,9 +35,11 @@ GROUPS = {
         'completion': 'hnn_vi_ros.commands.completion'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
+# Older names, and what they mean.
+ALIASES = {'new_scene': ('scene', '--new')}
 # ROS 2 finds the others as executables.
 _WITHOUT_ROS = ('run', 'cost', 'doctor', 'completion')
-EXECUTABLES = [name for name in COMMANDS if name not in _WITHOUT_ROS]
+EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 
 def module_of(name: str, argv: Sequence[str]) -> str:
@@ -60,13 +62,12 @@ def hnn() -> Parser:
     width = max(map(len, COMMANDS))
     lines = [line for group, names in GROUPS.items() for line in (
         f'{group}:', *(f'  {name:{width}}  {first_line(parser_of(name))}' for name in names), '')]
-    parser = Parser('', 'Simulate learned and exact Hamiltonians with variational integrators.', [
+    parser = Parser('', (
+        'Simulate learned and exact Hamiltonians with variational integrators. `hnn COMMAND '
+        '--help` lists the arguments of a command.'), [
         'hnn run pendulum --duration 20 --plot pendulum.png', 'hnn scene --list',
         'hnn train --help', 'hnn doctor'], '\n'.join(lines).rstrip())
-    parser.usage = 'hnn [-h] [--version] COMMAND ...'
-    parser.add_argument('command', metavar='COMMAND', help='what to do: see below')
-    parser.add_argument('words', nargs='*', metavar='...', help=(
-        'its own arguments, see hnn COMMAND --help'))
+    parser.usage = 'hnn COMMAND ...'
     return parser
 
 
@@ -80,5 +81,5 @@ def refuse(word: str) -> NoReturn:
     parser = hnn()
     if word.startswith('-'):
         parser.parse_args([word])
-    parser.error(f'unknown command {word!r}{did_you_mean(word, COMMANDS)}; valid: '
+    parser.error(f'unknown command {word!r}{did_you_mean(word, COMMANDS, 0.6)}; valid: '
                  f'{", ".join(COMMANDS)}')

@@ -3,6 +3,12 @@
 """Scenes as models to act on: steps with commands, equilibria, linear models and controllers."""
 
 from hnn_vi_ros.control.batch_step import BatchStep
-from hnn_vi_ros.control.linear import find_equilibrium, Gain, linearise, lqr, momentum, velocity
+from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
+from hnn_vi_ros.control.ilqr import Ilqr, Regulator
+from hnn_vi_ros.control.linear import (
+    find_equilibrium, Gain, linearise, lqr, momentum, state_space, velocity)
+from hnn_vi_ros.control.mppi import Mppi
 
-__all__ = ['BatchStep', 'Gain', 'find_equilibrium', 'linearise', 'lqr', 'momentum', 'velocity']
+__all__ = ['BatchStep', 'Cost', 'Energy', 'Gain', 'Ilqr', 'Kinetic', 'Mppi', 'Point',
+           'Quadratic', 'Regulator', 'find_equilibrium', 'linearise', 'lqr', 'momentum', 'state_space',
+           'velocity']

@@ -4,11 +4,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.control.batch_step import BatchStep
-from hnn_vi_ros.errors import listed, StateError
+from hnn_vi_ros.errors import listed, optional, StateError
 from hnn_vi_ros.hamiltonians import momenta
+from hnn_vi_ros.phase_space import columns, momentum_name
 from hnn_vi_ros.scene import Scene
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,6 +122,32 @@ def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = 
     steps = BatchStep(scene.scene if isinstance(scene, BatchStep) else scene, hold)
     _, by_z, by_u = steps.derivatives(*at)
     return by_z, by_u
+
+
+def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = None) -> Any:
+    """
+    Return the linear model as a ``control.StateSpace`` of python-control, with all states out.
+
+    Parameters
+    ----------
+    scene, at, hold
+        See ``linearise``; with ``hold`` it is a model in discrete time.
+
+    Raises
+    ------
+    MissingPackage
+        python-control is not installed.
+
+    """
+    with optional('control', 'state_space'):
+        import control
+    steps = _steps(scene, hold or 1)
+    a, b = linearise(steps, at, hold)
+    q, p = columns(steps.hamiltonian.coordinates)
+    states = [*q, *map(momentum_name, p)]
+    time = 0.0 if hold is None else hold * steps.duration / steps.hold
+    return control.StateSpace(a, b, np.eye(len(states)), np.zeros(b.shape), time, inputs=[
+        f'force_{name}' for name in steps.inputs], states=states, outputs=states)
 
 
 class Gain(NamedTuple):

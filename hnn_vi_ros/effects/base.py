@@ -315,6 +315,8 @@ class Force(Effect):
     ----------
     depends_on_momentum : bool
         Whether it depends on p, for given t and q.
+    depends_on_state : bool
+        Whether it depends on q or p, for given t.
     add_force : callable
         ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds f_q and f_p to the last two
         arguments; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in numba's subset.
@@ -327,6 +329,7 @@ class Force(Effect):
 
     acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
+    depends_on_state: bool = True
     add_force: Callable[..., None]
 
     @property

@@ -66,6 +66,8 @@ class ExternalForce(Force, Commanded):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
+        # The input map of a model depends on q.
+        self.depends_on_state = model is not None
         self._model: Checkpoint | None = None
         if model is not None:
             from hnn_vi_ros.effects.input_map import load_map

@@ -52,10 +52,11 @@ def add_forces(kernel: Kernel, forces: Sequence[Force], parameters: Sequence[Par
     rounding_q, rounding_p = (sum(parts) for parts in zip(
         kernel.gradient_scale, *(force.rounding[::-1] for force in forces), strict=True))
     space = np.zeros((12, max(d, channels)))
+    differ = int(bool(kernel.rotations) or any(force.depends_on_state for force in forces))
     rotations = np.array(kernel.rotations, dtype=np.int64)
     return composed(
         kernel, functions, kinds,
-        (kernel.parameters, nested, state.clock, space, rotations, d, channels)
+        (kernel.parameters, nested, state.clock, space, rotations, d, channels, differ)
     )._replace(dimension=d + channels, channels=channels,
                gradient_scale=(rounding_q, rounding_p))
 
@@ -66,12 +67,12 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
     add_all = _chain(kinds, 0)
 
     def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, _, _, _, _, d, _ = parameters
+        base, _, _, _, _, d, _, _ = parameters
         return base_energy(base, q[:d], p[:d])
 
     def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                  dH_dp: np.ndarray) -> None:
-        base, forces, clock, space, rotations, d, channels = parameters
+        base, forces, clock, space, rotations, d, channels, _ = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
             base_gradient(base, q[a:b], p[a:b], dH_dq[a:b], dH_dp[a:b])
@@ -89,7 +90,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
         # Forces are differentiated by central differences, not by formulas of their own: only
         # the Jacobian of Newton's method uses this product, and its errors cost iterations, not
         # accuracy.
-        base, forces, clock, space, rotations, d, channels = parameters
+        base, forces, clock, space, rotations, d, channels, differ = parameters
         for a in range(0, q.size, d + channels):
             b, end = a + d, a + d + channels
             base_hessian_vector(base, q[a:b], p[a:b], v_q[a:b], v_p[a:b],
@@ -97,7 +98,7 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
             product_q[b:end] = 0.0
             product_p[b:end] = 0.0
             length = max(largest(v_q[a:b]), largest(v_p[a:b]))
-            if length > 0.0:
+            if differ and length > 0.0:
                 size = max(largest(q[a:b]), largest(p[a:b]))
                 spacing = _SPACING * (size if size > 0.0 else 1.0) / length
                 for sign in (-1.0, 1.0):

@@ -50,7 +50,7 @@ class PeriodicDrive(Force):
 
     """
 
-    depends_on_momentum, drawn = False, True
+    depends_on_momentum, depends_on_state, drawn = False, False, True
 
     def __init__(self, coordinate: str, amplitude: float, frequency: float, phase: float = 0.0):
         check_positive(frequency=frequency)

@@ -74,7 +74,7 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
         with path.open('w' if force else 'x', encoding='utf-8') as stream:
             stream.write(text)
     except FileExistsError as problem:
-        raise SceneError(f'{path}: exists already; name another file, or take --force'
+        raise SceneError(f'{path}: exists already; name another file, or add --force'
                          ) from problem
     except OSError as problem:
         raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'

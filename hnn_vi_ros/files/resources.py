@@ -8,7 +8,7 @@ import stat
 import sys
 import tempfile
 
-from hnn_vi_ros.errors import did_you_mean, HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, offered
 from hnn_vi_ros.files.regular_file import no_file
 
 SCHEME = 'package://'
@@ -87,10 +87,13 @@ def can_be_written(folder: Path) -> bool:
 _FOLDERS = {
     'scene': ('config/scenes', '.yaml'),
     'sweep': ('config/sweeps', '.yaml'),
+    'task': ('config/tasks', '.yaml'),
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
 # What users call a kind, where that is another word.
+# What lists all shipped ones of a kind.
+_ALL = {'scene': '; `hnn scene --list` lists them'}
 _WHAT = {'training': 'training configuration'}
 
 
@@ -110,7 +113,7 @@ def share_folder() -> Path:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the sorted names of the shipped files of a kind: scene, sweep, training or model."""
+    """Return the sorted names of the shipped files of a kind: scene, sweep, task and so on."""
     folder, suffix = _FOLDERS[kind]
     return sorted(path.stem for path in (share_folder() / folder).glob(f'*{suffix}'))
 
@@ -134,7 +137,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
     Parameters
     ----------
     kind : str
-        ``scene``, ``sweep`` or ``training``.
+        ``scene``, ``sweep``, ``task`` or ``training``.
     text : str
         The name of a shipped file, or the path of a file.
     error : type of HnnViRosError
@@ -151,8 +154,8 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         raise error(f'{text}: {no_file(Path(text))}; give the path of a {what} (.yaml)')
     if not named:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
-        raise error(f'no {what} {text!r}{did_you_mean(text, names)}{beside}; shipped: '
-                    f'{", ".join(names)}; or give the path of a .yaml file')
+        raise error(f'no {what} {text!r}{beside}{offered(text, names, "shipped")}'
+                    f'{_ALL.get(kind, "")}; or give the path of a .yaml file')
     # Compare the stems: all files share the suffix.
     files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
     beside_it = {file.stem: file.name for file in files}
@@ -161,4 +164,4 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         hint = hint.replace(f' {stem}?', f' {name}?')
     hint = hint or did_you_mean(path.stem, names)
     raise error(f'{text}: no such file{hint}; give the path of a {what}, or the name of a shipped '
-                f'one: {", ".join(names)}')
+                f'one{_ALL.get(kind) or f": {listed(names)}"}')

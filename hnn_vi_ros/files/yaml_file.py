@@ -9,7 +9,7 @@ from pathlib import Path
 import re
 from typing import Any, TypeVar
 
-from hnn_vi_ros.errors import did_you_mean, HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError, offered
 from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
@@ -133,6 +133,14 @@ def _read(path: Path, error: type[HnnViRosError]) -> bytes:
         raise error(f'{path}: {one_line(problem)}') from problem
 
 
+def in_plain_words(problem: ValidationError) -> str:
+    """Return the first key of data that do not fit a schema, and what is wrong with it."""
+    first = problem.errors(include_url=False)[0]
+    words = {'missing': 'required', 'extra_forbidden': 'unknown key'}
+    said = words.get(first['type']) or _wrong_value([first], ())
+    return one_line(': '.join(filter(None, ('.'.join(map(str, first['loc'])), said))))
+
+
 def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationError) -> str:
     problems = problem.errors(include_url=False)
     # A misspelt key is reported as unknown rather than as missing under its right name; of the
@@ -141,14 +149,12 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
     loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
     if problem_type == 'extra_forbidden':
         valid = {name for owner in _schemas_at(schema, loc[:-1]) for name in owner.model_fields}
-        hint = did_you_mean(str(loc[-1]), valid)
-        message = f'unknown key{hint}; valid keys: {", ".join(sorted(valid))}'
+        message = f'unknown key{offered(str(loc[-1]), sorted(valid), "valid keys")}'
     elif problem_type in ('union_tag_invalid', 'union_tag_not_found'):
         key, tag = (*key, 'kind'), first['ctx'].get('tag')
         kinds = sorted(map(_kind, _schemas_at(schema, loc)))
-        message = 'required' if tag is None else \
-            f'unknown kind {repr(tag)[:80]}{did_you_mean(str(tag), kinds)}'
-        message += f'; valid kinds: {", ".join(kinds)}'
+        message = f'required; valid kinds: {", ".join(kinds)}' if tag is None else \
+            f'unknown kind {repr(tag)[:80]}{offered(str(tag), kinds, "valid kinds")}'
     elif problem_type in ('model_type', 'model_attributes_type'):
         kinds = sorted(filter(None, map(_kind, _schemas_at(schema, loc))))
         named = kinds and (first['input'] if first['input'] in kinds else kinds[0])

@@ -16,7 +16,9 @@ from typing import Any
 from hnn_vi_ros.errors import HnnViRosError
 import yaml
 from yaml.composer import Composer, ComposerError
+from yaml.parser import ParserError
 from yaml.reader import Reader
+from yaml.scanner import ScannerError
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -123,6 +125,10 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
     except yaml.MarkedYAMLError as problem:
         mark = problem.problem_mark or problem.context_mark
         what = ', '.join(filter(None, (problem.context, problem.problem)))
+        if isinstance(problem, ScannerError | ParserError):
+            # Words of the library, whose word for a tab is a character that starts no token.
+            here = decoded[mark.index:mark.index + 1] if mark else ''
+            what = 'a tab; indent by spaces' if here == '\t' else f'no YAML: {what}'
         raise error(f'{where}:{mark.line + 1 if mark else 1}: {one_line(what)}') from problem
     except yaml.YAMLError as problem:
         raise error(f'{where}:1: {one_line(problem)}') from problem

@@ -236,17 +236,17 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
     kernel, tableau, acting, stages, sources, added, tangents, work = bare(
         (kernel, tableau, acting, stages, sources, added, tangents, work))
     start, end, flow = work.start, work.end, acting.flow
+    explicit = _is_explicit(tableau)
     for n in range(stages.shape[0]):
         _enter(acting, n)
         for m in range(stages.shape[1]):
             _fill_slopes(kernel, stages[n, m], work)
-            _fill_matrix(h, tableau, work, False)
-            if not factorise_rows(work.matrix, work.pivots):
+            if not (explicit or _factorise(h, tableau, work)):
                 return n
             for r in range(tangents.shape[1]):
                 for k in range(flow.size):
                     start[k] = flow[k] * tangents[n, r, m, k] + added[n, 0, r, m, k]
-                _push(kernel, h, tableau, sources[n, r, m], start, end, work)
+                _push(kernel, h, tableau, sources[n, r, m], start, end, explicit, work)
                 for k in range(flow.size):
                     tangents[n + 1, r, m, k] = flow[k] * end[k] + added[n, 1, r, m, k]
     return -1
@@ -263,7 +263,7 @@ def push_each(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
     kernel, h, tableau, work
         See ``find_stages``.
     acting : Acting
-        What effects do: times of K steps, and a command of each of m trajectories.
+        What effects do: times, shape (m, K), and a command of each of m trajectories.
     states : np.ndarray, shape (m, K + 1, 2 d)
         Before and after each step.
     sources : np.ndarray, shape (r, 2 s d)
@@ -282,9 +282,10 @@ def push_each(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
     kernel, tableau, acting, states, sources, tangents, x, work = bare(
         (kernel, tableau, acting, states, sources, tangents, x, work))
     start, end, flow, failed = work.start, work.end, acting.flow, 0
+    explicit = _is_explicit(tableau)
     for m in range(states.shape[0]):
         for n in range(states.shape[1] - 1):
-            acting.clock[0], acting.clock[1] = acting.times[n], 0.0
+            acting.clock[0], acting.clock[1] = acting.times[m, n], 0.0
             for i in range(acting.command.size):
                 acting.command[i] = acting.commands[m, i]
             for k in range(flow.size):
@@ -293,16 +294,14 @@ def push_each(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
             found = _find(kernel, h, tableau, start, end, x, work)
             if found:
                 _fill_slopes(kernel, x, work)
-                _fill_matrix(h, tableau, work, False)
-                found = factorise_rows(work.matrix, work.pivots)
-            if not found:
+            if not (found and (explicit or _factorise(h, tableau, work))):
                 tangents[m] = np.nan
                 failed += 1
                 break
             for r in range(tangents.shape[1]):
                 for k in range(flow.size):
                     start[k] = flow[k] * tangents[m, r, k]
-                _push(kernel, h, tableau, sources[r], start, end, work)
+                _push(kernel, h, tableau, sources[r], start, end, explicit, work)
                 for k in range(flow.size):
                     tangents[m, r, k] = flow[k] * end[k]
     return failed
@@ -325,20 +324,24 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
     for k in range(2 * d):
         work.change[k] = (z1[k] - z[k]) / h
     problem = _Problem(kernel, h, tableau, z, work.product_q, work.product_p)
+    for i in range(s):
+        a, b = i * d, (s + i) * d
+        set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
+        set_scale(scale[b:b + d], own[b:b + d], z[d:], work.change[d:], h, kernel, 0)
     outcome = NO_CONVERGENCE
+    if _is_explicit(tableau):
+        _walk(problem, x)
+        outcome = OK
     # Newton's method takes a matrix more, so it comes second, after a failure of the other.
-    for attempt in range(2):
+    for attempt in range(0 if outcome == OK else 2):
         for i in range(s):
-            a, b = i * d, (s + i) * d
-            set_scale(scale[a:a + d], own[a:a + d], z[:d], work.change[:d], h, kernel, 1)
-            set_scale(scale[b:b + d], own[b:b + d], z[d:], work.change[d:], h, kernel, 0)
             node_q, node_p = 0.0, 0.0
             for j in range(s):
                 node_q += tableau.q_matrix[i, j]
                 node_p += tableau.p_matrix[i, j]
             for k in range(d):
-                x[a + k] = z[k] + node_q * (z1[k] - z[k])
-                x[b + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
+                x[i * d + k] = z[k] + node_q * (z1[k] - z[k])
+                x[(s + i) * d + k] = z[d + k] + node_p * (z1[d + k] - z[d + k])
         if attempt == 0:
             outcome, _, _ = anderson(_equation, _tangent, problem, x, work.solver, _MOST)
         else:
@@ -359,13 +362,36 @@ def _find(kernel: Kernel, h: float, tableau: PartitionedTableau, z: np.ndarray, 
 
 
 @inlined
-def _combine(tableau: PartitionedTableau, dH_dq: np.ndarray, dH_dp: np.ndarray, i: int, k: int
-             ) -> tuple[float, float]:
-    """Return the sums over j of a_ij H_p and of -A_ij H_q for component k."""
+def _is_explicit(tableau: PartitionedTableau) -> bool:
+    """Return whether each stage depends on those before it alone."""
     s = tableau.q_weights.size
-    d = dH_dq.size // s
+    for i in range(s):
+        for j in range(i, s):
+            if tableau.q_matrix[i, j] != 0.0 or tableau.p_matrix[i, j] != 0.0:
+                return False
+    return True
+
+
+@inlined
+def _walk(problem: _Problem, x: np.ndarray) -> None:
+    """Fill the stages of an explicit step, one after another, and H' at them."""
+    s, d, z = problem.tableau.q_weights.size, problem.kernel.dimension, problem.z
+    for i in range(s):
+        a, b = i * d, (s + i) * d
+        for k in range(d):
+            dq, dp = _combine(problem.tableau, problem.dH_dq, problem.dH_dp, i, k, i)
+            x[a + k], x[b + k] = z[k] + problem.h * dq, z[d + k] + problem.h * dp
+        problem.kernel.gradient(problem.kernel.parameters, x[a:a + d], x[b:b + d],
+                                problem.dH_dq[a:a + d], problem.dH_dp[a:a + d])
+
+
+@inlined
+def _combine(tableau: PartitionedTableau, dH_dq: np.ndarray, dH_dp: np.ndarray, i: int, k: int,
+             stages: int) -> tuple[float, float]:
+    """Return the sums over the first stages j of a_ij H_p and of -A_ij H_q, component k."""
+    d = dH_dq.size // tableau.q_weights.size
     dq, dp = 0.0, 0.0
-    for j in range(s):
+    for j in range(stages):
         dq += tableau.q_matrix[i, j] * dH_dp[j * d + k]
         dp -= tableau.p_matrix[i, j] * dH_dq[j * d + k]
     return dq, dp
@@ -378,7 +404,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
                             problem.dH_dq, problem.dH_dp)
     for i in range(s):
         for k in range(d):
-            dq, dp = _combine(problem.tableau, problem.dH_dq, problem.dH_dp, i, k)
+            dq, dp = _combine(problem.tableau, problem.dH_dq, problem.dH_dp, i, k, s)
             value[i * d + k] = z[k] + problem.h * dq
             value[(s + i) * d + k] = z[d + k] + problem.h * dp
 
@@ -392,7 +418,7 @@ def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarra
                                   v[:s * d], v[s * d:], at_q, at_p)
     for i in range(s):
         for k in range(d):
-            dq, dp = _combine(problem.tableau, at_q, at_p, i, k)
+            dq, dp = _combine(problem.tableau, at_q, at_p, i, k, s)
             product[i * d + k], product[(s + i) * d + k] = problem.h * dq, problem.h * dp
 
 
@@ -401,6 +427,8 @@ def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
     """Fill H'' at each stage, column by column."""
     n, d = work.v_q.size, kernel.dimension
     for column in range(2 * d):
+        if column % d >= _own(kernel):
+            continue  # its column is zero
         for i in range(n):
             work.v_q[i] = 1.0 if i % d == column else 0.0
             work.v_p[i] = 1.0 if i % d == column - d else 0.0
@@ -431,6 +459,13 @@ def _fill_matrix(h: float, tableau: PartitionedTableau, work: StageWork, transpo
                         matrix[row_q, column], matrix[row_p, column] = entry_q, entry_p
     for k in range(2 * s * d):
         matrix[k, k] += 1.0
+
+
+@inlined
+def _factorise(h: float, tableau: PartitionedTableau, work: StageWork) -> bool:
+    """Factorise I - G_Z from H'' at the stages; False if it is singular."""
+    _fill_matrix(h, tableau, work, False)
+    return factorise_rows(work.matrix, work.pivots)
 
 
 @inlined
@@ -470,23 +505,45 @@ def _pull(kernel: Kernel, h: float, tableau: PartitionedTableau, x: np.ndarray,
 
 @inlined
 def _push(kernel: Kernel, h: float, tableau: PartitionedTableau, source: np.ndarray,
-          before: np.ndarray, after: np.ndarray, work: StageWork) -> None:
-    """Fill the tangent after a step, whose matrix is factorised, from that before it."""
-    s, d, right, slopes = tableau.q_weights.size, kernel.dimension, work.right, work.slopes
-    n = s * d
+          before: np.ndarray, after: np.ndarray, explicit: bool, work: StageWork) -> None:
+    """Fill the tangent after a step from that before it; its matrix is factorised if implicit."""
+    s, d, right, own = tableau.q_weights.size, kernel.dimension, work.right, _own(kernel)
+    n, changed_q, changed_p = s * d, work.v_q, work.v_p
+    if not explicit:
+        for k in range(n):
+            changed_q[k], changed_p[k] = source[k], source[n + k]
     for i in range(s):
-        for k in range(d):
-            dq, dp = _combine(tableau, source[:n], source[n:], i, k)
+        for k in range(own if explicit else d):
+            dq, dp = _combine(tableau, changed_q, changed_p, i, k, i if explicit else s)
             right[i * d + k] = before[k] + h * dq
             right[n + i * d + k] = before[d + k] + h * dp
-    solve_factorised(work.matrix, work.pivots, right)
+        if explicit:
+            _change(source, i, d, own, work)
+    if not explicit:
+        solve_factorised(work.matrix, work.pivots, right)
+        for i in range(s):
+            _change(source, i, d, own, work)
     for k in range(d):
         after[k], after[d + k] = before[k], before[d + k]
-        for j in range(s):
-            at_q, at_p = source[j * d + k], source[n + j * d + k]
-            for c in range(d):
-                v_q, v_p = right[j * d + c], right[n + j * d + c]
-                at_q += slopes[j, k, c] * v_q + slopes[j, k, d + c] * v_p
-                at_p += slopes[j, d + k, c] * v_q + slopes[j, d + k, d + c] * v_p
-            after[k] += h * tableau.q_weights[j] * at_p
-            after[d + k] -= h * tableau.p_weights[j] * at_q
+        for j in range(s if k < own else 0):
+            after[k] += h * tableau.q_weights[j] * changed_p[j * d + k]
+            after[d + k] -= h * tableau.p_weights[j] * changed_q[j * d + k]
+
+
+@inlined
+def _own(kernel: Kernel) -> int:
+    """Return the number of coordinates that are no channels, on which alone states depend."""
+    return kernel.dimension - kernel.channels
+
+
+@inlined
+def _change(source: np.ndarray, j: int, d: int, own: int, work: StageWork) -> None:
+    """Fill how H' changes at a stage, into v_q and v_p, for a change of the stage, in right."""
+    n, right, slopes = work.v_q.size, work.right, work.slopes
+    for k in range(own):
+        at_q, at_p = source[j * d + k], source[n + j * d + k]
+        for c in range(own):
+            v_q, v_p = right[j * d + c], right[n + j * d + c]
+            at_q += slopes[j, k, c] * v_q + slopes[j, k, d + c] * v_p
+            at_p += slopes[j, d + k, c] * v_q + slopes[j, d + k, d + c] * v_p
+        work.v_q[j * d + k], work.v_p[j * d + k] = at_q, at_p

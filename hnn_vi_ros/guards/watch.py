@@ -149,6 +149,8 @@ class Watch:
     ----------
     alarms : list of Alarm
         The first of each kind, in the order in which they were raised.
+    works : dict of int to float
+        The work done [J] after each number of steps at which it was looked at.
 
     """
 
@@ -156,6 +158,7 @@ class Watch:
                  band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT,
                  kinds: tuple[type[Guard], ...] = (Guard,)):
         self.alarms: list[Alarm] = []
+        self.works: dict[int, float] = {}
         self._guards = [guard for guard in make_guards(
             simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier)
             if isinstance(guard, kinds)]
@@ -163,6 +166,7 @@ class Watch:
 
     def update(self, look: Look) -> None:
         """Show the next state to all guards."""
+        self.works[look.step] = look.work
         for guard in self._guards:
             alarm = guard.update(look)
             if alarm is not None and alarm.kind not in self._heard:

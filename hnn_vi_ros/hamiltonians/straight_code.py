@@ -76,7 +76,9 @@ def graph_kernel(graph: Graph, root: int, names: Sequence[str], momenta: Sequenc
                        loop)),
         tuple(float(values[a]) for a in constants), d,
         (_largest_term(graph, slopes[:d], parameters),
-         _largest_term(graph, slopes[d:], parameters)))
+         _largest_term(graph, slopes[d:], parameters)))._replace(
+             quadratic=not graph.depending(products[d:], [*both, *(
+                 changes[name] for name in names)]))
 
 
 class Code:

@@ -20,6 +20,8 @@ from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)
+# Where a round leaves more of the residual than this, the full matrix saves rounds.
+_SLOW = 0.1
 
 
 class Modes(NamedTuple):
@@ -41,6 +43,13 @@ class Modes(NamedTuple):
     left: np.ndarray
     right: np.ndarray
 
+    def in_fours(self) -> 'Modes':
+        """Return left and right as real matrices in fours, of real and imaginary parts in turn."""
+        left = np.stack([self.left.real, self.left.imag], axis=1)
+        right = np.stack([self.right.real, -self.right.imag], axis=2)
+        return Modes(self.values, in_fours(left.reshape(-1, left.shape[2])),
+                     in_fours(right.reshape(len(right), -1)))
+
 
 @cache
 def modes_of(matrix: tuple[tuple[float, ...], ...]) -> Modes:
@@ -54,6 +63,28 @@ def modes_of(matrix: tuple[tuple[float, ...], ...]) -> Modes:
                  np.ascontiguousarray(right[:, kept] * share))
 
 
+def in_fours(matrix: np.ndarray) -> np.ndarray:
+    """Return a matrix of shape (r, s) as ``add_up`` reads it: (ceil(r / 4), s, 4), with zeros."""
+    rows, several = matrix.shape
+    padded = np.pad(matrix, ((0, -rows % 4), (0, 0)))
+    return np.ascontiguousarray(padded.reshape(-1, 4, several).transpose(0, 2, 1))
+
+
+@inlined
+def add_up(matrix: np.ndarray, numbers: np.ndarray, first: int, n: int, sums: np.ndarray) -> None:
+    """Fill in the product of a matrix in fours with numbers[first + k n]: sums in registers."""
+    for block in range(matrix.shape[0]):
+        a, b, c, d = 0.0, 0.0, 0.0, 0.0
+        for k in range(matrix.shape[1]):
+            number = numbers[first + k * n]
+            a += matrix[block, k, 0] * number
+            b += matrix[block, k, 1] * number
+            c += matrix[block, k, 2] * number
+            d += matrix[block, k, 3] * number
+        sums[4 * block], sums[4 * block + 1] = a, b
+        sums[4 * block + 2], sums[4 * block + 3] = c, d
+
+
 class ModesWork(NamedTuple):
     """
     The matrix of the simplified Newton method in the eigenvectors of A.
@@ -62,19 +93,31 @@ class ModesWork(NamedTuple):
     ----------
     inverses : np.ndarray of complex, shape (r, N)
         The inverse of I - mu J for each eigenvalue and, one after another, each system.
-    vector : np.ndarray of complex, shape (s,)
-        Its right factor.
+    factors, products : np.ndarray, shape (s, 4 ceil(r / 2))
+        Their right factors for each component, and the products: real and imaginary parts.
+    direct : np.ndarray of bool, shape (1,)
+        Whether coordinates follow from the new momenta, without that matrix.
+    masses : np.ndarray, shape (d, d)
+        The inverse masses H_pp, where it is so.
+    sums : np.ndarray, shape (4 ceil(s / 4),)
+        One number for each stage.
 
     """
 
     inverses: np.ndarray
-    vector: np.ndarray
+    factors: np.ndarray
+    products: np.ndarray
+    direct: np.ndarray
+    masses: np.ndarray
+    sums: np.ndarray
 
     @classmethod
-    def empty(cls, stages: int, n: int) -> 'ModesWork':
+    def empty(cls, stages: int, n: int, dtype: type = np.float64) -> 'ModesWork':
         """Return the working space of systems of up to s / 2 coordinates, n in all."""
+        d, fours = min(n, stages), -(-stages // 4) * 4
         return cls(np.zeros(((stages + 1) // 2, 2 * stages * n), dtype=complex),
-                   np.zeros(stages, dtype=complex))
+                   np.zeros((stages, fours)), np.zeros((stages, fours)), np.zeros(1, dtype=bool),
+                   np.zeros((d, d), dtype), np.zeros(fours, dtype))
 
 
 @inlined
@@ -86,6 +129,9 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     J = (H_pq, H_pp; -H_qq, -H_qp) is taken at the middle stage of the start, with the forces. In
     the eigenvectors of A the matrix falls into I - mu J, one for each eigenvalue mu / h. Of as
     many coordinates as half the stages, or fewer, J takes no more products than there are stages.
+
+    With constant masses G itself follows coordinates from the new momenta (Gauss-Seidel): its
+    iteration takes a fifth more rounds, without a matrix, which comes where a round is slow.
 
     Channels follow from G. Where a residual was to fall below eps with the rate of the iteration
     before, what is left is rounding.
@@ -99,6 +145,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
     sizes = iterates.scale, iterates.own_scale, iterates.accepted
     value, defect = iterates.values[0], iterates.residuals[0]
     before, previous, residual, stage = math.inf, math.inf, math.inf, COMMON
+    inverted, direct = False, problem.work.direct
     for k in range(1, max_iterations + 1):
         settled = stage == COMMON and before < math.inf and previous * previous <= _EPS * before
         outcome, residual, stage = judge(equation, problem, x, sizes, value, defect,
@@ -114,8 +161,14 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
         if stage == BACK:
             copy_array(value, x)
             continue
-        if k == 1 and not _invert(problem, x, work.newton):
+        if direct[0] and k > 1 and residual > _SLOW * before:
+            direct[0] = False
+        elif direct[0]:
+            copy_array(value, x)
+            continue
+        if not inverted and not _invert(problem, x, work.newton):
             return NO_CONVERGENCE, residual, k + 1
+        inverted = True
         _correct(problem, value, x)
     return NO_CONVERGENCE, residual, max_iterations + 1
 
@@ -123,7 +176,7 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
 @inlined
 def _invert(problem: Any, x: np.ndarray, work: NewtonWork) -> bool:
     """Fill the inverses of I - mu J; return False if one is singular."""
-    kernel, s, n = problem.kernel, problem.matrix.shape[0], problem.z.q.size
+    kernel, s, n = problem.kernel, problem.matrix.shape[1], problem.z.q.size
     inverses, width = problem.work.inverses, kernel.dimension
     d = width - kernel.channels
     m, middle = 2 * d, s // 2 * n
@@ -159,34 +212,32 @@ def _invert(problem: Any, x: np.ndarray, work: NewtonWork) -> bool:
 @inlined
 def _correct(problem: Any, value: np.ndarray, x: np.ndarray) -> None:
     """Take a step of Newton's method; ``value`` is not kept."""
-    s, n, modes = problem.matrix.shape[0], problem.z.q.size, problem.modes
+    s, n, modes = problem.matrix.shape[1], problem.z.q.size, problem.modes
     width = problem.kernel.dimension
     d = width - problem.kernel.channels
-    m, at, w = 2 * d, 0, problem.work.vector
+    m, at, sums = 2 * d, 0, problem.work.sums
+    factors, products = problem.work.factors, problem.work.products
+    inverses = problem.work.inverses
     for i in range(0, n, width):
         for j in range(2 * s):
             for a in range(j * n + i, j * n + i + d):
                 value[a] -= x[a]
             for a in range(j * n + i + d, j * n + i + width):
                 x[a] = value[a]
-        for k in range(modes.values.size):
-            # Sums are of two numbers, not complex and in no array: they stay in registers.
-            for a in range(m):
-                first = i + a if a < d else s * n + i + a - d
-                re, im = 0.0, 0.0
-                for j in range(s):
-                    re += modes.left[k, j].real * value[first + j * n]
-                    im += modes.left[k, j].imag * value[first + j * n]
-                w[a] = complex(re, im)
-            for a in range(m):
+        for a in range(m):
+            add_up(modes.left, value, i + a if a < d else s * n + i + a - d, n, factors[a])
+        for a in range(m):
+            for k in range(modes.values.size):
                 re, im = 0.0, 0.0
                 for b in range(m):
-                    entry = problem.work.inverses[k, at + a * m + b]
-                    re += entry.real * w[b].real - entry.imag * w[b].imag
-                    im += entry.real * w[b].imag + entry.imag * w[b].real
-                first = i + a if a < d else s * n + i + a - d
-                for j in range(s):
-                    x[first + j * n] += modes.right[j, k].real * re - modes.right[j, k].imag * im
+                    entry = inverses[k, at + a * m + b]
+                    re += entry.real * factors[b, 2 * k] - entry.imag * factors[b, 2 * k + 1]
+                    im += entry.real * factors[b, 2 * k + 1] + entry.imag * factors[b, 2 * k]
+                products[a, 2 * k], products[a, 2 * k + 1] = re, im
+            add_up(modes.right, products[a], 0, 1, sums)
+            first = i + a if a < d else s * n + i + a - d
+            for j in range(s):
+                x[first + j * n] += sums[j]
         at += m * m
 
 
@@ -206,6 +257,8 @@ class Tableau(NamedTuple):
         For the stages.
     modes : Modes
         The eigenvectors of the matrix.
+    direct : bool
+        Whether coordinates may follow from the new momenta at once; see Kernel.quadratic.
 
     """
 
@@ -214,6 +267,7 @@ class Tableau(NamedTuple):
     start: np.ndarray
     solver: SolverOptions
     modes: Modes
+    direct: bool = False
 
 
 class StageSlopes(NamedTuple):
@@ -340,16 +394,19 @@ class Gauss(Collocation):
     def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
         """Return the coefficients and the options; few coordinates have a solver of their own."""
         options = super().options(attempt, dimension)
+        options = options._replace(matrix=in_fours(options.matrix), start=in_fours(options.start),
+                                   modes=options.modes.in_fours())
         if options.solver.solve is not anderson or 2 * dimension > self.stages:
             return options
-        return options._replace(solver=options.solver._replace(solve=simplified_newton))
+        return options._replace(solver=options.solver._replace(solve=simplified_newton),
+                                direct=True)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[GaussWork]:
         """Return the workspace of the equation; see Integrator."""
         (size,) = self.unknowns(n)
         kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
-        return (GaussWork(kept, SolverWork.empty(size, dtype), ModesWork.empty(self.stages, n),
-                          np.zeros(size, dtype)),)
+        return (GaussWork(kept, SolverWork.empty(size, dtype),
+                          ModesWork.empty(self.stages, n, dtype), np.zeros(size, dtype)),)
 
     @property
     def partitioned(self) -> PartitionedTableau:
@@ -370,10 +427,13 @@ class Gauss(Collocation):
         for i in range(n, s * n):
             scale[i], own[i] = scale[i - n], own[i - n]
             scale[s * n + i], own[s * n + i] = scale[s * n + i - n], own[s * n + i - n]
-        _start(options, kept, z, h, x)
         # The slopes H_q and H_p at the stages stay in the workspace for the next start.
         problem = _Problem(kernel, h, options.matrix, options.modes, work.modes, z, x[:s * n],
                            x[s * n:], slopes[:s * n], slopes[s * n:])
+        work.modes.direct[0] = options.direct and kernel.quadratic
+        if work.modes.direct[0]:
+            _find_masses(problem, work.solver.newton)
+        _start(options, kept, problem, x)
         outcome, residual, rounds = options.solver.solve(
             _equation, _tangent, problem, x, work.solver, options.solver.max_iterations)
         if outcome != OK:
@@ -403,53 +463,89 @@ GAUSS_METHODS = {f'gauss{2 * stages}': _gauss(stages) for stages in range(2, 9)}
 
 
 @inlined
-def _start(options: Tableau, kept: StageSlopes, z: Point, h: float, x: np.ndarray) -> None:
-    """Start the stages from the last step's collocation polynomial, or from the state."""
-    n, s, slopes = z.q.size, options.weights.size, kept.slopes
-    for j in range(s):
-        for i in range(n):
-            dq, dp = 0.0, 0.0
-            if kept.count[0] > 0 and options.solver.extrapolate:
-                for k in range(s):
-                    dq += options.start[j, k] * slopes[(s + k) * n + i]
-                    dp -= options.start[j, k] * slopes[k * n + i]
-            x[j * n + i] = z.q[i] + h * dq
-            x[(s + j) * n + i] = z.p[i] + h * dp
+def _find_masses(problem: _Problem, work: NewtonWork) -> None:
+    """Fill the inverse masses, by products with H''."""
+    kernel, z, masses = problem.kernel, problem.z, problem.work.masses
+    d, n = kernel.dimension, z.q.size
+    v_q, v_p = work.direction[:n], work.direction[n:2 * n]
+    product_q, product_p = work.product[:n], work.product[n:2 * n]
+    for i in range(n):
+        v_q[i], v_p[i] = 0.0, 0.0
+    for column in range(d):
+        v_p[column] = 1.0
+        kernel.hessian_vector(kernel.parameters, z.q[:d], z.p[:d], v_q[:d], v_p[:d],
+                              product_q[:d], product_p[:d])
+        v_p[column] = 0.0
+        for row in range(d):
+            masses[row, column] = product_p[row]
 
 
 @inlined
-def _combine(problem: _Problem, dH_dq: np.ndarray, dH_dp: np.ndarray, j: int, i: int
-             ) -> tuple[float, float]:
-    """Return the sums over k of a_jk H_p and of -a_jk H_q for component i."""
-    n = problem.z.q.size
-    dq, dp = 0.0, 0.0
-    for k in range(problem.matrix.shape[0]):
-        dq += problem.matrix[j, k] * dH_dp[k * n + i]
-        dp -= problem.matrix[j, k] * dH_dq[k * n + i]
-    return dq, dp
+def _start(options: Tableau, kept: StageSlopes, problem: _Problem, x: np.ndarray) -> None:
+    """Start the stages from the last step's collocation polynomial, or from the state."""
+    z, h, sums, masses = problem.z, problem.h, problem.work.sums, problem.work.masses
+    n, s, d, slopes = z.q.size, options.weights.size, problem.kernel.dimension, kept.slopes
+    go_on, direct = kept.count[0] > 0 and options.solver.extrapolate, problem.work.direct[0]
+    for i in range(n):
+        for j in range(s):
+            x[j * n + i], x[(s + j) * n + i] = z.q[i], z.p[i]
+        if go_on:
+            add_up(options.start, slopes, i, n, sums)
+            for j in range(s):
+                x[(s + j) * n + i] -= h * sums[j]
+    if direct:
+        for first in range(s * n, 2 * s * n, d):
+            for row in range(d):
+                slopes[first + row] = 0.0
+                for column in range(d):
+                    slopes[first + row] += masses[row, column] * x[first + column]
+    if go_on or direct:
+        for i in range(n):
+            add_up(problem.matrix if direct else options.start, slopes, s * n + i, n, sums)
+            for j in range(s):
+                x[j * n + i] += h * sums[j]
 
 
 @inlined
 def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
-    z, s = problem.z, problem.matrix.shape[0]
+    z, s, sums, h = problem.z, problem.matrix.shape[1], problem.work.sums, problem.h
     n = z.q.size
     problem.kernel.gradient(problem.kernel.parameters, x[:s * n], x[s * n:],
                             problem.dH_dq, problem.dH_dp)
-    for j in range(s):
-        for i in range(n):
-            dq, dp = _combine(problem, problem.dH_dq, problem.dH_dp, j, i)
-            value[j * n + i] = z.q[i] + (z.q_carry[i] + problem.h * dq)
-            value[(s + j) * n + i] = z.p[i] + (z.p_carry[i] + problem.h * dp)
+    for i in range(n):
+        add_up(problem.matrix, problem.dH_dq, i, n, sums)
+        for j in range(s):
+            value[(s + j) * n + i] = z.p[i] + (z.p_carry[i] - h * sums[j])
+    if problem.work.direct[0]:
+        _renew_velocities(problem, x, value)
+    for i in range(n):
+        add_up(problem.matrix, problem.dH_dp, i, n, sums)
+        for j in range(s):
+            value[j * n + i] = z.q[i] + (z.q_carry[i] + h * sums[j])
+
+
+@inlined
+def _renew_velocities(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
+    """Let H_p be that of the new momenta, by the inverse masses."""
+    d, masses, half = problem.kernel.dimension, problem.work.masses, problem.dH_dp.size
+    for first in range(0, half, d):
+        for row in range(d):
+            for column in range(d):
+                at = half + first + column
+                problem.dH_dp[first + row] += masses[row, column] * (value[at] - x[at])
 
 
 @inlined
 def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-    n, s = problem.z.q.size, problem.matrix.shape[0]
+    n, s, sums = problem.z.q.size, problem.matrix.shape[1], problem.work.sums
     # Not needed before the next evaluation of the equation fills them again.
     at_q, at_p = problem.dH_dq, problem.dH_dp
     problem.kernel.hessian_vector(problem.kernel.parameters, x[:s * n], x[s * n:],
                                   v[:s * n], v[s * n:], at_q, at_p)
-    for j in range(s):
-        for i in range(n):
-            dq, dp = _combine(problem, at_q, at_p, j, i)
-            product[j * n + i], product[(s + j) * n + i] = problem.h * dq, problem.h * dp
+    for i in range(n):
+        add_up(problem.matrix, at_p, i, n, sums)
+        for j in range(s):
+            product[j * n + i] = problem.h * sums[j]
+        add_up(problem.matrix, at_q, i, n, sums)
+        for j in range(s):
+            product[(s + j) * n + i] = -problem.h * sums[j]

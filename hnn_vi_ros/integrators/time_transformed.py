@@ -370,7 +370,8 @@ def _transform(base_step: Callable) -> Callable:
             clock[0], clock[1], clock[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
         parameters = TransformedParameters(kernel, memory[2], clock[0], force, exponent)
         transformed = Kernel(kernel.energy, _gradient, _hessian_vector, parameters, n + 1,
-                             kernel.gradient_scale, kernel.compiled, 1)
+                             kernel.gradient_scale, kernel.compiled, 1, kernel.energy_scale,
+                             kernel.rotations, False)
         copy_point(ahead, at)
         own_step = own_length(work.own_step, h)
         worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]

@@ -195,7 +195,7 @@ def composed(kernel: Kernel, functions: Functions, kinds: tuple[type, ...],
     else:
         energy, gradient, hessian_vector = functions
     return kernel._replace(energy=energy, gradient=gradient, hessian_vector=hessian_vector,
-                           parameters=parameters)
+                           parameters=parameters, quadratic=False)
 
 
 @cache

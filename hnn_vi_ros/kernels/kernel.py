@@ -52,6 +52,9 @@ class Kernel(NamedTuple):
         rotation has three columns: those after it follow at once, and as many columns as there
         are rotations stay zero at the end of p and of dH_dp, before the channels.
 
+    quadratic : bool
+        Whether H = p . M^-1 p / 2 + V(q) with constant masses, by gradients of nanoseconds.
+
     """
 
     energy: Energy
@@ -64,3 +67,4 @@ class Kernel(NamedTuple):
     channels: int = 0
     energy_scale: float = 0.0
     rotations: tuple[int, ...] = ()
+    quadratic: bool = False

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, named, Parser
+from hnn_vi_ros.command_line import complete_by, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
@@ -46,7 +46,7 @@ def train() -> Parser:
         'ros2 run hnn_vi_ros train --config double_pendulum_bag --data BAG '
         '--out models/mine.safetensors'])
     complete_by(parser.add_argument('--config', required=True, metavar='NAME|FILE', help=(
-        'a shipped training configuration, or a YAML file')), named('training'))
+        'a shipped training configuration, or a YAML file')), 'training')
     parser.add_argument('--out', type=Path, metavar='FILE',
                         help='the model file to write (default: models/<name>.safetensors)')
     parser.add_argument('--data', nargs='+', default=[], metavar='FILE',
@@ -79,7 +79,7 @@ def evaluate() -> Parser:
         'the motors, or RUN/t, ... of several runs; or, with --config, files of its format'))
     complete_by(parser.add_argument('--config', metavar='NAME|FILE', help=(
         'a training configuration of any family, whose data section says how --data is read, and '
-        'names files or computes motions where there is no --data')), named('training'))
+        'names files or computes motions where there is no --data')), 'training')
     parser.add_argument('--keys', metavar='T,Q[,V[,TAU]]', help=(
         'names of the arrays; without V, or with nothing in its place, velocities are estimated '
         'from q; without TAU no forces act (default: t,q,dq,tau)'))
@@ -119,7 +119,7 @@ def identify() -> Parser:
             'ros2 run hnn_vi_ros identify arm.yaml --data arm.npz:run1,run2 --free input_delay '
             '--robust --horizon 0.5 --json numbers.json --out report'], _IDENTIFIED)
     complete_by(parser.add_argument('scene', metavar='SCENE', help=(
-        'the name of a shipped scene, see scene --list, or a YAML file')), named('scene'))
+        'the name of a shipped scene, see scene --list, or a YAML file')), 'scene')
     parser.add_argument('--data', required=True, nargs='+', metavar='FILE', help=(
         'bags with joint states; or NPZ[:RUN,...], arrays t [s], q, and where there are dq (or v) '
         'and tau, or RUN/t, ... of several runs; or, with --config, a log'))

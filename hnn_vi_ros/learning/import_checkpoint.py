@@ -43,6 +43,7 @@ import zipfile
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
 from hnn_vi_ros.files.limits import check_pickles
 from hnn_vi_ros.files.regular_file import refuse_pointer
+from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
@@ -347,8 +348,7 @@ def parse_box(text: str, d: int) -> Box:
             raise ValueError(f'{len(bounds)} intervals')
         return Box(q=bounds[:d], p=bounds[d:])
     except ValueError as problem:
-        detail = (problem.errors()[0]['msg'] if isinstance(problem, ValidationError)
-                  else str(problem))
+        detail = in_plain_words(problem) if isinstance(problem, ValidationError) else problem
         raise ParameterError(
             f'--box {text}: {detail}; expected LOW:HIGH for each of {d} coordinates and {d} '
             'momenta, as in --box=-1:1,-2:2, or one for all') from problem
@@ -410,7 +410,7 @@ def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Chec
         card = _card(arguments, names, networks, command, family='lie_group', lie_group=group,
                      box=parse_box(arguments.box, group.size + 1))
     except ValidationError as problem:
-        raise ModelError(f'{source}: {problem.errors()[0]["msg"]}') from problem
+        raise ModelError(f'{source}: {in_plain_words(problem)}') from problem
     except ValueError as problem:
         raise ModelError(f'{source}: {problem}') from problem
     return Checkpoint(card, networks)
@@ -433,10 +433,10 @@ def _energy_card(arguments: argparse.Namespace, names: list[str], layers: Layers
     except ValidationError as problem:
         first = problem.errors()[0]
         if first['loc'][:1] == ('widths',):
-            raise ModelError(f'{arguments.file}: a layer of width {first["input"]}: {first["msg"]}'
-                             ) from problem
+            raise ModelError(f'{arguments.file}: a layer of width {first["input"]}: '
+                             f'{in_plain_words(problem)}') from problem
         raise ParameterError(
-            f'--coordinates {",".join(names)}: {first["msg"]}') from problem
+            f'--coordinates {",".join(names)}: {in_plain_words(problem)}') from problem
 
 
 def _card(arguments: argparse.Namespace, names: list[str], networks: Mapping[str, Layers],

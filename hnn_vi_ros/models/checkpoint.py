@@ -25,6 +25,7 @@ from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.limits import limited, parse_json, safetensors_header
 from hnn_vi_ros.files.regular_file import refuse_pointer
+from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np
@@ -324,11 +325,8 @@ def _card(path: str | Path, metadata: dict[str, Any]) -> ModelCard:
     try:
         return ModelCard.model_validate_json(metadata['model_card'])
     except ValidationError as problem:
-        first = problem.errors(include_url=False)[0]
-        key = '.'.join(str(part) for part in ('model_card', *first['loc']))
-        message = first['msg'].removeprefix('Value error, ')
-        raise ModelError(f'{path}: {key}: {one_line(message)}; {_ANEW}, or use the version of '
-                         'hnn_vi_ros that wrote it') from problem
+        raise ModelError(f'{path}: model_card.{in_plain_words(problem)}; {_ANEW}, or use the '
+                         'version of hnn_vi_ros that wrote it') from problem
 
 
 def _expected_layers(card: ModelCard, network: str, prefix: str

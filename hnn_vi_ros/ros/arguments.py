@@ -8,7 +8,7 @@ from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros.settings import (
-    BRIDGE_PARAMETERS, help_of, HOVER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS, Specification)
+    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS, Specification)
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as
@@ -23,8 +23,10 @@ It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/
 ~ is /hnn_replay. Each parameter is an option as well."""
 _BRIDGE = """\
 It subscribes to the topics of the simulator, and offers nothing."""
-_HOVER = """\
-It subscribes to /hnn_simulator/odometry and answers each message on /hnn_simulator/commands."""
+_CONTROLLER = """\
+It hears joint_states, or /hnn_simulator/state of bodies that turn, and commands
+/hnn_simulator/joint_commands, or /hnn_simulator/commands. It publishes /diagnostics. Services:
+those of its lifecycle."""
 _LISTENER = """\
 It subscribes to /hnn_simulator/energy, and has no parameters."""
 
@@ -53,6 +55,9 @@ def replay() -> Parser:
         'folder of a bag, or its .mcap file; one that was cut off will do'))
     parser.add_argument('--verify', action='store_true', help=(
         'simulate the bag again, from its own scene, and compare bit by bit'))
+    parser.add_argument('--node', default='', metavar='NAME', help=(
+        'with --verify: the simulator whose run is checked, such as /left/hnn_simulator; all of '
+        'the bag without it'))
     parser.add_argument('--trust-code', action='store_true', help=(
         'with --verify: run Python code that the scene in the bag names'))
     for item in REPLAY_PARAMETERS:
@@ -78,12 +83,14 @@ def rerun_bridge() -> Parser:
     return parser
 
 
-def hover() -> Parser:
-    """Return the parser of ``hover``."""
-    return Parser('hover', 'Fly the scene quadrotor to a place and hold it there.', [
-        'ros2 run hnn_vi_ros hover',
-        'ros2 run hnn_vi_ros hover --ros-args -p x:=0.0 -p y:=0.0 -p z:=5.0'],
-        _details(_HOVER, HOVER_PARAMETERS))
+def controller() -> Parser:
+    """Return the parser of ``controller``."""
+    return Parser('controller', 'Command a simulator or a machine by a task.', [
+        'ros2 run hnn_vi_ros controller --ros-args -p task:=swing_up',
+        'ros2 run hnn_vi_ros controller --ros-args -p task:=my.yaml -p scene:=my_scene.yaml',
+        'ros2 run hnn_vi_ros controller --ros-args -r joint_states:=/robot/joint_states '
+        '-p simulator:=/robot'],
+        _details(_CONTROLLER, CONTROLLER_PARAMETERS))
 
 
 def listener() -> Parser:

@@ -97,7 +97,7 @@ class StateTopic:
         self._node, self._run, self._reset = node, run, reset
         self._answers = DiagnosticsPublisher(
             node, partial(topics.send, STATE_SET), run.scene.name)
-        topics.hear(INITIAL_STATE, self._take)
+        topics.hearing.hear(INITIAL_STATE, self._take)
 
     def _take(self, message: JointState) -> None:
         run = self._run

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+import re
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
@@ -158,8 +159,10 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
             parameter = node.declare_parameter(
                 name, specification.default, _descriptor(specification))
         except (InvalidParameterTypeException, InvalidParameterValueException) as problem:
-            raise ParameterError(f'parameter {name}: {specification.expected}; '
-                                 f'{" ".join(str(problem).split())}') from problem
+            value = re.search(r'parameter value \((.*?)\)', str(problem))
+            given = f' = {value[1]}' if value else ''
+            raise ParameterError(f'parameter {name}{given}: {specification.expected}'
+                                 ) from problem
         values[name] = specification.check(parameter.value)
     return settings(**values)
 
@@ -195,8 +198,9 @@ class Parameters:
 
     def __init__(self, node: Node, check: Callable[[Settings], None],
                  apply: Callable[[Settings], None]):
-        self.settings = declare_parameters(node, Settings)
+        self.settings, self._node = declare_parameters(node, Settings), node
         self.configured = False
+        _check_clock(self.settings, self._follows)
         self._check_run, self._apply_to_run = check, apply
         node.add_pre_set_parameters_callback(_with_doubles)
         node.add_on_set_parameters_callback(self._check)
@@ -224,7 +228,24 @@ class Parameters:
                         f'parameter {parameter.name}: can only be set while the node is '
                         'unconfigured; use the transition cleanup first')
                 changes[parameter.name] = specification.check(parameter.value)
-        return replace(self.settings, **changes)
+        settings = replace(self.settings, **changes)
+        _check_clock(settings, next((parameter.value for parameter in parameters
+                                     if parameter.name == ROS_OWN[0]), self._follows))
+        return settings
+
+    @property
+    def _follows(self) -> bool:
+        return bool(self._node.get_parameter(ROS_OWN[0]).value)
+
+
+def _check_clock(settings: Settings, follows: bool) -> None:
+    """Raise ParameterError if a simulator would follow a clock that it cannot."""
+    if follows and settings.publish_clock:
+        raise ParameterError('parameter use_sim_time = true: the simulator cannot follow the '
+                             '/clock that it publishes; set it, or publish_clock, to false')
+    if follows and not settings.real_time_factor:
+        raise ParameterError('parameter use_sim_time = true: real_time_factor = 0 follows no '
+                             'clock; set it to the simulated seconds per second of /clock')
 
 
 def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:

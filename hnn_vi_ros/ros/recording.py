@@ -14,6 +14,7 @@ from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
@@ -183,7 +184,8 @@ class BagOutput(Sink):
         # Steps that were taken, a command that is held already: what the scene does not tell.
         if (state := state_file(simulation)) != self._begun_at:
             attachments[STATE_FILE] = state
-        sink = McapSink(self._bags[-1], self._topics.tick, attachments)
+        sink = McapSink(
+            self._bags[-1], self._topics.tick, attachments, distribution() or 'unknown')
         # Stamped with the state that the bag begins at, from which on it acts.
         sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=scene)))
         sink.flush()

@@ -191,19 +191,27 @@ class ReplaySettings:
 
 
 @dataclass(frozen=True)
-class HoverSettings:
-    """Point where the quadrotor is to be held."""
+class ControllerSettings:
+    """The parameters of the controller."""
 
-    x: float = parameter(1.0, 'of the place that it is led to', 'm', -1e3, 1e3)
-    y: float = parameter(-1.0, 'the same', 'm', -1e3, 1e3)
-    z: float = parameter(12.0, 'the same; upwards', 'm', -1e3, 1e3)
+    autostart: bool = parameter(
+        True, 'configure and activate without being asked to; false leaves that to a lifecycle '
+        'manager')
+    task: str = parameter('swing_up', 'name of a shipped task, or path of a task file (.yaml)')
+    scene: str = parameter(
+        '', "the model, a scene by its name or path; empty takes the task's")
+    simulator: str = parameter(
+        '/hnn_simulator', 'full name of the node that takes the commands: a simulator')
+    commands: str = parameter(
+        'joint_commands', 'topic of that node: joint_commands, efforts of the driven joints by '
+        'name, or commands, the numbers of all of them', choices=('joint_commands', 'commands'))
 
 
 PARAMETERS = specifications(Settings)
 # The other nodes take theirs when they start.
-BRIDGE_PARAMETERS, REPLAY_PARAMETERS, HOVER_PARAMETERS = (
+BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
     tuple(replace(item, changes=START) for item in specifications(settings))
-    for settings in (BridgeSettings, ReplaySettings, HoverSettings))
+    for settings in (BridgeSettings, ControllerSettings, ReplaySettings))
 
 
 def shown(value: Value) -> str:

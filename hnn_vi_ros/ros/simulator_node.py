@@ -5,9 +5,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
 import gc
-import os
-import signal
-import sys
 import time
 
 from hnn_vi_ros.bags.bag_metadata import BagTopics
@@ -27,8 +24,7 @@ from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.settings import PARAMETERS, Settings
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS, Topics
 from hnn_vi_ros.simulation import Simulation
-from lifecycle_msgs.msg import State, Transition
-from rclpy.executors import SingleThreadedExecutor
+from lifecycle_msgs.msg import State
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 # Wall time between two lines about a configuration that takes long [s].
@@ -83,12 +79,6 @@ class SimulatorNode(ManagedNode):
         """Return the parameters."""
         return self._declared.settings
 
-    async def autostart(self) -> None:
-        """Configure and activate, as the parameter says; raise what makes that impossible."""
-        if self.settings.autostart and await self.change_state(
-                Transition.TRANSITION_CONFIGURE):
-            await self.change_state(Transition.TRANSITION_ACTIVATE)
-
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, compile and open everything, and serve meanwhile."""
         self._declared.configured = True
@@ -139,11 +129,6 @@ class SimulatorNode(ManagedNode):
         """Close the files and forget the run; the exit status reflects what they lack."""
         self._close_run()
         self._forget()
-        return SUCCESS
-
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the process."""
-        self.stop(0, 'shut down')
         return SUCCESS
 
     def stop(self, status: int, reason: str) -> None:
@@ -231,31 +216,13 @@ def main(argv: list[str]) -> int:
         try:
             _spin(node, received)
         finally:
-            status = node.finish()
-            busy = node.busy
-            node.destroy_node()
-    if busy:
-        # A compilation that nobody needs cannot be interrupted, nor be left to run into the end.
-        sys.stdout.flush()
-        os._exit(status)
+            status = node.end(node.finish())
     return status
 
 
 def _spin(node: SimulatorNode, received: list[int]) -> None:
     """Serve until the node has an exit status."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    executor.create_task(node.autostart)
-    while node.exit_status is None:
-        if received:
-            node.stop(0, f'stopped by {signal.Signals(received[0]).name}')
-            continue
-        try:
-            executor.spin_once(timeout_sec=0.1)
-        except RCLError as problem:
-            # Such as a client that is gone before its answer: no reason to stop simulating.
-            node.get_logger().warning(
-                f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
+    executor = node.serve(received, node.settings.autostart)
     if node.control is not None:
         # Those who wait for steps are answered; a client may be gone by now.
         with suppress(RCLError):

@@ -14,10 +14,13 @@ from hnn_vi_ros.guards.base import Alarm, Guard, Observed
 from hnn_vi_ros.simulation import Sample
 import numpy as np
 
-# More debt than this is given up: the run is then slower than asked, but loses no step.
-LARGEST_DEBT = 1.0
+# More debt than this is given up: the run is then slower than asked, but loses no step [s]. A
+# clock that others set may be ten times as fast, so that a short stall makes more of it.
+LARGEST_DEBT, LARGEST_DEBT_TO_OTHERS = 1.0, 10.0
 # One timer call works at most this long: a request may wait for two of them [s].
 LONGEST_CALL = 0.01
+# A clock that is set in steps of a tick is due at the tick, however its sums are rounded.
+_ROUNDING = 1e-6
 
 
 class Pacer:
@@ -31,18 +34,20 @@ class Pacer:
     real_time_factor : float
         Simulated seconds per wall second; 0 for as fast as possible.
     now : callable
-        A steady clock [s].
+        A steady clock [s], or one that others set: that of ``/clock``.
+    led : callable
+        Whether others set it now.
 
     Attributes
     ----------
     overruns : int
-        Times that the debt grew beyond one second of wall time and was given up.
+        Times that the debt grew beyond ``largest_debt`` and was given up.
 
     """
 
     def __init__(self, tick: float, real_time_factor: float,
-                 now: Callable[[], float] = time.monotonic):
-        self._tick, self._now = tick, now
+                 now: Callable[[], float] = time.monotonic, led: Callable[[], bool] = bool):
+        self._tick, self._now, self._led = tick, now, led
         self.overruns = 0
         self.set_pace(real_time_factor)
 
@@ -54,33 +59,54 @@ class Pacer:
     def restart(self) -> None:
         """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
         self._origin, self._done = self._now(), 0
+        self._newest = self._origin
 
     @property
     def timer_period(self) -> float:
         """
         Wall time from one timer call to the next [s].
 
-        Shorter ticks are waited for within the calls, which then follow each other at once.
+        Shorter ticks are waited for within the calls, which then follow each other at once. Who
+        is led is called for each message of the clock, and by the timer if steps are left then.
         """
+        if self.led:
+            return LONGEST_CALL
         return self._wall_per_tick if self._wall_per_tick >= LONGEST_CALL else 1e-4
 
     @property
+    def led(self) -> bool:
+        """Return whether a clock that others set is followed."""
+        return self._led()
+
+    @property
+    def largest_debt(self) -> float:
+        """Return the debt beyond which it is given up [s]."""
+        return LARGEST_DEBT_TO_OTHERS if self.led else LARGEST_DEBT
+
+    @property
     def paced(self) -> bool:
-        """Return whether the wall clock sets the pace."""
+        """Return whether a clock sets the pace."""
         return self._wall_per_tick > 0.0
 
     @property
     def wait(self) -> float:
-        """Return the wall time until the next tick is due [s]."""
+        """Return the wall time until the next tick is due [s]; endless if others decide that."""
+        if self.led:
+            return math.inf
         return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
 
     def due(self) -> bool:
         """Return whether one more tick is due; if so, it counts as taken."""
         if self._wall_per_tick:
-            owed = (self._now() - self._origin) / self._wall_per_tick - self._done
-            if owed < 1.0:
+            now = self._now()
+            if now < self._newest:
+                # Only a clock that others set goes back: simulated time does not.
+                self.restart()
+            self._newest = now
+            owed = (now - self._origin) / self._wall_per_tick - self._done
+            if owed < 1.0 - _ROUNDING:
                 return False
-            if owed * self._wall_per_tick > LARGEST_DEBT + self._wall_per_tick:
+            if owed * self._wall_per_tick > self.largest_debt + self._wall_per_tick:
                 self._origin += (owed - 1.0) * self._wall_per_tick
                 self.overruns += 1
         self._done += 1
@@ -112,9 +138,9 @@ class OverrunGuard(Guard):
             return None
         self._seen = overruns
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
-                     f'{overruns} overruns: more than {LARGEST_DEBT:g} s behind the clock, which '
-                     'is given up; use a lower real_time_factor or publish_rate, a larger '
-                     'step_size or a cheaper integrator', '1')
+                     f'{overruns} overruns: more than {self._pacer.largest_debt:g} s behind the '
+                     'clock, which is given up; use a lower real_time_factor or publish_rate, '
+                     'a larger step_size or a cheaper integrator', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError
 from hnn_vi_ros.errors import (
-    CalibrationError, did_you_mean, listed, ModelError, SceneError, UnsupportedSystem)
+    CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
 from hnn_vi_ros.files.resources import find_yaml
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
@@ -185,9 +185,8 @@ class Scene(StrictModel):
             raise SceneError('integrator auto needs an error to hold: write it into the scene, as '
                              'integrator: {kind: auto, path_error: 1.0e-6, horizon: 100.0}')
         if integrator not in (None, *INTEGRATORS):
-            hint = did_you_mean(str(integrator), INTEGRATORS)
-            raise SceneError(f'unknown integrator {integrator!r}{hint}; valid: '
-                             f'{", ".join(sorted(INTEGRATORS))}')
+            raise SceneError(f'unknown integrator {integrator!r}'
+                             f'{offered(str(integrator), sorted(INTEGRATORS))}')
         given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
                  'initial_state': initial_state, 'effects': effects}
         changes = {name: value for name, value in given.items() if value is not None}
@@ -416,6 +415,9 @@ def load_scene(scene: str | Path) -> Scene:
         No such scene, or a file that is not a valid one; names file, line and key.
 
     """
+    if str(scene).endswith(('.urdf', '.xacro')):
+        raise SceneError(f'{scene}: a robot, which needs a scene; write one with: '
+                         f'hnn scene --new --robot {scene}')
     path = find_yaml('scene', str(scene), SceneError)
     loaded, places = read_yaml(path, Scene, SceneError)
     # A module next to the scene is found like an installed one.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.command_line import command
-from hnn_vi_ros.errors import did_you_mean, ModelError
+from hnn_vi_ros.errors import ModelError, offered
 from hnn_vi_ros.files.named_code import find_beside
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import is_path, package_file, SCHEME, shipped_file, shipped_names
@@ -87,8 +87,8 @@ class Origin:
                 return candidate
         names = shipped_names('model')
         raise ModelError(
-            f'{self.place(*key, "model")}: no model {model!r}{did_you_mean(model, names)}: not '
-            f'shipped ({", ".join(names)}) nor at models/{model}.safetensors{_remedy(model)}')
+            f'{self.place(*key, "model")}: no model {model!r}, nor models/{model}.safetensors'
+            f'{offered(model, names, "shipped")}{_remedy(model)}')
 
     def robot_file(self, name: str, *key: str | int) -> Path:
         """

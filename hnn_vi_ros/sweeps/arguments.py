@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.command_line import complete_by, named, Parser
+from hnn_vi_ros.command_line import complete_by, Parser
 
 _DETAILS = """\
 A shard is a file that is made as a whole: part-00000.parquet and so on, with the same bytes
@@ -25,7 +25,7 @@ def sweep() -> Parser:
         _DETAILS)
     what = parser.add_mutually_exclusive_group(required=True)
     complete_by(what.add_argument('sweep', nargs='?', metavar='SWEEP', help=(
-        'what varies: the name of a shipped sweep, or a YAML file')), named('sweep'))
+        'what varies: the name of a shipped sweep, or a YAML file')), 'sweep')
     what.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(

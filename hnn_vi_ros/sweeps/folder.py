@@ -96,7 +96,7 @@ class SweepFolder:
             strange = next((file.name for file in self.path.iterdir()
                             if not file.name.startswith('.')), None)
         except OSError as problem:
-            raise RecordingError(f'{self.path}: {one_line(problem)}; give another --out'
+            raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
                                  ) from problem
         if strange is not None:
             if self.record() is None:

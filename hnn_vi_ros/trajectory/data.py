@@ -27,6 +27,7 @@ class TrajectoryData:
     alarms: tuple[Any, ...] = ()
     events: tuple[Event, ...] = ()
     scene: Scene | None = None
+    work: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
@@ -114,11 +115,20 @@ class TrajectoryData:
         many = f' of {self.q.shape[1]} trajectories' if self.q.ndim == 3 else ''
         change = float(np.abs(self.energy - self.energy[:1]).max(initial=0.0))
         first = np.ravel(self.energy[:1])
+        balance = self.balance()
+        by_effects = '' if balance is None else (
+            f', the work of effects accounts for it to {np.abs(balance).max(initial=0.0):.2g} J')
         return [f'{len(self.t)} samples{many}',
                 f't = {self.t[0]:g} to {self.t[-1]:g} s' if len(self.t) else 'no time',
                 'H = ' + (f'{first[0]:.6g}' if first.size == 1 else
                           f'{first.min(initial=np.inf):.6g} to {first.max(initial=-np.inf):.6g}')
-                + f' J, changed by {change:.2g} J at most']
+                + f' J, changed by {change:.2g} J at most{by_effects}']
+
+    def balance(self) -> np.ndarray | None:
+        """Return H - H(0) - W [J], shape (n,), where W is known; None where no effect works."""
+        if self.work is None or self.energy.ndim == 2:
+            return None
+        return (self.energy - self.energy[:1] - self.work)[np.isfinite(self.work)]
 
     def alarm_kinds(self) -> list[str]:
         """Return what alarms there were, each kind once."""

@@ -5,6 +5,7 @@
 from collections.abc import Callable, Sequence
 import math
 import re
+from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
@@ -85,19 +86,19 @@ _WIDTH, _HEIGHT, _AROUND = 8.0, 1.7, 0.8
 
 
 class _Panel(NamedTuple):
-    """Curves that share an axis, by name, and its label."""
+    """Curves that share an axis, each a name, x and y, and its label."""
 
     label: str
-    curves: list[tuple[str, np.ndarray]]
+    curves: list[tuple[str, np.ndarray, np.ndarray]]
 
 
 def draw_series(trajectory: TrajectoryData) -> 'Figure':
     """Draw the figure of ``Trajectory.plot``."""
-    panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), _energy_panel(trajectory)]
+    panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), *_energy_panels(trajectory)]
     figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _AROUND)
     rows = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(rows, panels, strict=True):
-        draw_curves(axes, [(name, trajectory.t, values) for name, values in panel.curves])
+        draw_curves(axes, panel.curves)
         axes.set_ylabel(panel.label)
         axes.grid(alpha=0.3)
         axes.margins(x=0.0)
@@ -107,8 +108,15 @@ def draw_series(trajectory: TrajectoryData) -> 'Figure':
     rows[-1].set_xlabel('t [s]')
     figure.align_ylabels(rows)
     begin = '' if trajectory.energy.ndim == 2 else f', H(0) = {trajectory.energy[0]:.6g} J'
-    figure.suptitle(f'{trajectory.title}{begin}')
+    _write_title(figure, f'{trajectory.title}{begin}')
     return figure
+
+
+def _write_title(figure: 'Figure', text: str) -> None:
+    """Write the title of a figure, in several lines where one would leave it."""
+    # A letter is some 8 points wide; lines end at commas.
+    parts = [part.replace(' ', '\N{NO-BREAK SPACE}') for part in text.split(', ')]
+    figure.suptitle(fill(', '.join(parts), int(9.0 * figure.get_figwidth())))
 
 
 def _panels(trajectory: TrajectoryData, half: int) -> list[_Panel]:
@@ -117,22 +125,28 @@ def _panels(trajectory: TrajectoryData, half: int) -> list[_Panel]:
     names = trajectory.names[half]
     if values.ndim == 3:
         return [_Panel(label(name, units[name]), [
-            (f'trajectory {k}', values[:, k, i]) for k in range(values.shape[1])])
+            (f'trajectory {k}', trajectory.t, values[:, k, i]) for k in range(values.shape[1])])
             for i, name in enumerate(names)]
     panels = []
     for unit in dict.fromkeys(units[name] for name in names):
-        own = [(name, values[:, i]) for i, name in enumerate(names) if units[name] == unit]
+        own = [(name, trajectory.t, values[:, i]) for i, name in enumerate(names)
+               if units[name] == unit]
         panels.append(_Panel(label(own[0][0] if len(own) == 1 else 'qp'[half], unit), own))
     return panels
 
 
-def _energy_panel(trajectory: TrajectoryData) -> _Panel:
-    """Return the change of H, whose digits H itself would hide."""
-    change = trajectory.energy - trajectory.energy[:1]
+def _energy_panels(trajectory: TrajectoryData) -> list[_Panel]:
+    """Return the change of H, whose digits H itself would hide, and less the work of effects."""
+    t, change, work = trajectory.t, trajectory.energy - trajectory.energy[:1], trajectory.work
     if change.ndim == 2:
-        return _Panel('H - H(0) [J]', [
-            (f'trajectory {k}', change[:, k]) for k in range(change.shape[1])])
-    return _Panel('H - H(0) [J]', [('H', change)])
+        return [_Panel('H - H(0) [J]', [
+            (f'trajectory {k}', t, change[:, k]) for k in range(change.shape[1])])]
+    panels = [_Panel('H - H(0) [J]', [('H - H(0)', t, change)])]
+    if work is not None:
+        known = np.isfinite(work)
+        panels[0].curves.append(('work W', t[known], work[known]))
+        panels.append(_Panel('H - H(0) - W [J]', [('error', t[known], (change - work)[known])]))
+    return panels
 
 
 def _draw_instants(rows: np.ndarray, trajectory: TrajectoryData) -> None:
@@ -191,13 +205,16 @@ def draw_portrait(trajectory: TrajectoryData, contours: bool) -> 'Figure':
         axes.set(xlabel=label(own.name, own.q_unit),
                  ylabel=label(momentum_name(own.name), own.p_unit))
         axes.margins(_MARGIN)
+        # Few ticks, whose labels are short: neighbours would overlap.
+        axes.ticklabel_format(scilimits=(-2, 4))
+        axes.locator_params('x', nbins=7)
         _draw_paths(axes, q, p)
         if contours and trajectory.scene is not None:
             draw_contours(axes, trajectory)
         axes.grid(alpha=0.3)
     # The marks are the same in every panel.
     name_curves(grid[0, across - 1])
-    figure.suptitle(trajectory.title)
+    _write_title(figure, trajectory.title)
     return figure
 
 
@@ -252,7 +269,7 @@ def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnima
     samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
     mechanism = run.scene.mechanism if run.scene is not None else None
     figure, show = _mechanism(run, MECHANISMS[mechanism]) if mechanism else _portrait(run)
-    figure.suptitle(run.title)
+    _write_title(figure, run.title)
     clock = figure.axes[0].set_title('', loc='left', fontsize='medium')
 
     def update(k: int) -> None:

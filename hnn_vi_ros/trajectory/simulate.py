@@ -363,13 +363,18 @@ def record_one(simulation: Simulation, duration: float, every: int,
     # Times that were asked for need not begin with the initial state.
     first = int(times is not None)
     t, (q, p) = t[first:], (np.vstack(halves) for halves in zip(*parts[first:], strict=True))
-    energies = energies_of(simulation, q, p)
-    if simulation.conservative:
+    energies, work = energies_of(simulation, q, p), None
+    if not simulation.conservative:
+        steps = [whole_steps(time, simulation.step_size) for time in t.tolist()]
+        # Of a state between two steps the work is not known.
+        work = np.array([math.nan if share else watch.works.get(step, math.nan)
+                         for step, share in steps])
+    else:
         watch.show(simulation, t / simulation.step_size, (q, p), energies)
     return Trajectory(t, q, p, energies[0], simulation.hamiltonian.coordinates,
                       tuple(watch.alarms), tuple(
                           event for event in getattr(simulation, 'events', ())
-                          if event.t <= t[-1]))
+                          if event.t <= t[-1]), work=work)
 
 
 def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,

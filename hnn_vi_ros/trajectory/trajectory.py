@@ -43,12 +43,17 @@ class Trajectory(TrajectoryData):
         Occurrences of the scene's ``events``, in the order of time.
     scene : Scene or None
         The simulated scene, with the method and the step size that were taken.
+    work : np.ndarray, shape (N,), or None
+        W that effects have done on the system since the start [J]: NaN between two steps, and in
+        runs of more than 10 000 samples at some. None where no effect does work.
 
     """
 
     def plot(self, coordinates: Sequence[str] | None = None) -> 'Figure':
         """
         Draw coordinates, momenta and the change of H over time; a panel for each unit.
+
+        Where effects do work W, the last panel is H - H(0) - W, the error of the energy.
 
         Events and alarms are vertical lines. Of m trajectories each column has a panel.
 
@@ -213,7 +218,6 @@ class Trajectory(TrajectoryData):
         h, first = scene.known_step_size, float(run.energy[0])
         stamps = [round(t * 1e9) for t in run.t.tolist()]
         dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p)
-        # The work of effects is not part of a trajectory: its error is that of H alone.
         sink = RerunSink(
             scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
@@ -226,9 +230,10 @@ class Trajectory(TrajectoryData):
                 sink.event(text, level, (round(t * 1e9), round(t / h)))
             for k, stamp in enumerate(stamps):
                 energy = float(run.energy[k])
+                work = 0.0 if run.work is None else float(run.work[k])
                 sink.write(Sample(
                     round(run.t[k] / h), stamp, run.q[k], run.p[k], dH_dq[k], dH_dp[k], energy,
-                    float('nan'), (energy - first) / (abs(first) or 1.0)))
+                    float('nan'), (energy - first - work) / (abs(first) or 1.0), work))
         finally:
             sink.close()
 

@@ -147,12 +147,28 @@ def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
 
 
 def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(monkeypatch):
-    """In gradients, which do not depend on the machine; the campaign has more of these."""
+    """In work, which does not depend on the machine; the campaign has more of these."""
     monkeypatch.setattr(campaign, '_METHODS', [
         Method(name) for name in CANDIDATES if name != 'time_transformed'])
     mine, tolerance = problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-5, 40.0)
     _, least, _ = campaign.sweep(mine, campaign.Truth(mine, tolerance.horizon), tolerance)
-    assert calibrate(mine, tolerance).gradients_per_simulated_second <= 1.5 * least
+    assert calibrate(mine, tolerance).work_per_simulated_second <= 1.5 * least
+
+
+def test_cheap_gradients_are_not_bought_by_dear_steps():
+    """To three digits a Gauss method takes fewer gradients of nanoseconds, and more time."""
+    choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-3, 200.0))
+    assert choice.method == 'stormer_verlet'
+
+
+def test_series_are_chosen_for_paths_alone_and_where_steps_are_long():
+    pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
+    mine = problem_of('kepler')
+    chosen = [calibrate(mine, Tolerance(kind, 1e-9, 100.0), largest).method
+              for kind, largest in ((PATH, None), (ENERGY, None), (PATH, 0.1))]
+    assert chosen[0] == 'taylor' != chosen[1]
+    # A step through Python takes longer than one of a compiled method.
+    assert chosen[2] != 'taylor'
 
 
 def test_step_divides_the_time_between_two_samples():

@@ -19,7 +19,7 @@ import time
 from benchmarks.systems import System, systems
 from hnn_vi_ros.accuracy.automatic_choice import calibrate
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance, work
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -114,7 +114,7 @@ class Truth:
 
 def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, method: Method,
             steps: int, most: float) -> tuple[float, float]:
-    """Return the error at every step, or some thousand, and gradients a simulated second."""
+    """Return the error at every step, or some thousand, and the work of a simulated second."""
     simulation = problem.simulation(method, tolerance.horizon / steps)
     every, start, worst = math.ceil(steps / _SAMPLES), simulation.energy, 0.0
     while simulation.steps < steps:
@@ -129,9 +129,9 @@ def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, me
             inside = times <= tolerance.horizon * (1.0 + 1e-12)
             error = np.abs(states - truth.at(times))[inside].max(initial=0.0)
         worst = max(worst, float(error))
-        if worst > tolerance.error or simulation.gradients > most:
+        if worst > tolerance.error or work(simulation) > most:
             return math.inf, math.inf
-    return worst, simulation.gradients / simulation.time
+    return worst, work(simulation) / simulation.time
 
 
 def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0

@@ -8,11 +8,12 @@ import re
 import subprocess
 import sys
 
-from hnn_vi_ros.commands import completion, doctor, new_scene, run
-from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES
-from hnn_vi_ros.errors import MissingPackage, ParameterError, SceneError
+from hnn_vi_ros.commands import completion, doctor, run, scene_tool
+from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, GROUPS
+from hnn_vi_ros.errors import ParameterError, SceneError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.learning.arguments import ORDERS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
@@ -25,16 +26,18 @@ SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
 
 def test_every_executable_is_a_command():
     assert set(EXECUTABLES) == set(re.findall(r"'(\w+) = hnn_vi_ros\.cli:\1'", SETUP))
-    assert set(COMMANDS) - set(EXECUTABLES) == {
-        'run', 'cost', 'doctor', 'completion'}
+    assert {*COMMANDS, *ALIASES} - {*EXECUTABLES} == {'run', 'cost', 'doctor', 'completion'}
 
 
-def test_help_tells_all_commands_without_what_they_take():
+def test_help_tells_all_commands_in_groups_without_what_they_take():
     result = ask('main', '--help')
     assert (result.returncode, result.stderr) == (0, '')
     *text, imported = result.stdout.splitlines()
     assert text[0].startswith('usage: hnn ')
     assert all(any(line.startswith(f'  {name} ') for line in text) for name in COMMANDS)
+    assert [*GROUPS][:5] == ['simulate', 'learn', 'control', 'ROS', 'data']
+    assert {f'{group}:' for group in GROUPS} <= {*text}
+    assert not any(line.startswith('  new_scene ') for line in text)
     assert not {'numpy', 'numba', 'rclpy', 'yaml', 'pydantic'} & set(imported.split())
     assert ask('main', '--version').stdout.startswith(f'hnn_vi_ros {__version__}\n')
 
@@ -52,6 +55,13 @@ def test_errors_are_coloured_on_terminals_alone(variables, colour):
     piped = subprocess.run(command, capture_output=True, check=False,
                            env={**os.environ, **variables})
     assert b'\033' not in piped.stderr
+
+
+def test_older_name_is_a_new_scene(tmp_path):
+    assert ask('main', 'new-scene', str(tmp_path / 'a')).returncode == 0
+    again = ask('main', 'new_scene', str(tmp_path / 'a'))
+    assert again.stderr.startswith(f'hnn scene: {tmp_path}/a.yaml: exists already')
+    assert ask('main', 'help', 'run').stdout == ask('main', 'run', '--help').stdout
 
 
 @pytest.mark.parametrize('name', ['import-checkpoint', 'run', 'train'])
@@ -105,8 +115,15 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
     # Not a digit is lost.
     assert np.array_equal(np.loadtxt(files['csv'], delimiter=',', skiprows=1), np.column_stack(
         [trajectory.t, trajectory.q, trajectory.p, trajectory.energy]))
-    with pytest.raises(ParameterError, match='motion.csv: exists already'):
+    with pytest.raises(ParameterError, match='motion.csv: exists already; .*, or add --force'):
         run.main(['exact_harmonic_oscillator', *options])
+    assert run.main(['exact_harmonic_oscillator', '--duration', '1', *options, '--force']) == 0
+    assert len(files['csv'].read_text().splitlines()) == 2 * len(trajectory.t)
+    same = str(tmp_path / 'a.png')
+    with pytest.raises(ParameterError, match='--plot .*a.png: --portrait names the same file'):
+        run.main(['exact_harmonic_oscillator', '--plot', same, '--portrait', same])
+    with pytest.raises(ParameterError, match='--csv /dev/null: is no regular file; name a file'):
+        run.main(['exact_harmonic_oscillator', '--csv', '/dev/null', '--force'])
     with pytest.raises(ParameterError, match="no folder .*nowhere'; make it first"):
         run.main(['exact_harmonic_oscillator', '--csv', str(tmp_path / 'nowhere' / 'a.csv')])
     link = tmp_path / 'link.csv'
@@ -117,32 +134,33 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
 
 def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
     path = tmp_path / 'mine.yaml'
-    assert new_scene.main([str(path.with_suffix('')), '--like', 'kepler']) == 0
+    assert scene_tool.main(['--new', str(path.with_suffix('')), '--like', 'kepler']) == 0
     assert capsys.readouterr().out.startswith(f'{path}\n')
     assert load_scene(path).model_dump() == load_scene('kepler').model_dump()
     schema = re.search(r'\$schema=(.*)$', path.read_text(), re.M)[1]
     assert Path(schema).is_file()
     # What a scene names beside itself is found from the copy.
-    assert new_scene.main([str(tmp_path / 'arm.yml'), '--like', 'two_joint_arm']) == 0
+    assert scene_tool.main(['--new', str(tmp_path / 'arm.yml'), '--like', 'two_joint_arm']) == 0
     assert load_scene(tmp_path / 'arm.yml').model_digests.keys() == {
         str(shipped_file('scene', '').parents[1] / 'robots' / 'two_joint_arm.urdf')}
     with pytest.raises(SceneError, match='mine.yaml: exists already'):
-        new_scene.main([str(path)])
+        scene_tool.main(['--new', str(path)])
 
 
 def test_new_scene_of_a_formula_runs(tmp_path):
     path = tmp_path / 'mine.yaml'
-    new_scene.main([str(path), '--formula', 'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
+    scene_tool.main(['--new', str(path), '--formula',
+                     'p_x^2/(2*m) + p1^2/2 + 50*k*(x - q1)^2 + x^4'])
     scene = load_scene(path)
     assert scene.hamiltonian.coordinates == ['x', 'q1']
     assert scene.hamiltonian.parameters == {'k': 1.0, 'm': 1.0}
     # The springs of 2 x 100 N/m between two masses of 1 kg: sqrt(200) rad/s, a hundred steps.
     assert scene.step_size == 0.002
     assert np.ptp(simulate(scene, 1.0).energy) < 1e-12
-    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'coordinates'),
+    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'write p_x'),
                        ('p_x^2/2 + log(-x)', r"H column 11: 'log\(-x\)' is nan at")):
         with pytest.raises(SceneError, match=f'--formula: .*{said}'):
-            new_scene.main([str(tmp_path / 'other.yaml'), '--formula', text])
+            scene_tool.main(['--new', str(tmp_path / 'other.yaml'), '--formula', text])
 
 
 def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
@@ -160,14 +178,13 @@ def test_doctor_tells_what_is_here_and_what_is_wrong(capsys, monkeypatch):
 
 
 def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
-    pytest.importorskip('shtab', reason='shtab is not installed; see `make test`')
     assert completion.main(['bash']) == 0
     script = tmp_path / 'hnn'
     script.write_text(capsys.readouterr().out)
 
     def offered(*words: str) -> list[str]:
         code = (f'source {script}; COMP_WORDS=({" ".join(words)} ""); '
-                f'COMP_CWORD={len(words)}; _shtab_hnn; printf "%s\\n" "${{COMPREPLY[@]}}"')
+                f'COMP_CWORD={len(words)}; _hnn; printf "%s\\n" "${{COMPREPLY[@]}}"')
         return subprocess.run(['bash', '-c', code], capture_output=True, text=True, timeout=240,
                               check=True, cwd=tmp_path).stdout.split()
     assert set(COMMANDS) <= set(offered('hnn'))
@@ -175,10 +192,19 @@ def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
     assert set(shipped_names('sweep')) <= set(offered('hnn', 'sweep'))
     assert set(shipped_names('training')) <= set(offered('hnn', 'train', '--config'))
     assert set(INTEGRATORS) <= set(offered('hnn', 'run', 'kepler', '--integrator'))
-    assert 'new-scene' in offered('hnn') and '_hnn_scene' in script.read_text()
+    # Dashes may stand in names of commands; an option without names has files.
+    assert '--layout' in offered('hnn', 'import-checkpoint')
+    assert {'hnn', *ORDERS} <= {*offered('hnn', 'import_checkpoint', '--order')}
+    assert completion.main(['zsh']) == 0
+    assert capsys.readouterr().out.startswith('#compdef hnn\n')
 
 
-def test_completion_without_its_package_is_one_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, 'shtab', None)
-    with pytest.raises(MissingPackage, match='completion takes .* -m pip install "shtab"'):
-        completion.main(['zsh'])
+@pytest.mark.parametrize('words, said', [
+    ([], 'say what to do: --list, --explain, '), (['pendulum'], 'say what to do with pendulum: '),
+    (['--list', '--robot', 'a.urdf'], '--robot is for a new scene: add --new'),
+    (['--new'], 'FILE is missing')])
+def test_scene_without_a_task_says_which_there_are(words, said, capsys):
+    with pytest.raises(SystemExit):
+        scene_tool.main(words)
+    printed = capsys.readouterr().err
+    assert said in printed and printed.count('\n') == 1

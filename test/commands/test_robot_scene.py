@@ -5,7 +5,8 @@
 from pathlib import Path
 import shutil
 
-from hnn_vi_ros.commands.new_scene import held, main, resting_state, write_scene
+from hnn_vi_ros.commands.new_scene import held, resting_state, write_scene
+from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.scene import load_scene
@@ -30,7 +31,7 @@ def robot(request, tmp_path, monkeypatch) -> Path:
 
 
 def test_new_scene_of_a_robot_is_valid_and_moves_at_once(robot, capsys):
-    assert main(['new', '--robot', str(robot)]) == 0
+    assert main(['--new', 'new', '--robot', str(robot)]) == 0
     assert capsys.readouterr().out.startswith('new.yaml\n')
     simulation = build(load_scene('new.yaml'))
     start = simulation.q.copy()
@@ -110,10 +111,10 @@ def test_new_scene_takes_the_place_of_no_file(tmp_path):
     (tmp_path / 'robot.urdf').write_text(TREE)
     mine = tmp_path / 'mine.yaml'
     mine.write_text('mine')
-    with pytest.raises(SceneError, match='mine.yaml: exists already; .*, or take --force'):
+    with pytest.raises(SceneError, match='mine.yaml: exists already; .*, or add --force'):
         write_scene(str(tmp_path / 'robot.urdf'), mine)
     assert mine.read_text() == 'mine'
-    assert main([str(mine), '--robot', str(tmp_path / 'robot.urdf'), '--force']) == 0
+    assert main(['--new', str(mine), '--robot', str(tmp_path / 'robot.urdf'), '--force']) == 0
     assert load_scene(mine).hamiltonian.kind == 'urdf'
 
 

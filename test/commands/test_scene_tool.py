@@ -41,7 +41,7 @@ def test_check_answers_each_scene_and_fails_if_one_is_wrong(tmp_path, capsys):
         'harmonic_oscillator', 'kepler']
     first, second = captured.err.splitlines()
     assert 'wrong.yaml' in first and 'effects.0' in first and 'valid coordinates: z' in first
-    assert second.startswith("scene: no scene 'nothing'; shipped: air_track, ")
+    assert second.startswith("scene: no scene 'nothing'; shipped: ")
 
 
 def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):

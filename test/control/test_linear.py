@@ -3,7 +3,8 @@
 """Equilibria, linear models and regulators."""
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.control import BatchStep, find_equilibrium, linearise, lqr, momentum, velocity
+from hnn_vi_ros.control import (
+    BatchStep, find_equilibrium, linearise, lqr, momentum, state_space, velocity)
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.scene import Scene
 import numpy as np
@@ -84,3 +85,13 @@ def test_momentum_and_velocity_are_inverse():
     steps = BatchStep('exact_double_pendulum')
     q, v = np.random.default_rng(0).normal(size=(2, 5, 2))
     assert velocity(steps, q, momentum(steps, q, v)) == pytest.approx(v, abs=1e-12)
+
+
+def test_python_control_takes_the_linear_model():
+    pytest.importorskip('control')
+    scene, at = pendulum(), ([np.pi, 0.0], [0.0])
+    for hold, time in ((None, 0.0), (4, 0.04)):
+        found = state_space(scene, at, hold)
+        a, b = linearise(scene, at, hold)
+        assert np.array_equal(found.A, a) and np.array_equal(found.B, b) and found.dt == time
+    assert found.input_labels == ['force_angle'] and found.state_labels == ['angle', 'p_angle']

@@ -57,11 +57,12 @@ def test_scalar_is_read_as_plain_data(text, value):
     ('"\\e[31m": 1', 'printable'), ('? ' + 'k' * 257 + '\n: 1', 'at most 256'),
     ('a: &a [*a]', 'here:1: an alias within what it stands for'), ('a: *b', "undefined alias 'b'"),
     (BOMB, 'here:3: aliases repeat more than 100 keys and values'),
-    ('a: [', 'here:2: while parsing a flow'), ('a: b: c', 'here:1: mapping values'),
+    ('a: [', 'here:2: no YAML: while parsing'), ('a: b: c', 'here:1: no YAML: mapping'),
+    ('a:\n\tb: c', 'here:2: a tab; indent by spaces'),
     ('a: 1\n--- b', 'here:2: expected a single document'), ('', 'here:1: is empty; expected YAML'),
     ('a: \x00', 'a character that YAML has not'), (b'a: 1\nb: \xff', 'here:2: not UTF-8 '),
     ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_BYTES, 'larger than 1048576 bytes'),
-], ids=range(26))
+], ids=range(27))
 def test_refusal_is_one_line_that_names_the_place(text, words):
     assert words in refusal(text)
 

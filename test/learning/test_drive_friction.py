@@ -4,10 +4,12 @@
 
 from pathlib import Path
 
+from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.runs import delayed, Run, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.steps import simulated
-from hnn_vi_ros.learning.tasks.machine import MachineTask, problem_of, whole
+from hnn_vi_ros.learning.tasks.machine import (
+    estimated_delay, MachineTask, problem_of, whole)
 from hnn_vi_ros.models.mechanical_card import FrictionCard
 import numpy as np
 from pydantic import ValidationError
@@ -95,6 +97,19 @@ def test_directed_friction_dissipates_at_every_velocity(fitted):
         assert (power >= 0.0).all()
         # Linear in its numbers, which the first fit uses.
         assert torch.allclose(friction.columns(v) @ friction.values(), friction(v, v))
+
+
+def test_delay_is_estimated_in_samples_and_parts():
+    motion = delayed(drive(offset=0.0, fade=0.0), -2.3)
+    setting = config({'coulomb': 1, 'directed': True}, windows=WINDOWS[:1])
+    # Found to a tenth; widths of dry friction are not fitted, and forces are interpolated.
+    assert estimated_delay(setting, [motion]) == pytest.approx(2.3, abs=0.3)
+
+
+def test_delay_without_forces_is_refused():
+    free = Run(**(vars(drive()) | {'tau': np.zeros((2001, 1))}))
+    with pytest.raises(DataError, match='data.delay: there are no forces to estimate it by'):
+        estimated_delay(config({'coulomb': 1}), [free])
 
 
 def test_delay_is_told_by_the_model(tmp_path: Path):

@@ -7,9 +7,9 @@ from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import problem_of
-from hnn_vi_ros.learning.tasks.selection import held_out, RIGID, selected
+from hnn_vi_ros.learning.tasks.selection import best_of, held_out, RIGID, selected
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
-from hnn_vi_ros.models.seen import Domain, DomainCard
+from hnn_vi_ros.models.seen import CandidateCard, Domain, DomainCard
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -67,6 +67,27 @@ def test_what_goes_furthest_is_held_out():
     assert [sum(len(run.t) for run in runs) / total > 0.08 for runs in (furthest, ordinary)] == [
         True, True]
     assert sum(len(run.t) for run in (*kept, *furthest, *ordinary)) == total
+
+
+def test_of_several_runs_whole_ones_are_held_out():
+    motions = [cart_and_pole(seed) for seed in (1, 2, 3, 4)]
+    kept, furthest, ordinary = held_out(motions)
+    far, others = {run.name for run in furthest}, {run.name for run in (*kept, *ordinary)}
+    assert 1 <= len(far) <= 2 and not far & others
+    assert far | others == {run.name for run in motions}
+    speeds = {run.name: float(np.abs(run.v_smooth).max()) for run in motions}
+    assert max(speeds, key=speeds.__getitem__) in far
+
+
+@pytest.mark.parametrize(('ordinary', 'furthest', 'chosen'), [
+    (0.98, 0.98, RIGID), (0.8, 0.98, 'other'), (0.7, 1.04, 'other'), (0.5, 1.06, RIGID)])
+def test_networks_must_gain_and_be_no_worse_far_away(
+        ordinary: float, furthest: float, chosen: str):
+    cards = [CandidateCard(name=name, ordinary={'0.1': [0.01 * near]},
+                           furthest={'0.1': [0.02 * far]})
+             for name, near, far in ((RIGID, 1.0, 1.0), ('other', ordinary, furthest))]
+    assert best_of(cards).name == chosen
+    assert best_of(cards[1:]).name == 'other'
 
 
 def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():

@@ -194,7 +194,7 @@ def test_existing_files_are_never_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize('argv, words', [
-    (['--config', 'none'], 'shipped: air_track, '),
+    (['--config', 'none'], '; shipped: '),
     (['--config', 'none.yaml'], 'none.yaml: no such file; give the path of a training '
      'configuration, or the name of a shipped one: air_track, '),
     (['--config', 'air_track'], 'data.path is empty; pass the file with --data FILE, which is '

@@ -111,3 +111,26 @@ def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: fl
                 writer.add_message(channels[message.channel], time, message.data, time)
         writer.finish()
     return path
+
+
+def of_several(path: Path, **bags: Path) -> Path:
+    """Write one bag of several simulators, each in its namespace, from a bag of each."""
+    messages = []
+    with path.open('wb') as stream:
+        writer = Writer(stream)
+        writer.start('ros2')
+        for namespace, bag in bags.items():
+            reader = BagReader(bag)
+            channels = {}
+            for number, channel in reader.channels.items():
+                schema = reader.schemas[channel.schema_id]
+                name = channel.topic.replace('/hnn_simulator', f'/{namespace}/hnn_simulator')
+                channels[number] = writer.register_channel(
+                    name, 'cdr', writer.register_schema(schema.name, 'ros2msg', schema.data),
+                    channel.metadata)
+            messages += [(channels[message.channel], message.time, message.data)
+                         for message in reader.messages()]
+        for channel, time, data in sorted(messages, key=lambda item: item[1]):
+            writer.add_message(channel, time, data, time)
+        writer.finish()
+    return path

@@ -2,17 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes whose time is that of /clock, and times there that cannot be."""
 
+from itertools import count
 from pathlib import Path
 import signal
 
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.simulator_node import SimulatorNode
 from peer import peer, SIMULATOR
-from processes import finish, standard_error, start, start_executable
+from processes import finish, standard_error, start, start_executable, wait_until
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
@@ -86,6 +91,12 @@ def test_twin_goes_on_whatever_the_clock_says(tmp_path: Path):
     (tmp_path / 'scene.yaml').write_text(TWIN)
     process = start(tmp_path, scene='scene.yaml', record_path='bag', rerun_sink='none',
                     use_sim_time=True)
+    ticks = count(1)
+
+    def go_on() -> None:
+        nanoseconds = 10**7 * next(ticks)
+        tell(clock, nanoseconds // 10**9, nanoseconds % 10**9)
+
     with peer() as other:
         clock = other.node.create_publisher(Clock, '/clock', qos_profile_sensor_data)
         machine = other.node.create_publisher(
@@ -93,16 +104,108 @@ def test_twin_goes_on_whatever_the_clock_says(tmp_path: Path):
         errors: list[JointState] = []
         other.node.create_subscription(
             JointState, f'{SIMULATOR}/prediction_error', errors.append, 10)
-        other.spin_until(lambda: other.states and clock.get_subscription_count()
-                         and machine.get_subscription_count())
+        other.spin_until(lambda: go_on() or (other.states and machine.get_subscription_count()))
         survives(other, clock, SIMULATOR[1:])
-        count = len(errors)
+        had = len(errors)
         machine.publish(JointState(name=['angle'], position=[0.2]))
-        other.spin_until(lambda: len(errors) > count)
+        other.spin_until(lambda: go_on() or len(errors) > had)
         seen = len(other.states)
-        other.spin_until(lambda: len(other.states) > seen + 10)
+        other.spin_until(lambda: go_on() or len(other.states) > seen + 10)
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
     assert status == 0 and '/clock: message ignored' in error
     verdict = check_replay(tmp_path / 'bag')
     assert verdict.good, verdict.text
+
+
+def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_path: Path):
+    process = start(tmp_path, scene='exact_pendulum', record_path='bag', rerun_sink='none',
+                    use_sim_time=True)
+    # A tick is 0.01 s; the clock begins at the epoch, the simulation at zero [ns].
+    tick, now, due = 10**7, 1_700_000_000 * 10**9, 0
+    with peer() as other:
+        clock = other.node.create_publisher(Clock, '/clock', qos_profile_sensor_data)
+
+        def set_clock() -> None:
+            tell(clock, now // 10**9, now % 10**9)
+
+        def time_of_run() -> int:
+            if not other.states:
+                return 0
+            stamp = other.states[-1].header.stamp
+            return stamp.sec * 10**9 + stamp.nanosec
+
+        # What is set before it runs passes: it begins at the first time that it is paced by.
+        other.spin_until(clock.get_subscription_count)
+        other.spin_until(lambda: set_clock() or 'follows /clock' in standard_error(process))
+        for _ in range(20):
+            set_clock()
+            other.spin(0.05)
+        assert not other.states
+        # Its lost messages are made up for by later ones, which hold the same time.
+        for advance, times in ((tick // 10, 20), (tick, 20), (10 * tick, 20), (9 * 10**9, 1)):
+            for _ in range(times):
+                now, due = now + advance, due + advance
+                set_clock()
+                other.spin(0.01)
+            other.spin_until(lambda: set_clock() or time_of_run() >= due)
+            assert time_of_run() == due
+        for _ in range(20):
+            set_clock()
+            other.spin(0.01)
+        now -= 100 * 10**9
+        for _ in range(5):
+            set_clock()
+            other.spin(0.05)
+        assert time_of_run() == due
+        now, due = now + 50 * tick, due + 50 * tick
+        other.spin_until(lambda: set_clock() or time_of_run() >= due)
+        assert time_of_run() == due
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
+    verdict = check_replay(tmp_path / 'bag')
+    assert verdict.good and f'{due // tick} samples agree' in verdict.text, verdict.text
+
+
+@pytest.mark.parametrize('name, value, words', [
+    ('publish_clock', 'true', 'the simulator cannot follow the /clock that it publishes; set '),
+    ('real_time_factor', '0.0', 'real_time_factor = 0 follows no clock; set it to the simulated')])
+def test_clock_that_cannot_be_followed_is_one_line(tmp_path: Path, name: str, value: str,
+                                                   words: str):
+    status, _, error = finish(start(
+        tmp_path, scene='exact_pendulum', use_sim_time=True, **{name: value}))
+    assert status == 1 and error.count('\n') == 1
+    assert f'parameter use_sim_time = true: {words}' in error
+
+
+def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
+    processes = [start(tmp_path, scene='exact_pendulum', duration=1.0, discovery_time=5.0,
+                       record_path=f'bag{i}', rerun_sink='none') for i in range(2)]
+    ends = [finish(process) for process in processes]
+    assert [status for status, _, _ in ends] == [0, 0]
+    # The second to start has found the first by the time that it begins.
+    assert any('1 more of the graph are called /hnn_simulator: calls of services may reach' in
+               error for _, _, error in ends)
+    assert all(check_replay(tmp_path / f'bag{i}').good for i in range(2))
+
+
+def test_two_simulators_in_one_process_do_not_interfere(tmp_path: Path):
+    arguments = ['--ros-args', '-p', 'duration:=1.0', '-p', 'scene:=exact_pendulum', '-p',
+                 'rerun_sink:=none', '-p', 'record:=false', '-p', 'discovery_time:=0.0']
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        nodes, executor = [SimulatorNode(arguments) for _ in range(2)], SingleThreadedExecutor()
+        for node in nodes:
+            executor.add_node(node)
+            executor.create_task(node.autostart)
+        wait_until(lambda: executor.spin_once(timeout_sec=0.1) or all(
+            node.exit_status is not None for node in nodes))
+        assert [node.exit_status for node in nodes] == [0, 0]
+        states = [node.run.simulation.q.tolist() + node.run.simulation.p.tolist()
+                  for node in nodes]
+        assert states[0] == states[1] and nodes[0].run.simulation.time == pytest.approx(1.0)
+        for node in nodes:
+            assert node.finish() == 0
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown()

@@ -81,7 +81,7 @@ def test_hangup_is_noted_like_other_signals_unless_it_is_ignored():
 
 
 @pytest.mark.parametrize('executable', ['simulator', 'replay', 'rerun_bridge', 'listener',
-                                        'hover', 'train', 'scene'])
+                                        'controller', 'train', 'scene'])
 @pytest.mark.parametrize('delay', [0.0, 0.5, 1.5])
 def test_executable_that_is_interrupted_at_its_start_ends_without_a_traceback(
         tmp_path, executable, delay):

@@ -4,14 +4,21 @@
 
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
+from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
+from hnn_vi_ros.scene import load_scene
 import pytest
+from recorded import record_run
 
 NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')
+from_wheels = pytest.mark.skipif(
+    not Path(sys.prefix, 'share', 'ament_index').is_dir(),
+    reason='ROS 2 is not from wheels in this environment')
 
 
 @pytest.fixture(autouse=True)
@@ -48,8 +55,10 @@ def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, value, mess
     assert text.startswith(f'{name}={value!r} is n') and message in text and '\n' not in text
 
 
-def test_middleware_is_not_judged_where_no_index_tells_of_any(monkeypatch):
-    monkeypatch.setenv('AMENT_PREFIX_PATH', '/nowhere')
+def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, 'prefix', '/nowhere')
+    (tmp_path / 'ros' / 'share' / 'ament_index').mkdir(parents=True)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path / 'ros'))
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
     settle_ros_environment()
 
@@ -67,8 +76,28 @@ def test_wheels_of_this_environment_are_found_or_what_is_missing_is_told(tmp_pat
         settle_ros_environment()
 
 
-@pytest.mark.skipif(not Path(sys.prefix, 'share', 'ament_index').is_dir(),
-                    reason='ROS 2 is not from wheels in this environment')
+def test_prefix_without_ros_is_completed_by_that_of_the_wheels_or_told(tmp_path, monkeypatch):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '/workspace')
+    monkeypatch.setattr(sys, 'prefix', '/nowhere')
+    with pytest.raises(ParameterError, match="AMENT_PREFIX_PATH='/workspace' names no ROS 2, and"):
+        settle_ros_environment()
+    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
+    settle_ros_environment()
+    assert os.environ['AMENT_PREFIX_PATH'] == f'/workspace:{tmp_path}'
+
+
+@from_wheels
+@pytest.mark.parametrize('prefix', ['/workspace', ''])
+def test_doctor_names_the_distribution_and_where_it_was_found(prefix, monkeypatch, capsys):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', prefix)
+    monkeypatch.delenv('ROS_DISTRO', raising=False)
+    doctor.main([])
+    line = next(line for line in capsys.readouterr().out.splitlines() if ' ROS 2 ' in line)
+    assert line.startswith('ok') and re.search(f' (jazzy|kilted), .*{prefix}', line)
+    assert line.count('as found by the prefix of this Python') == 1
+
+
+@from_wheels
 def test_simulator_runs_where_only_the_interpreter_tells_where_ros_is():
     code = ("import os; os.environ.pop('AMENT_PREFIX_PATH', None); "
             'from hnn_vi_ros.cli import simulator; simulator()')
@@ -77,6 +106,12 @@ def test_simulator_runs_where_only_the_interpreter_tells_where_ros_is():
          '-p', 'rerun_sink:=none'], capture_output=True, text=True, timeout=120, check=False,
         env={name: value for name, value in os.environ.items() if name != 'AMENT_PREFIX_PATH'})
     assert (result.returncode, 'Traceback' in result.stderr) == (0, False), result.stderr
+
+
+def test_bag_names_the_distribution_that_it_was_recorded_with(tmp_path, monkeypatch):
+    monkeypatch.setenv('ROS_DISTRO', 'kilted')
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 1)
+    assert '  ros_distro: kilted' in (bag / 'metadata.yaml').read_text()
 
 
 def test_node_says_it_before_ros_ends_the_process():

@@ -300,6 +300,27 @@ def describe(run: Path, folder: Path, named: list[str]) -> None:
         {'rosbag2_bagfile_information': {'relative_file_paths': named}}))
 
 
+# Of rosbag2 up to Kilted, and since Lyrical; their order by name is another one.
+SCHEMES = {'number last': 'run_{}.mcap',
+           'number first': '{}_run_2026_05_{:02d}-23_59_58.mcap',
+           'number first, a name that ends in a number': '{}_run_7_2026_05_{:02d}-23_59_58.mcap'}
+
+
+@pytest.mark.parametrize('scheme', SCHEMES.values(), ids=SCHEMES)
+def test_split_bag_without_a_description_is_read_in_the_order_of_its_numbers(
+        run, tmp_path, scheme):
+    names = [scheme.format(number, 1 + number) for number in range(8, 12)]
+    for name in names:
+        shutil.copy(run / 'bag_0.mcap', tmp_path / name)
+    assert [path.name for path in bag_files.bag_files(tmp_path)] == names
+    (tmp_path / names[2]).unlink()
+    with pytest.raises(RecordingError, match=f'is number 10, between {names[1]} and {names[3]}'):
+        bag_files.bag_files(tmp_path)
+    shutil.copy(run / 'bag_0.mcap', tmp_path / scheme.replace('run', 'other').format(10, 11))
+    with pytest.raises(RecordingError, match='found 4 files; give one of them'):
+        bag_files.bag_files(tmp_path)
+
+
 def test_bag_that_lacks_a_file_between_two_others_is_refused(run, tmp_path):
     for number in (3, 5):
         shutil.copy(run / 'bag_0.mcap', tmp_path / f'a_{number}.mcap')

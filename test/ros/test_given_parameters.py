@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.plumbing.starting import own_arguments
 from hnn_vi_ros.ros.settings import PARAMETERS, Settings
@@ -23,6 +24,7 @@ import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from recorded import record_run
 from std_msgs.msg import String
@@ -216,6 +218,26 @@ def test_topics_whose_qos_can_be_set_are_those_of_the_policy():
         name.text for name in rights} - ros_own
 
 
+@pytest.mark.parametrize('name, words', [
+    ('publish_rat', '; did you mean publish_rate?'), ('xyz', '; it has: autostart, discovery_')])
+def test_unknown_parameter_that_is_set_later_is_refused_with_the_nearest(name, words):
+    context = Context()
+    rclpy.init(context=context)
+    node = RobustNode('hnn_simulator', context=context)
+    try:
+        declare_parameters(node, Settings)
+        known = Parameter('real_time_factor', value=2.0)
+        result = node.set_parameters_atomically([known, Parameter(name, value=1)])
+        assert not result.successful
+        assert result.reason.startswith(
+            f'parameter {name}: hnn_simulator has none of this name{words}')
+        # All of them or none.
+        assert node.get_parameter('real_time_factor').value == 1.0
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
 @pytest.mark.parametrize('words', [
     ['scene:=kepler'], ['a', 'scene:=kepler', '--ros-args', '-p', 'a:=1'],
     ['--ros-args', '-p', 'a:=1', '--', 'scene:=kepler'], ['__node:=b']])
@@ -225,7 +247,7 @@ def test_parameter_in_the_manner_of_launch_is_refused_with_that_of_ros(words):
 
 
 @pytest.mark.parametrize('executable', [
-    'simulator', 'replay', 'rerun_bridge', 'listener', 'hover'])
+    'simulator', 'replay', 'rerun_bridge', 'listener', 'controller'])
 @pytest.mark.parametrize('words, what', [
     (['--ros-args', '-p', 'integratr:=rk4'], 'integratr'), (['scene:=kepler'], 'scene:=kepler'),
     (['--ros-args', 'scene:=kepler'], 'scene:=kepler'), (['--ros-args', '-p', 'x'], '-p x')])

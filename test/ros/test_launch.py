@@ -143,6 +143,16 @@ def test_launch_file_leaves_what_is_not_given_to_the_parameter_file_and_the_node
     assert node.parameters == ([{'autostart': False}] if name == 'managed_simulator' else [])
 
 
+@pytest.mark.parametrize('name', ['simulator'], indirect=True)
+def test_launch_file_that_is_included_twice_starts_two_nodes_by_their_own_arguments(launch):
+    nodes = [only(launch(namespace=namespace, scene=scene), 'node')
+             for namespace, scene in (('left', 'pendulum'), ('right', 'kepler'))]
+    assert [node.namespace for node in nodes] == ['left', 'right']
+    assert [node.name for node in nodes] == ['hnn_simulator'] * 2
+    # Others are not given, so that the second has nothing of the first.
+    assert [[*node.parameters[0]] for node in nodes] == [['scene']] * 2
+
+
 @MANAGED
 def test_launch_system_configures_the_managed_node_and_then_activates_it(launch):
     entities = launch()

@@ -234,6 +234,7 @@ def test_topic_whose_type_is_not_installed_is_left_out_with_a_warning(tmp_path):
     (['BAG', '--ros-args', '-p', 'rate:=fast'], 'rate'),
     (['FOREIGN'], 'no topic that can be published'),
     (['FOREIGN', '--verify'], 'holds no topic state of a simulator'),
+    (['BAG', '--node', 'left'], '--node: chooses what --verify checks; --topics chooses'),
 ])
 def test_mistake_is_one_line_with_the_remedy(bag, tmp_path, arguments, told):
     foreign = foreign_bag(tmp_path / 'a.mcap', 'std_msgs/msg/Int32', encoding='json')

@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
 from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
@@ -27,7 +27,7 @@ import numpy as np
 from peer import peer, SIMULATOR
 from processes import finish, start, start_executable
 import pytest
-from recorded import as_received, record_run
+from recorded import as_received, of_several, record_run
 import safetensors.numpy
 from std_msgs.msg import Float64MultiArray
 
@@ -114,6 +114,49 @@ def test_bag_of_another_recorder_is_verified_and_resumed_by_its_scene_topic(tmp_
     there, here = resume(bag), resume(own)
     assert there.scene.model_dump() == here.scene.model_dump()
     assert (there.step, there.origin) == (here.step, here.origin)
+
+
+@pytest.fixture(scope='module')
+def three(tmp_path_factory, driven):
+    """Return a bag of three simulators: a driven one, one whose log was changed, another one."""
+    folder = tmp_path_factory.mktemp('three')
+    return of_several(
+        folder / 'three.mcap', left=record_run(folder / 'left', driven, 100, commands=COMMANDS),
+        middle=record_run(folder / 'middle', load_scene('exact_pendulum'), 50,
+                          change=lambda sample: replace(sample, q=sample.q + 1e-9)),
+        right=record_run(folder / 'right', load_scene('exact_harmonic_oscillator'), 70))
+
+
+def test_each_simulator_of_a_bag_is_checked_and_named(three):
+    verdicts = [*check_replays(three)]
+    assert [verdict.good for verdict in verdicts] == [True, False, True]
+    for verdict, name, words in zip(verdicts, ('left', 'middle', 'right'), (
+            'q, p, dp/dt, H and work of 100 samples agree', 'q of angle differs at t = 0.01 s',
+            'q, p, dp/dt, H and work of 70 samples agree'), strict=True):
+        assert verdict.text.startswith(f'/{name}/hnn_simulator: {three}: ')
+        assert words in verdict.text
+
+
+def test_one_simulator_of_a_bag_is_chosen_by_its_name(three):
+    for name in ('/right/hnn_simulator', 'right/hnn_simulator'):
+        verdict, = check_replays(three, node=name)
+        assert verdict.good and '70 samples' in verdict.text
+    with pytest.raises(RecordingError, match='no simulator rihgt/hnn_simulator; did you mean '
+                       '/right/hnn_simulator.; there: /left/hnn_simulator, /middle/hnn_simulator'):
+        [*check_replays(three, node='rihgt/hnn_simulator')]
+
+
+def test_run_of_one_of_several_simulators_is_not_resumed_by_chance(three):
+    with pytest.raises(RecordingError, match='holds 3 simulators, of which one must be chosen'):
+        resume(three)
+
+
+def test_fault_of_one_simulator_does_not_keep_others_from_being_checked(tmp_path, driven):
+    bags = {name: record_run(tmp_path / name, load_scene('exact_pendulum'), 5, **more)
+            for name, more in (('left', {'origin': -1}), ('right', {}))}
+    verdicts = [*check_replays(of_several(tmp_path / 'two.mcap', **bags))]
+    assert [verdict.good for verdict in verdicts] == [False, True]
+    assert 'origin is no count' in verdicts[0].text
 
 
 @pytest.mark.parametrize('without, words', [

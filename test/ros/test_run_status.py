@@ -155,13 +155,17 @@ class Run:
             self.monitor.evaluate()
 
     def told(self, component: str, overruns: int = 0) -> tuple[bytes, str]:
-        status = self.status.statuses(overruns)[COMPONENTS.index(component)]
+        status = self.status.statuses(pacer(overruns))[COMPONENTS.index(component)]
         return status.level, status.message
+
+
+def pacer(overruns: int = 0) -> SimpleNamespace:
+    return SimpleNamespace(overruns=overruns, led=False)
 
 
 def test_statuses_before_the_first_step_are_well(tmp_path):
     run = Run(tmp_path)
-    assert [status.level for status in run.status.statuses(0)] == [OK] * 6
+    assert [status.level for status in run.status.statuses(pacer())] == [OK] * 6
     assert run.told('recorder') == (OK, 'nothing is recorded, as asked')
     assert run.told('model') == (OK, 'exact: harmonic_oscillator')
 

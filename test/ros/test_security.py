@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The SROS2 policy allows the simulator what it does in the graph, and nothing else."""
 
+from itertools import count
 from pathlib import Path
 import signal
 from xml.etree import ElementTree
@@ -9,9 +10,11 @@ from xml.etree import ElementTree
 from ensembles import ensemble
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.services import ACTION, INTERFACES, service_name
+from hnn_vi_ros.ros.topics.messages import clock_message
 from peer import Peer, peer, SIMULATOR
 from processes import finish, start
 import pytest
+from rosgraph_msgs.msg import Clock
 
 POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
 ROBOT = POLICY.parents[1] / 'robots' / 'two_joint_arm.urdf'
@@ -81,12 +84,17 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
     (tmp_path / 'several.yaml').write_text(ENSEMBLE)
     rights: dict[str, set[str]] = {}
     for scene in ('arms.yaml', 'several.yaml', 'quadrotor'):
+        # No node follows the clock that it publishes.
+        follows = scene == 'quadrotor'
         process = start(tmp_path, scene=scene, record='false', rerun_sink='none',
-                        publish_clock='true', publish_accuracy='true', use_sim_time='true')
+                        publish_clock=not follows, publish_accuracy='true', use_sim_time=follows)
         with peer() as other:
+            clock, ticks = other.node.create_publisher(Clock, '/clock', 10), count(1)
             # All of its topics are there once it publishes.
-            other.spin_until(lambda other=other: other.states)
+            other.spin_until(lambda other=other, clock=clock, ticks=ticks: clock.publish(
+                clock_message(10**7 * next(ticks))) or other.states)
             other.spin(1.0)
+            other.node.destroy_publisher(clock)
             for right, names in rights_in_the_graph(other).items():
                 rights.setdefault(right, set()).update(names)
             process.send_signal(signal.SIGINT)

@@ -13,7 +13,7 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.initial_state import initial_state
-from hnn_vi_ros.ros.topics.topics import LARGEST_MESSAGE
+from hnn_vi_ros.ros.topics.hearing import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState
 from mcap.reader import make_reader
 import numpy as np

@@ -3,6 +3,7 @@
 """Pace, pause, steps by number, reset and /clock of a simulator in another process."""
 
 import json
+import math
 from pathlib import Path
 import re
 import signal
@@ -357,6 +358,36 @@ def test_duration_counts_simulated_time_without_pauses(folder):
     assert finish(process)[0] == 0
     assert [s for s, _ in read_bag(folder / 'bag')['/hnn_simulator/q']] == [
         TICK * tick for tick in range(1, 301)]
+
+
+def test_pacer_follows_a_clock_that_others_set():
+    now = 5.0
+    pacer = Pacer(0.01, 1.0, lambda: now, lambda: True)
+
+    def taken() -> int:
+        count = 0
+        while pacer.due():
+            count += 1
+        return count
+
+    # Slowly, as fast as the wall, fast, at once; standing; and by sums that are rounded.
+    ticks = []
+    for advance in (0.001, 0.01, 0.1, 9.0, 0.0):
+        begin = now
+        counts = []
+        for i in range(20 if advance < 1.0 else 1):
+            now = begin + (i + 1) * advance
+            counts.append(taken())
+        ticks.append(sum(counts))
+    assert ticks == [2, 20, 200, 900, 0]
+    # Back: it goes on from there. Beyond ten seconds forth: one tick, and an overrun.
+    now -= 8.0
+    assert taken() == 0
+    now += 0.05
+    assert taken() == 5 and pacer.overruns == 0
+    now += 11.0
+    assert taken() == 1 and pacer.overruns == 1
+    assert pacer.wait == math.inf
 
 
 def test_pacer_owes_nothing_after_a_pause_and_counts_no_overrun():

@@ -132,7 +132,7 @@ def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write
 @pytest.mark.parametrize('old, new, expected', [
     ('kind: gravity, ', '', 'mine.yaml:3: effects.0.kind: required; valid kinds: .*gravity'),
     ('gravity', 'gravy', "mine.yaml:3: effects.0.kind: unknown kind 'gravy'; did you mean gravity"
-     '.*, impact'),
+     '.* more'),
     ('coordinate', 'coordinat', r'mine.yaml:3: effects.0.coordinat: unknown key; did you mean '
      r'coordinate\?; valid keys: acceleration, coordinate, kind, mass$'),
     ('coordinate: y', 'coordinate: z',
@@ -148,7 +148,7 @@ def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write
     ('0.1', '-1', 'mine.yaml:5: effects.1.rate: damping: rate = -1.0 must be'),
     ('[x]', '[x, z]', 'mine.yaml:6: effects.2.anchor: spring: anchor has 1 entries'),
     ('{kind: spring, point: [x], anchor: [0]}', '{kind: learned_dissipation, model: nothing}',
-     "mine.yaml:6: effects.2.model: no model 'nothing': .*pendulum"),
+     "mine.yaml:6: effects.2.model: no model 'nothing', .*pendulum"),
     ('{kind: spring, point: [x], anchor: [0]}', '{kind: learned_dissipation, model: pendulum}',
      'mine.yaml:6: effects.2: learned_dissipation: the model has 1 coordinates'),
     ('damping\n    rate: 0.1', 'thermostat\n    temperature: 1\n    rate: [1]',
@@ -199,7 +199,7 @@ def test_scene_file_that_is_no_mapping_is_refused(write, content):
 
 @pytest.mark.parametrize('given, says', [
     ('nothing.yaml', 'nothing.yaml: no such file; give the path of a scene, or the name of a '
-     'shipped one: air_track, '),
+     'shipped one; `hnn scene --list` lists them'),
     ('mine.yml', 'mine.yml: no such file; did you mean mine.yaml?; give the path'),
     ('mime.yaml', 'mime.yaml: no such file; did you mean mine.yaml?; give the path'),
     ('doube_pendulum.yaml', 'no such file; did you mean double_pendulum?; give the path'),
@@ -209,7 +209,7 @@ def test_scene_file_that_is_no_mapping_is_refused(write, content):
     ('\0.yaml', 'no such file; '),
     ('folder', 'folder: is a folder; give the path of a scene (.yaml)'),
     ('folder/', 'folder/: is a folder; give the path of a scene (.yaml)'),
-    ('bare', "no scene 'bare'; for the file bare give ./bare; shipped: air_track, ")])
+    ('bare', "no scene 'bare'; for the file bare give ./bare; shipped: ")])
 def test_scene_that_is_not_there_is_told_with_what_there_is(tmp_path, monkeypatch, given, says):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'folder').mkdir()
@@ -230,7 +230,7 @@ def test_scene_that_is_not_there_is_told_with_what_there_is(tmp_path, monkeypatc
     ('q: [1.0]', 'q: [1.0, 2.0]', SceneError,
      'mine.yaml:5: initial_state.q: 2 values, expected 1, .*: x'),
     ('{kind: harmonic_oscillator, mass: 2.0}', '{kind: hnn, model: nothing}', ModelError,
-     'not shipped .*harmonic_oscillator'),
+     'shipped: .*harmonic_oscillator'),
     ('{kind: harmonic_oscillator, mass: 2.0}', '{kind: hnn, model: ./nothing.safetensors}',
      ModelError, 'nothing.safetensors'),
     ('{kind: harmonic_oscillator, mass: 2.0}', "{kind: python, factory: 'no_such:thing'}",

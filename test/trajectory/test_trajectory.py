@@ -3,7 +3,8 @@
 """Trajectories: their names and units, and what they are drawn, shown and handed over as."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, pairwise
+import math
 import sys
 
 from hnn_vi_ros.errors import MissingPackage
@@ -195,3 +196,39 @@ def test_package_that_is_not_installed_is_named_in_one_line(package, call, monke
     with pytest.raises(MissingPackage, match=f'-m pip install "{package}"') as caught:
         call(PLAIN)
     assert '\n' not in str(caught.value)
+
+
+def test_plot_shows_what_the_work_of_effects_leaves_of_the_energy():
+    run = simulate('exact_damped_driven_pendulum', 1.005, every=10)
+    # The last sample lies between two steps, where the work is not known.
+    assert np.isfinite(run.work[:-1]).all() and math.isnan(run.work[-1])
+    axes = run.plot().axes
+    assert [panel.get_ylabel() for panel in axes[-2:]] == ['H - H(0) [J]', 'H - H(0) - W [J]']
+    energy, work = axes[-2].lines
+    assert np.array_equal(work.get_xdata(), run.t[:-1])
+    left, = axes[-1].lines
+    assert np.array_equal(left.get_ydata(), run.balance())
+    # A method of order 2 at 0.01 s, against a change by joules.
+    assert np.abs(run.balance()).max() < 1e-2 < 0.1 * np.abs(energy.get_ydata()).max()
+    assert 'the work of effects accounts for it to ' in repr(run)
+    assert simulate('exact_pendulum', 0.1).work is None
+
+
+def test_title_stays_within_a_narrow_figure():
+    figure = simulate('exact_damped_driven_pendulum', 0.5).phase_portrait()
+    assert '\n' in figure.get_suptitle()
+    assert figure._suptitle.get_window_extent().width < figure.bbox.width
+
+
+@pytest.mark.parametrize('size', [1e-4, 3e-2, 1.0, 3e5])
+def test_labels_of_ticks_do_not_overlap_in_portraits(size):
+    coordinates = tuple(Coordinate(name, 'm') for name in 'xyz')
+    q = size * np.stack([np.sin(T), 1.0 + 0.1 * np.sin(T), np.sin(3.0 * T) - 0.7], axis=1)
+    figure = Trajectory(T, q, -q, T, coordinates).phase_portrait()
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for axis, along in ((axes.xaxis, 'x'), (axes.yaxis, 'y')):
+            boxes = [tick.label1.get_window_extent() for tick in axis.get_major_ticks()
+                     if tick.label1.get_text()]
+            ends = sorted((getattr(box, f'{along}0'), getattr(box, f'{along}1')) for box in boxes)
+            assert all(end < begin for (_, end), (begin, _) in pairwise(ends))

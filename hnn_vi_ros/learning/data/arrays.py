@@ -18,6 +18,7 @@ from pydantic import Field
 import torch
 
 MAX_BYTES = 1 << 30
+_NAMED = '; name them by --keys, or in the data of a configuration'
 # R^T R and the norm of a quaternion may be off by this in data that were written with few digits,
 # and by that in those that were written with all of them.
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
@@ -167,10 +168,10 @@ class Archive:
         for run in wanted:
             if run not in found:
                 raise DataError(f'{self.path}: no run {run!r} with a key {key}; its runs: '
-                                f'{listed(found) or "none"}; name the keys in data')
+                                f'{listed(found) or "none"}{_NAMED}')
         if not found:
             raise DataError(f'{self.path}: no key {key}, nor any RUN/{key}; it has '
-                            f'{self._keys()}; name the keys in data')
+                            f'{self._keys()}{_NAMED}')
         return [*wanted] or found
 
     def array(self, key: str, rows: int | None = None, widths: Sequence[int] = (),
@@ -182,8 +183,7 @@ class Archive:
         one; of any width if there are none.
         """
         if key not in self.arrays:
-            raise DataError(f'{self.path}: no key {key}; it has {self._keys()}; name the keys in '
-                            'data')
+            raise DataError(f'{self.path}: no key {key}; it has {self._keys()}{_NAMED}')
         values, expected = self.arrays[key], 'numbers'
         fits = values.dtype.kind in 'fiu'
         if rows is not None:

@@ -61,8 +61,9 @@ class RunData(StrictModel):
     inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
         'what forces do between samples: go over into each other, or each is held until the '
         'next; default: held for topics of commands, else interpolated'))
-    delay: float = Field(0.0, description=(
-        'how many samples, and parts of one, forces act after the one that they stand beside'))
+    delay: float | Literal['estimate'] = Field(0.0, description=(
+        'how many samples, and parts of one, forces act after the one that they stand beside; or '
+        'it is estimated by fits of a rigid body to what is learned from'))
     test_runs: list[str] = TEST_RUNS
 
 

@@ -56,7 +56,7 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
     if isinstance(data, ExactData):
         if given:
             raise DataError(f'{source}: its data is exact, so --data {given[0]} has no use; '
-                            'leave it')
+                            'leave it out')
         return sample_exact(data, seed)
     if isinstance(data, BagData):
         return read_bags(bags_of(source, data.paths, given), data)

@@ -262,9 +262,13 @@ def _header(place: str, line: str, data: Columns) -> Names:
     names = _fields(line, data, _MOST_COLUMNS)
     for name in _used(data):
         if names.count(name) != 1:
-            raise DataError(f'{place}: no column {name!r}{did_you_mean(name, names)}, or more '
-                            f'than one, in the header: {listed(names)}; name the columns in '
-                            'data.columns, or set data.delimiter')
+            other = next((other for other, mark in _SEPARATORS.items() if {*_used(data)} <= {
+                field.strip().strip('"') for field in line.split(mark, _MOST_COLUMNS)}), None)
+            raise DataError(
+                f'{place}: no column {name!r}{did_you_mean(name, names)}, or more than one, in '
+                f'the header: {listed(names)}; ' + (
+                    f'set data.delimiter: {other}' if other else
+                    'name the columns in data.columns, or set data.delimiter'))
     return names
 
 
@@ -289,7 +293,8 @@ def _number(place: str, index: int, field: str, name: str) -> float:
     value = plain_number(field)
     if not abs(value) <= MAX_VALUE:
         remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
-            'name the columns in data.columns, and in data.comment how lines to skip begin'
+            ('leave such a row out; of a header, name the columns in data.columns, or in '
+             'data.comment how it begins')
         raise DataError(f'{place}: column {index + 1} ({name}): expected a finite number, '
                         f'found {field[:40]!r}; {remedy}')
     return value

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.errors import DataError, did_you_mean, ModelError
+from hnn_vi_ros.errors import DataError, ModelError, offered
 from hnn_vi_ros.files.resources import find_yaml, package_file, SCHEME
 from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
@@ -333,7 +333,7 @@ def load_config(path: Path) -> AnyConfig:
     if isinstance(kind, str) and kind not in _SCHEMAS:
         raise DataError(
             f'{places.place("family", "kind")}: unknown kind {kind[:80]!r}'
-            f'{did_you_mean(kind, _SCHEMAS)}; valid kinds: {", ".join(sorted(_SCHEMAS))}')
+            f'{offered(kind, sorted(_SCHEMAS), "valid kinds")}')
     config = load_yaml(path, _SCHEMAS[kind if isinstance(kind, str) else 'hnn'], DataError)
     if isinstance(config, MachineConfig) and isinstance(config.family, RigidBodyChoice):
         return _with_robot(path, config, config.family)

@@ -21,6 +21,7 @@ from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
 from hnn_vi_ros.files.limits import check_pickles
 from hnn_vi_ros.files.standard_streams import ProgressLine
+from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, replacing, save_checkpoint
@@ -477,9 +478,7 @@ def kept(model: Path, checkpoint: Checkpoint) -> Iterator[None]:
     try:
         yield
     except ValidationError as problem:
-        what = problem.errors(include_url=False)[0]
-        raise DataError(f'{".".join(map(str, what["loc"]))} of the model card: '
-                        f'{one_line(what["msg"])}{still}') from problem
+        raise DataError(f'the model card: {in_plain_words(problem)}{still}') from problem
     except HnnViRosError as problem:
         raise DataError(f'{problem}{still}') from problem
     except OSError as problem:

@@ -26,9 +26,6 @@ _STEP = 0.01
 # so many times; and it takes no more than so many samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
 
-# The largest delay that is looked for, in samples.
-_MOST_DELAY = 20
-
 Network = MechanicalNetwork | PlainNetwork
 # Returns the loss of some rows of samples.
 Value = Callable[[torch.Tensor], torch.Tensor]

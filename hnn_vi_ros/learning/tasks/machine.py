@@ -13,7 +13,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.runs import delayed, Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import (
-    Forward, RigidBodyChoice, Structure, Trajectory)
+    AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
@@ -37,11 +37,14 @@ from hnn_vi_ros.models.planar_chain import CHAINS, PLANAR_CHAIN
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
 from hnn_vi_ros.models.seen import domain_of, DomainCard, SelectionCard
 import numpy as np
+from scipy.optimize import minimize_scalar
 import torch
 
 # A model is judged by errors after these horizons, from starts at this distance, and by valid
 # prediction times up to this limit [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
+# Delays are looked for up to so many samples, to a tenth.
+_MOST_DELAY = 5.0
 
 
 class MachineTask(Task):
@@ -67,7 +70,8 @@ class MachineTask(Task):
                  ensemble: bool):
         self._ensemble = ensemble
         self._train, self._test, description = _read(source, config, given)
-        self._delay = config.data.delay
+        self._delay = estimated_delay(config, self._train) \
+            if config.data.delay == 'estimate' else config.data.delay
         if self._delay:
             self._train, self._test = ([delayed(motion, self._delay) for motion in part]
                                        for part in (self._train, self._test))
@@ -137,6 +141,38 @@ class MachineTask(Task):
             f'{text}\n\n{_remarks(config, card)}\n{identified_text(card)}'.rstrip(),
             lambda path: draw_predictions(path, card.name, hamiltonian.coordinates,
                                           shown(fans, max(horizons))))
+
+
+def estimated_delay(config: MachineConfig, motions: Sequence[Run]) -> float:
+    """
+    Return how many samples forces act after those that they stand beside, parts included.
+
+    It is the delay of the least loss of a rigid body, which is fitted anew for each one that is
+    tried: its other numbers would hide a part of a delay that they were not fitted with.
+
+    Raises
+    ------
+    DataError
+        There are no forces, or no rigid body follows the motions.
+
+    """
+    if not any(motion.tau.any() for motion in motions):
+        raise DataError('data.delay: there are no forces to estimate it by; leave it out')
+    family, loss = config.family, config.windows.model_copy(update={
+        'records': False, 'windows': config.windows.windows[:1]})
+    rigid = {'residual': []} if isinstance(family, RigidBodyChoice) else {
+        'residual': False, 'prior': PLANAR_CHAIN if family.prior in (None, AUTO) else family.prior}
+    # A network of friction is beside a rigid body, too.
+    config = config.model_copy(update={'loss': loss, 'family': family.model_copy(update=rigid | {
+        'friction': family.friction.model_copy(update={'network': False})})})
+    structure = config.structure()
+    angles = _rigid(config, structure, motions).module.structure.angles
+
+    def error(delay: float) -> float:
+        late = [delayed(motion, delay) for motion in motions]
+        return [*_rigid(config, replace(structure, angles=angles), late).losses.values()][-1]
+    return float(minimize_scalar(error, bounds=(-_MOST_DELAY, _MOST_DELAY), method='bounded',
+                                 options={'xatol': 0.1}).x)
 
 
 def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | None = None

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run
+from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run, run_of
 from hnn_vi_ros.learning.families.choices import AUTO, MechanicalChoice, Trajectory
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem
@@ -21,11 +21,16 @@ _PIECES, _LONGEST = 40, 2.0
 # Share of the time that is held out for what goes furthest in speed, in range and in force, each;
 # one in so many of the other pieces is held out as well.
 _FURTHEST, _ORDINARY = 0.1, 5
+# Of so many runs or more, whole ones are held out that go furthest, half of the time at most:
+# networks learn what is peculiar to a run, and pieces of the same run reward them for it.
+_RUNS = 4
 # Candidates are trained for this share of the steps, and judged at these horizons, from a state
 # so often [s].
 _SHARE, _HORIZONS, _EVERY = 0.25, (0.1, 0.5), 0.05
-# On what goes furthest no error may be larger than that of the rigid body, but for this share.
-_WORSE = 0.05
+# On what goes furthest no error may be larger than that of the rigid body, but for _WORSE of it;
+# and networks must have errors that are smaller by _GAIN on the mean: what gains less is no better
+# beyond the data, as far as a part of these can tell.
+_WORSE, _GAIN = 0.05, 0.05
 RIGID, ALONE = 'rigid body', 'networks alone'
 _CANDIDATES: dict[str, dict[str, object]] = {
     RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
@@ -86,7 +91,7 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
             f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
     if all(card.failed for card in found):
         raise DataError(f'prior: auto: {found[-1].failed}')
-    best = _best(found)
+    best = best_of(found)
     time, total = (sum(len(run.t) * run.spacing for run in runs)
                    for runs in ((*furthest, *ordinary), motions))
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
@@ -108,26 +113,34 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
     Return motions to learn from, and pieces to judge by: the furthest, and ordinary ones.
 
     Pieces go far by the largest speed, distance from the middle or force in them, each in units
-    of the largest of all.
+    of the largest of all; runs, of which many are largest in one coordinate, by the norm of all.
     """
     total = sum(len(run.t) for run in motions)
     longest = max(MIN_SAMPLES, min(round(_LONGEST / motions[0].spacing), total // _PIECES))
     pieces = [(run, rows) for run in motions
               for rows in np.array_split(np.arange(len(run.t)), max(1, len(run.t) // longest))]
+    names = [run_of(run) for run, _ in pieces]
+    whole = len(set(names)) >= _RUNS
+    groups = [[k for k, one in enumerate(names) if one == name]
+              for name in dict.fromkeys(names)] if whole else [[k] for k in range(len(pieces))]
+    lengths = [sum(len(pieces[k][1]) for k in group) for group in groups]
     far: set[int] = set()
     for key in ('v_smooth', 'q_smooth', 'tau'):
         everything = np.concatenate([getattr(run, key) for run in motions])
         middle = np.median(everything, axis=0)
         size = np.abs(everything - middle).max(axis=0)
-        if not size.any():
-            continue
         moves = size > 0.0
-        reach = [float((np.abs(getattr(run, key)[rows] - middle)[:, moves] / size[moves]).max())
-                 for run, rows in pieces]
+        if not moves.any():
+            continue
+        reach = [max(float(np.linalg.norm((getattr(run, key)[rows] - middle)[:, moves]
+                                          / size[moves], 2 if whole else np.inf, axis=1).max())
+                     for run, rows in (pieces[k] for k in group)) for group in groups]
         taken = 0
-        for k in np.argsort(-np.array(reach), kind='stable'):
-            far.add(int(k))
-            taken += len(pieces[k][1])
+        for j in np.argsort(-np.array(reach), kind='stable'):
+            if whole and len(far | {*groups[j]}) > len(pieces) // 2:
+                break
+            far |= {*groups[j]}
+            taken += lengths[j]
             if taken >= _FURTHEST * total:
                 break
     others = [k for k in range(len(pieces)) if k not in far]
@@ -172,8 +185,13 @@ def errors_of(network: Network, pieces: Sequence[Run]) -> Errors:
     return found
 
 
-def _best(found: Sequence[CandidateCard]) -> CandidateCard:
-    """Return the best on the mean of those no worse than the rigid body on what goes furthest."""
+def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
+    """
+    Return the rigid body, or what has smaller errors on the mean by more than _GAIN.
+
+    None of these may be larger, by more than _WORSE, on what goes furthest. Without a rigid body
+    it is the best on the mean.
+    """
     tried = [card for card in found if not card.failed]
     rigid = next((card for card in tried if card.name == RIGID), tried[0])
 
@@ -184,8 +202,11 @@ def _best(found: Sequence[CandidateCard]) -> CandidateCard:
         return np.nan_to_num(own / other, nan=np.inf, posinf=np.inf)
     allowed = [card for card in tried if card is rigid or (
         ratios(card, 'furthest') <= 1.0 + _WORSE).all()] if rigid.name == RIGID else tried
-    return min(allowed, key=lambda card: float(np.log(np.maximum(
-        ratios(card, 'ordinary', 'furthest'), 1e-12)).mean()))
+
+    def gain(card: CandidateCard) -> float:
+        return -float(np.log(np.maximum(ratios(card, 'ordinary', 'furthest'), 1e-12)).mean())
+    best = max(allowed, key=gain)
+    return best if gain(best) > _GAIN or rigid.name != RIGID else rigid
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:

@@ -2,22 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that outlive a wrong /clock, and whose slow transitions may be refused."""
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
+import os
+import signal
 import sys
 import threading
+import time
 from typing import Any
 
-from hnn_vi_ros.errors import HnnViRosError
+from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
-from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, state_machine
+from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
+from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, RCLError, state_machine
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock as SteadyClock, ClockType
-from rclpy.executors import Executor
+from rclpy.clock import Clock as SteadyClock, ClockType, ROSClock
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.timer import Timer
@@ -31,8 +37,49 @@ def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Tim
     return node.create_timer(period, callback, clock=SteadyClock(clock_type=ClockType.STEADY_TIME))
 
 
+class PaceClock:
+    """
+    The time by which a node is paced: that of /clock under use_sim_time, else a steady one.
+
+    Parameters
+    ----------
+    node : Node
+        Whose parameter use_sim_time counts.
+
+    """
+
+    def __init__(self, node: Node):
+        clock = node.get_clock()
+        assert isinstance(clock, ROSClock), 'that of a node is one'
+        self._clock, self._first = clock, 0
+
+    def __call__(self) -> float:
+        """Return the time since some start [s]; it stands until /clock begins."""
+        if not self.led:
+            return time.monotonic()
+        now = self._clock.now().nanoseconds
+        # A float could not tell nanoseconds of the epoch.
+        self._first = self._first or now
+        return (now - self._first) * 1e-9
+
+    @property
+    def led(self) -> bool:
+        """Return whether it is that of /clock."""
+        return self._clock.ros_time_is_active
+
+
 class RobustNode(Node):
-    """A node that ignores impossible times on /clock, and logs that."""
+    """
+    A node that ignores impossible times on /clock, and logs that; it names unknown parameters.
+
+    Attributes
+    ----------
+    after_clock : callable
+        Called after each message of /clock, where use_sim_time asks for these.
+
+    """
+
+    after_clock: Callable[[], None] = staticmethod(lambda: None)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Callable[[Any], None],
                             *args: Any, **more: Any) -> Subscription:
@@ -41,11 +88,23 @@ class RobustNode(Node):
             callback = self._heeding(callback)
         return super().create_subscription(msg_type, topic, callback, *args, **more)
 
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """See Node, whose answer to an unknown name, by every service, does not name it."""
+        for name in (parameter.name for parameter in parameter_list):
+            if not self.has_parameter(name):
+                known = sorted(self.list_parameters([], 0).names)
+                hint = did_you_mean(name, known) or '; it has: ' + ', '.join(
+                    own for own in known if not own.startswith(PREFIX))
+                return SetParametersResult(successful=False, reason=(
+                    f'parameter {name[:80]}: {self.get_name()} has none of this name{hint}'))
+        return super().set_parameters_atomically(parameter_list)
+
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
         def on_clock(message: Clock) -> None:
             seconds, nanoseconds = message.clock.sec, message.clock.nanosec
             if seconds >= 0 and nanoseconds < 10**9:
                 callback(message)
+                self.after_clock()
             else:
                 self.get_logger().error(
                     f'/clock: message ignored: {seconds} s and {nanoseconds} ns: expected at '
@@ -107,6 +166,61 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     def busy(self) -> bool:
         """Return whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
+
+    def stop(self, status: int, reason: str) -> None:
+        """Let the process end with this status, and say why."""
+        if self.exit_status is None:
+            self.exit_status = status
+            log(self, reason, 'ERROR' if status else 'INFO')
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the process."""
+        self.stop(0, 'shut down')
+        return SUCCESS
+
+    async def autostart(self) -> None:
+        """Configure and activate; raise what makes that impossible."""
+        if await self.change_state(Transition.TRANSITION_CONFIGURE):
+            await self.change_state(Transition.TRANSITION_ACTIVATE)
+
+    def serve(self, received: Sequence[int], autostart: bool) -> SingleThreadedExecutor:
+        """
+        Serve until the node has an exit status; return the executor, which nobody spins then.
+
+        Parameters
+        ----------
+        received : sequence of int
+            Signals that have come, to which a handler adds.
+        autostart : bool
+            Whether to configure and activate without being asked to.
+
+        """
+        executor = SingleThreadedExecutor()
+        executor.add_node(self)
+        if autostart:
+            executor.create_task(self.autostart)
+        while self.exit_status is None:
+            if received:
+                self.stop(0, f'stopped by {signal.Signals(received[0]).name}')
+                continue
+            try:
+                executor.spin_once(timeout_sec=0.1)
+            except RCLError as problem:
+                # Such as a client that is gone before its answer: no reason to stop.
+                self.get_logger().warning(
+                    f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
+        return executor
+
+    def end(self, status: int) -> int:
+        """Destroy the node and return the status; end the process if a thread is at work."""
+        busy = self.busy
+        self.destroy_node()
+        if busy:
+            # A compilation that nobody needs cannot be interrupted, nor be left to run into the
+            # end.
+            sys.stdout.flush()
+            os._exit(status)
+        return status
 
     def wait(self, seconds: float) -> None:
         """Wait at most so long for the threads at work."""

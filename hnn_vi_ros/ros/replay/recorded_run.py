@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run that a bag was recorded from: its scene, its states, its last one."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 import math
@@ -12,7 +12,7 @@ from typing import Any
 from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import listed, RecordingError
+from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.topics.inputs import INPUTS
@@ -81,6 +81,8 @@ class RecordedRun:
         A folder with the files of one bag, or one file; one that was cut off will do.
     trust_code : bool, optional
         Whether Python code that its scene names may be run.
+    node : str, optional
+        Name of the simulator, which must be there where the bag holds several.
 
     Attributes
     ----------
@@ -98,14 +100,16 @@ class RecordedRun:
     Raises
     ------
     RecordingError
-        The bag cannot be read, or does not come from the simulator.
+        The bag cannot be read, does not come from the simulator, or holds several and none of
+        that name.
 
     """
 
-    def __init__(self, bag: Path, trust_code: bool = False):
+    def __init__(self, bag: Path, trust_code: bool = False, node: str = ''):
         self.reader = BagReader(bag)
         self._topics = own_topics(self.reader)
-        self.node, self._names = self._find_node()
+        nodes, self._names = simulators(self.reader, self._topics)
+        self.node = _chosen(nodes, node, str(self.reader.path))
         self._where = f'{self.reader.path}: its scene'
         kept = attached(self.reader, 'scene.yaml')
         self.scene, self.described = described_scene(
@@ -292,24 +296,50 @@ class RecordedRun:
                 'they cannot be paired by the times at which they came; record that topic too')
         return text
 
-    def _find_node(self) -> tuple[str, tuple[str, ...]]:
-        """Return the simulator, and which of its topics tell of the state."""
-        kinds = {name: self._type_of(number) for name, number in self._topics.items()}
-        for names, kind in ((('state',), 'sensor_msgs/msg/JointState'),
-                            (('q', 'p'), 'std_msgs/msg/Float64MultiArray')):
-            nodes = [node for node, _, last in (topic.rpartition('/') for topic in kinds)
-                     if last == names[0] and all(
-                         kinds.get(f'{node}/{name}') == kind for name in names)]
-            if nodes:
-                # Other nodes may have a topic of that name, but no scene.
-                return next((node for node in nodes if f'{node}/scene' in kinds), nodes[0]), names
-        raise RecordingError(
-            f'{self.reader.path}: holds no topic state of a simulator, nor q and p; topics: '
-            f'{listed(sorted(kinds)) or "none"}')
 
-    def _type_of(self, channel: int) -> str:
-        schema = self.reader.schemas.get(self.reader.channels[channel].schema_id)
-        return '' if schema is None else schema.name
+def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tuple[str, ...]]:
+    """
+    Return the simulators of a bag, and which of their topics tell of the state.
+
+    Parameters
+    ----------
+    reader : BagReader
+        Of the bag.
+    topics : dict
+        Its channels by topic; see ``own_topics``.
+
+    Raises
+    ------
+    RecordingError
+        There is none.
+
+    """
+    schemas = {name: reader.schemas.get(reader.channels[number].schema_id)
+               for name, number in topics.items()}
+    kinds = {name: '' if schema is None else schema.name for name, schema in schemas.items()}
+    for names, kind in ((('state',), 'sensor_msgs/msg/JointState'),
+                        (('q', 'p'), 'std_msgs/msg/Float64MultiArray')):
+        nodes = sorted(node for node, _, last in (topic.rpartition('/') for topic in kinds)
+                       if last == names[0] and all(
+                           kinds.get(f'{node}/{name}') == kind for name in names))
+        if nodes:
+            # Other nodes may have a topic of that name, but no scene.
+            return [node for node in nodes if f'{node}/scene' in kinds] or nodes[:1], names
+    raise RecordingError(f'{reader.path}: holds no topic state of a simulator, nor q and p; '
+                         f'topics: {listed(sorted(kinds)) or "none"}')
+
+
+def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
+    """Return the full name of the simulator that was asked for, or of the only one."""
+    if not name and len(nodes) == 1:
+        return nodes[0]
+    wanted = f'/{name.lstrip("/")}'
+    if wanted not in nodes:
+        asked = f'holds no simulator {name}{did_you_mean(wanted, nodes)}' if name else \
+            f'holds {len(nodes)} simulators, of which one must be chosen'
+        raise RecordingError(f'{where}: {asked}; there: {listed(nodes)}; `replay --verify` checks '
+                             'all, `ros2 bag convert` keeps the topics of one')
+    return wanted
 
 
 def resume(bag: str | Path, trust_code: bool = False) -> Resumption:

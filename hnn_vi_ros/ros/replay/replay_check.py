@@ -7,12 +7,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import missing_stamps
 from hnn_vi_ros.effects.commands import Command
-from hnn_vi_ros.errors import RecordingError, StepFailure
+from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
-from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
+from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run.held_state import restore_state
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
@@ -55,7 +57,35 @@ class Margin(NamedTuple):
     name: str
 
 
-def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
+def check_replays(bag: Path, trust_code: bool = False, node: str = '') -> Iterator[Verdict]:
+    """
+    Yield the verdict on the run of each simulator in a bag; see ``check_replay``.
+
+    Parameters
+    ----------
+    bag : Path
+        A folder with the files of one bag, or one file.
+    trust_code : bool, optional
+        Whether Python code that a scene names may be run.
+    node : str, optional
+        The simulator whose run is checked; empty checks all.
+
+    """
+    reader = BagReader(bag)
+    nodes, _ = simulators(reader, own_topics(reader))
+    if node or len(nodes) == 1:
+        yield check_replay(bag, trust_code, node)
+        return
+    for found in nodes:
+        try:
+            verdict = check_replay(bag, trust_code, found)
+        except HnnViRosError as problem:
+            # The others are checked all the same.
+            verdict = Verdict(str(problem), False)
+        yield verdict._replace(text=f'{found}: {verdict.text}')
+
+
+def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict:
     """
     Simulate the run of a bag again, from its scene and first state, and compare each sample.
 
@@ -70,6 +100,8 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
         A folder with the files of one bag, or one file.
     trust_code : bool, optional
         Whether Python code that its scene names may be run.
+    node : str, optional
+        Name of the simulator, which must be there where the bag holds several.
 
     Raises
     ------
@@ -77,7 +109,7 @@ def check_replay(bag: Path, trust_code: bool = False) -> Verdict:
         The bag does not come from the simulator, or what it simulated is not there any more.
 
     """
-    run = RecordedRun(bag, trust_code)
+    run = RecordedRun(bag, trust_code, node)
     simulation = _simulation(run)
     # Now that all that it takes is imported.
     there, here = run.reader.metadata('hnn_vi_ros'), identity()

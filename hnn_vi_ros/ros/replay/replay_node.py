@@ -288,16 +288,20 @@ def main(argv: list[str]) -> int:
              if (value := getattr(options, item.name)) is not None}
     if options.trust_code and not options.verify:
         parser.error('--trust-code: only --verify runs code')
+    if options.node and not options.verify:
+        parser.error('--node: chooses what --verify checks; --topics chooses what is published')
     if options.verify:
         if given or len(words) < len(argv):
             unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
             parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
                          'leave them out')
         # Imported here: who only plays does not wait for the compiler.
-        from hnn_vi_ros.ros.replay.replay_check import check_replay
-        verdict = check_replay(options.bag, options.trust_code)
-        print(printable(verdict.text), flush=True)
-        return 0 if verdict.good else 1
+        from hnn_vi_ros.ros.replay.replay_check import check_replays
+        good = True
+        for verdict in check_replays(options.bag, options.trust_code, options.node):
+            print(printable(verdict.text), flush=True)
+            good = good and verdict.good
+        return 0 if good else 1
     with ros_process(argv) as received:
         sys.setswitchinterval(THREAD_TURN)
         return _play(ReplayNode(options.bag, given, argv), received)

@@ -71,7 +71,8 @@ class Control:
         self._left, self._asked = 0, 0
         self._waiting: Future | None = None
         self._progress: Callable[[int, int], None] | None = None
-        self._moved = 0.0
+        self._moved, self._led = 0.0, run.pacer.led
+        node.after_clock = self._on_clock
 
     @property
     def running(self) -> bool:
@@ -81,6 +82,7 @@ class Control:
     def activate(self) -> None:
         """Go on, for the first time once subscribers that are there have been found."""
         self.active, self.stopped = True, False
+        self._tell_clock()
         if self.paused:
             self.run.tell('paused until ~/set_pause ends it', 'INFO')
         if self._timer is None and not self._timers:
@@ -104,6 +106,7 @@ class Control:
     def close(self) -> None:
         """Take the timers away."""
         self._end_request(Answer(False, 'the run has ended'))
+        self._node.after_clock = lambda: None
         for timer in self._timers:
             self._node.destroy_timer(timer)
         self._timers.clear()
@@ -182,6 +185,10 @@ class Control:
         """Follow a change of the pace."""
         if self._timer is not None:
             self._timer.timer_period_ns = round(self.run.pacer.timer_period * 1e9)
+        if self._led != self.run.pacer.led:
+            self._led = not self._led
+            self.run.start_clocks()
+            self._tell_clock()
 
     def _schedule(self) -> None:
         """Let the timer run while there is something to do, owing nothing as of now."""
@@ -199,15 +206,35 @@ class Control:
             self._node.destroy_timer(self._timers.pop())
             # The preparation froze the rest; this freezes the objects made since.
             gc.freeze()
+            self._warn_of_namesakes()
             self.run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self.run.publish_diagnostics)
             self._timer = self._add_timer(self.run.pacer.timer_period, self._on_timer)
             self._schedule()
 
+    def _warn_of_namesakes(self) -> None:
+        node = self._node
+        own = (node.get_name(), node.get_namespace())
+        others = node.get_node_names_and_namespaces().count(own) - 1
+        if others > 0:
+            self.run.tell(
+                f'{others} more of the graph are called {node.get_fully_qualified_name()}: calls '
+                'of services may reach them instead; name one, such as: --ros-args -r '
+                f'__node:={own[0]}_2', 'WARN')
+
     def _add_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         timer = steady_timer(self._node, period, callback)
         self._timers.append(timer)
         return timer
+
+    def _tell_clock(self) -> None:
+        if self._led:
+            self.run.tell('follows /clock, which use_sim_time asks for', 'INFO')
+
+    def _on_clock(self) -> None:
+        """Follow /clock as soon as it goes on."""
+        if self._timer is not None and not self._timer.is_canceled():
+            self._on_timer()
 
     def _on_timer(self) -> None:
         """
@@ -231,7 +258,8 @@ class Control:
                 time.sleep(LONGEST_CALL)
             elif taken == 0:
                 self.set_paused(True)
-            elif run.at_sample and run.pacer.paced and run.simulation.motors.takes:
+            elif (run.at_sample and run.pacer.paced and not run.pacer.led
+                  and run.simulation.motors.takes):
                 return
 
     def _take_requested(self) -> None:

@@ -14,7 +14,7 @@ from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.timing import OverrunGuard
+from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation
 
@@ -166,21 +166,22 @@ class RunStatus:
         # When the last statuses were published.
         self._overruns, self._rescued = 0, 0
 
-    def statuses(self, overruns: int) -> list[Status]:
+    def statuses(self, pacer: Pacer) -> list[Status]:
         """Return a status of each component."""
-        return [self._timing(overruns), self._integrator(), self._energy(), self._recorder(),
+        return [self._timing(pacer), self._integrator(), self._energy(), self._recorder(),
                 self._model, self._health.status(self._monitor.newest)]
 
-    def _timing(self, overruns: int) -> Status:
-        figures, asked = self._monitor.timing.figures, self.asked
+    def _timing(self, pacer: Pacer) -> Status:
+        figures, asked, overruns = self._monitor.timing.figures, self.asked, pacer.overruns
+        of = '/clock' if pacer.led else 'real time'
         late, self._overruns = overruns - self._overruns, overruns
-        level, message = OK, f'holds {asked:g} x real time' if asked else 'as fast as possible'
+        level, message = OK, f'holds {asked:g} x {of}' if asked else 'as fast as possible'
         if self.paused:
             message = 'paused'
         elif late:
             level, message = WARN, (
-                f'{late} overruns since the last report: slower than {asked:g} x real time')
-        elif asked and figures.largest_real_time_factor < asked:
+                f'{late} overruns since the last report: slower than {asked:g} x {of}')
+        elif asked and not pacer.led and figures.largest_real_time_factor < asked:
             level, message = WARN, (
                 f'cannot hold {asked:g} x real time, at most '
                 f'{figures.largest_real_time_factor:.3g}; use a larger step_size, a cheaper '

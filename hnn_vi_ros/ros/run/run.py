@@ -16,6 +16,7 @@ from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.watch import SampledScale
+from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
@@ -73,7 +74,8 @@ class Run:
             self._members, simulation.hamiltonian, uncertainty.limit)
         self._twin = None if prepared.twin is None else TwinTopic(
             prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
-                topics.ignored[OBSERVATIONS.topic], topics.reasons.get(OBSERVATIONS.topic, '')),
+                topics.hearing.ignored[OBSERVATIONS.topic],
+                topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp)
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
@@ -81,7 +83,9 @@ class Run:
         self._own_start = self._next_start = self._start
         self._batch, self._last_step, self._waits = 1, math.inf, False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
-        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor)
+        clock = PaceClock(node)
+        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock,
+                           lambda: clock.led)
         self._diagnostics = DiagnosticsPublisher(
             node, partial(topics.send, DIAGNOSTICS), self._scene.name)
         self._status = StatusLine(node.get_logger())
@@ -155,7 +159,7 @@ class Run:
         """Publish how the run does."""
         more = [one.status() for one in (self._spread, self._twin) if one is not None]
         self._diagnostics.publish(
-            [*self.status.statuses(self.pacer.overruns), *more], self.sampler.stamp, record=False)
+            [*self.status.statuses(self.pacer), *more], self.sampler.stamp, record=False)
 
     def start_clocks(self) -> None:
         """Owe nothing as of now, and measure the pace from here on."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics of the simulator: what a scene does not call for does not exist."""
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
@@ -11,8 +10,9 @@ from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
-from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, create_subscription, Endpoint
+from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.settings import Settings
+from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
@@ -21,14 +21,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, String
-
-# Longer messages are not heard [bytes].
-LARGEST_MESSAGE = 1 << 20
-# The reason for ignoring a message has room for the names of twelve joints, and a remedy.
-LONGEST_REASON = 500
 
 # All that there can be: what a scene does not call for is known, but does not exist.
 ENDPOINTS = (
@@ -50,6 +43,11 @@ class Topics:
     settings : Settings
         The node's parameters.
 
+    Attributes
+    ----------
+    hearing : Hearing
+        Subscriptions, and what of their messages was ignored.
+
     """
 
     def __init__(self, node: Node, settings: Settings):
@@ -58,10 +56,7 @@ class Topics:
         self._publishers: dict[str, Publisher] = {}
         self._encoders: dict[str, tuple[Output, Encode]] = {}
         self._described: dict[str, Topic] = {}
-        self._subscriptions: list[Subscription] = []
-        # Messages that could not be used, and why the last one could not, by topic.
-        self.ignored: Counter[str] = Counter()
-        self.reasons: dict[str, str] = {}
+        self.hearing = Hearing(node)
         self._outputs: list[Output] = []
         self._create(None)
 
@@ -92,7 +87,7 @@ class Topics:
                 self._hear_commands(one)
         self._body = body_of(simulation.hamiltonian.coordinates, simulation.command_names)
         if self._body is not None:
-            self.hear(WRENCH, self._on_wrench)
+            self.hearing.hear(WRENCH, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
         """Take the samples from what is measured of a run, in its initial state."""
@@ -105,44 +100,11 @@ class Topics:
         if stamp is not None and output.recorded == 'apart':
             self._record(self._described[output.topic], stamp, payload)
 
-    def hear(self, one: Input, take: Callable[[Any], None]) -> Subscription:
-        """
-        Hear a topic; what cannot be used is reported and ignored.
-
-        Parameters
-        ----------
-        one : Input
-            Which.
-        take : callable
-            Uses a message, or raises ValueError and changes nothing.
-
-        """
-        topic = one.topic
-
-        def on_message(payload: bytes) -> None:
-            try:
-                if len(payload) > LARGEST_MESSAGE:
-                    raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
-                take(deserialize_message(payload, one.message_type))
-            except (ValueError, RuntimeError) as problem:
-                # RuntimeError: the bytes are no message of this type.
-                self.ignored[topic] += 1
-                reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
-                self._node.get_logger().error(
-                    f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)',
-                    throttle_duration_sec=1.0)
-
-        subscription = create_subscription(
-            self._node, one.message_type, topic, on_message, one.qos, raw=True)
-        self._subscriptions.append(subscription)
-        return subscription
-
     def close(self) -> None:
         """Take all topics away."""
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        self.hearing.close()
 
     def publish_scene(self, text: str) -> None:
         """Publish the scene, for those as well who subscribe later."""
@@ -201,7 +163,7 @@ class Topics:
 
     def _hear_commands(self, one: Input) -> None:
         """Hear a topic of commands, and record what acts."""
-        heard = self.hear(one, partial(self._take, one))
+        heard = self.hearing.hear(one, partial(self._take, one))
         self._described[one.topic] = describe_topic(
             heard.topic_name, one.message_type, heard.qos_profile)
 

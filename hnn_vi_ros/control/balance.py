@@ -1,0 +1,119 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The linear regulator of a state at rest as a controller, and where it holds."""
+
+import math
+
+from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import deviation
+from hnn_vi_ros.control.linear import lqr, momentum
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Time constants of the slowest mode that a rollout lasts, and what of the cost may be left then:
+# by the linear model exp(-10).
+_CONSTANTS, _LEFT = 5.0, 1e-2
+_LONGEST_ROLLOUT = 5000
+# Farther out no rollout is tried [limits]; and a cost that grows so much from where the regulator
+# took over ends its turn.
+_FARTHEST, _GROWTH = 3.0, 2.0
+
+
+class Balance:
+    """
+    The discrete LQR of a goal at rest within limits, u = clip(u* - K (z - z*)).
+
+    Parameters
+    ----------
+    steps : BatchStep
+        Steps of the model, each as long as a command is held.
+    goal : tuple of np.ndarray, shape (2 d,) and (c,)
+        z* and u*; see ``find_equilibrium``.
+    limits : array_like, shape (c,)
+        Largest sizes of commands [N], [N m]; the weight of a command is one over its square.
+    position, velocity : array_like, shape (d,), optional
+        Weights of deviations of q and of v.
+
+    Attributes
+    ----------
+    mode, cost, plan
+        ``'lqr'``; x . P x of the deviation x at the last call; none.
+    at : tuple of np.ndarray
+        z* and u*.
+    gain, value : np.ndarray, shape (c, 2 d) and (2 d, 2 d)
+        K and P.
+
+    Raises
+    ------
+    ValueError
+        Commands cannot stabilise the goal.
+
+    References
+    ----------
+    B. Anderson, J. Moore, Optimal Control: Linear Quadratic Methods, 1990, chapter 3.
+
+    """
+
+    mode, plan = 'lqr', None
+
+    def __init__(self, steps: BatchStep, goal: tuple[np.ndarray, np.ndarray], limits: ArrayLike,
+                 position: ArrayLike = 1.0, velocity: ArrayLike = 0.1):
+        self.steps, self.at, self.cost = steps, goal, math.nan
+        self.limits = np.asarray(limits, dtype=np.float64)
+        _, a, b = steps.derivatives(*goal)
+        weights = weights_of(steps, goal, position, velocity)
+        self.gain, self.value = lqr(a, b, steps.duration * weights,
+                                    steps.duration * np.diag(self.limits**-2.0), discrete=True)
+        slowest = np.abs(np.linalg.eigvals(a - b @ self.gain)).max()
+        self._count = min(_LONGEST_ROLLOUT, math.ceil(-_CONSTANTS / math.log(slowest)))
+        self._most = 0.0
+
+    def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
+        """Return the command, shape (c,), at coordinates and velocities, shape (d,) each."""
+        return self.act(np.concatenate([q, momentum(self.steps, q, v)]))
+
+    def act(self, z: np.ndarray) -> np.ndarray:
+        """Return the command at a state, shape (2 d,)."""
+        away = deviation(self.steps.hamiltonian, z, self.at[0])
+        self.cost = float(away @ self.value @ away)
+        return np.clip(self.at[1] - self.gain @ away, -self.limits, self.limits)
+
+    def catches(self, z: np.ndarray) -> bool:
+        """Return whether the law, within its limits, leads from a state to the goal."""
+        away = deviation(self.steps.hamiltonian, z, self.at[0])
+        cost = float(away @ self.value @ away)
+        if not cost <= self._most:
+            self._most = _GROWTH * cost if self._holds(away, cost) else 0.0
+        return self._most > 0.0
+
+    def _holds(self, away: np.ndarray, cost: float) -> bool:
+        """Simulate the model under the law."""
+        if (np.abs(self.gain @ away) > _FARTHEST * self.limits).any():
+            return False
+        z, u = self.at
+        states, _ = self.steps.rollout(
+            z + away, np.broadcast_to(u, (1, self._count, u.size)), -self.gain, z,
+            (-self.limits, self.limits))
+        left = states[0, -1] - z
+        return bool(left @ self.value @ left <= _LEFT * cost)
+
+
+def weights_of(steps: BatchStep, goal: tuple[np.ndarray, np.ndarray], position: ArrayLike,
+               velocity: ArrayLike) -> np.ndarray:
+    """
+    Return the weights of deviations of (q, p), shape (2 d, 2 d), for those of q and of v = H_p.
+
+    Parameters
+    ----------
+    steps : BatchStep
+        Of the model.
+    goal : tuple of np.ndarray
+        A state and a command, where v is linearised.
+    position, velocity : array_like, shape (d,)
+        Weights of each.
+
+    """
+    d = steps.dimension
+    to_v = np.vstack([np.eye(d, 2 * d), steps.field_derivatives(*goal)[0][:d]])
+    each = np.r_[np.broadcast_to(position, d), np.broadcast_to(velocity, d)]
+    return (to_v.T * each) @ to_v

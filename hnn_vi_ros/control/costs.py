@@ -1,0 +1,470 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Costs of states and commands, with gradients and Gauss-Newton Hessians.
+
+They add and scale: ``20.0 * Point(...).saturating(0.1) + Quadratic(...)``.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from hnn_vi_ros.errors import listed, UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, RIGID, SLIDING
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.phase_space import angle_columns
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+class Expansion(NamedTuple):
+    """
+    Second-order expansion of a cost at n states and commands.
+
+    Parameters
+    ----------
+    value : np.ndarray, shape (n,)
+        The cost.
+    by_z, by_u : np.ndarray, shape (n, 2 d) and (n, c)
+        Its gradient.
+    by_zz, by_uu : np.ndarray, shape (n, 2 d, 2 d) and (n, c, c)
+        A Hessian without negative eigenvalues, of Gauss and Newton.
+
+    """
+
+    value: np.ndarray
+    by_z: np.ndarray
+    by_u: np.ndarray
+    by_zz: np.ndarray
+    by_uu: np.ndarray
+
+
+class Cost(ABC):
+    """A cost l(z, u) >= 0 of a state z = (q, p) and a command u."""
+
+    @abstractmethod
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost, shape (...), for z (..., 2 d) and u (..., c)."""
+
+    @abstractmethod
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion for z (n, 2 d) and u (n, c)."""
+
+    def __add__(self, other: 'Cost') -> 'Cost':
+        return Sum((self, other))
+
+    def __rmul__(self, weight: float) -> 'Cost':
+        if not weight >= 0.0:
+            raise ValueError(f'a cost cannot have the weight {weight}; give one >= 0')
+        return Scaled(self, float(weight))
+
+    def saturating(self, half: float) -> 'Cost':
+        """Return l / (l + half), which is never over 1: what is far away does not dominate."""
+        if not half > 0.0:
+            raise ValueError(f'half = {half} must be positive: where the cost is a half of 1')
+        return Saturating(self, float(half))
+
+
+class Sum(Cost):
+    """The sum of costs."""
+
+    def __init__(self, parts: Sequence[Cost]):
+        self._parts = tuple(parts)
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        first, *others = (part.value(z, u) for part in self._parts)
+        return sum(others, first)
+
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion; see Cost."""
+        first, *others = (part.expand(z, u) for part in self._parts)
+        for other in others:
+            first = Expansion(*(a + b for a, b in zip(first, other, strict=True)))
+        return first
+
+
+class Scaled(Cost):
+    """A cost times a weight."""
+
+    def __init__(self, cost: Cost, weight: float):
+        self._cost, self._weight = cost, weight
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        return self._weight * self._cost.value(z, u)
+
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion; see Cost."""
+        return Expansion(*(self._weight * part for part in self._cost.expand(z, u)))
+
+
+class Saturating(Cost):
+    """A cost l as l / (l + half)."""
+
+    def __init__(self, cost: Cost, half: float):
+        self._cost, self._half = cost, half
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        value = self._cost.value(z, u)
+        return value / (value + self._half)
+
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion; its Hessian leaves out the negative part; see Cost."""
+        value, *others = self._cost.expand(z, u)
+        slope = self._half / (value + self._half)**2
+        vectors, matrices = slope[:, None], slope[:, None, None]
+        return Expansion(value / (value + self._half), vectors * others[0], vectors * others[1],
+                         matrices * others[2], matrices * others[3])
+
+
+def deviation(hamiltonian: Hamiltonian, z: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return z - at, shape (..., 2 d), with angles between -pi and pi."""
+    x = z - at
+    for k in np.flatnonzero(angle_columns(hamiltonian.coordinates)):
+        x[..., k] = (x[..., k] + np.pi) % (2.0 * np.pi) - np.pi
+    return x
+
+
+class Quadratic(Cost):
+    """
+    x . Q x + (u - u*) . R (u - u*), with x = z - z*, its angles between -pi and pi.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        Whose coordinates the states are of; ``BatchStep.hamiltonian``.
+    at : tuple of array_like, shape (2 d,) and (c,)
+        z* and u*; see ``find_equilibrium``.
+    q, r : array_like, shape (2 d, 2 d) and (c, c)
+        Q and R, symmetric, without negative eigenvalues.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, at: tuple[ArrayLike, ArrayLike], q: ArrayLike,
+                 r: ArrayLike):
+        self._hamiltonian = hamiltonian
+        self._z, self._u = (np.array(part, dtype=np.float64) for part in at)
+        self._q, self._r = (_weights(name, matrix, at.size) for name, matrix, at in (
+            ('q', q, self._z), ('r', r, self._u)))
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        x, effort = deviation(self._hamiltonian, z, self._z), u - self._u
+        return ((x @ self._q) * x).sum(axis=-1) + ((effort @ self._r) * effort).sum(axis=-1)
+
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion; see Cost."""
+        x, effort = deviation(self._hamiltonian, z, self._z), u - self._u
+        by_x, by_u = x @ self._q, effort @ self._r
+        return Expansion((by_x * x).sum(axis=-1) + (by_u * effort).sum(axis=-1), 2.0 * by_x,
+                         2.0 * by_u, _each(2.0 * self._q, z), _each(2.0 * self._r, z))
+
+
+def _weights(name: str, matrix: ArrayLike, n: int) -> np.ndarray:
+    """Return a matrix of weights, or raise ValueError."""
+    found = np.array(matrix, dtype=np.float64)
+    if found.shape != (n, n) or np.abs(found - found.T).max(initial=0.0) > 1e-9 * np.abs(
+            found).max(initial=0.0) or np.linalg.eigvalsh(found).min(initial=0.0) < -1e-9 * np.abs(
+            found).max(initial=0.0):
+        raise ValueError(f'{name} must be symmetric without negative eigenvalues, and of shape '
+                         f'({n}, {n})')
+    return found
+
+
+def _each(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.broadcast_to(matrix, (len(z), *matrix.shape))
+
+
+class _OfState(Cost):
+    """A cost that depends on the state alone."""
+
+    @abstractmethod
+    def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return value, gradient by z and Hessian by z."""
+
+    def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
+        """Return the expansion; see Cost."""
+        value, by_z, by_zz = self._expand(*np.split(z, 2, axis=-1))
+        n, c = u.shape
+        return Expansion(value, by_z, np.zeros((n, c)), by_zz, np.zeros((n, c, c)))
+
+
+class Energy(_OfState):
+    """
+    (H - H*)^2.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H; ``BatchStep.hamiltonian``.
+    at : array_like, shape (2 d,)
+        A state that has the wanted energy H*.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, at: ArrayLike):
+        self._hamiltonian = hamiltonian
+        q, p = np.split(np.array(at, dtype=np.float64), 2)
+        self._energy = float(hamiltonian.energy(q, p))
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        return (self._hamiltonian.energy(*np.split(z, 2, axis=-1)) - self._energy)**2
+
+    def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        excess = self._hamiltonian.energy(q, p) - self._energy
+        slope = np.concatenate(self._hamiltonian.gradient(q, p), axis=-1)
+        return (excess**2, 2.0 * excess[:, None] * slope,
+                2.0 * slope[:, :, None] * slope[:, None, :])
+
+
+class Kinetic(_OfState):
+    """
+    The kinetic energy H(q, p) - H(q, 0); its Hessian is H_pp, the inverse masses, alone.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H; ``BatchStep.hamiltonian``.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian):
+        self._hamiltonian = hamiltonian
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        q, p = np.split(z, 2, axis=-1)
+        return self._hamiltonian.energy(q, p) - self._hamiltonian.energy(q, np.zeros_like(p))
+
+    def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        model, rest = self._hamiltonian, np.zeros_like(p)
+        n, d = q.shape
+        by_zz = np.zeros((n, 2 * d, 2 * d))
+        for k, unit in enumerate(np.eye(d)):
+            by_zz[:, d:, d + k] = model.hessian_vector(q, p, rest, rest + unit)[1]
+        slopes = (a - b for a, b in zip(model.gradient(q, p), model.gradient(q, rest),
+                                        strict=True))
+        return (model.energy(q, p) - model.energy(q, rest),
+                np.concatenate(list(slopes), axis=-1), by_zz)
+
+
+class _Path(NamedTuple):
+    """
+    Joints from the base to a body, and a point of it.
+
+    Parameters
+    ----------
+    rotations : np.ndarray, shape (k, 3, 3)
+        Of each joint's frame from that of the body before it, where its coordinate is zero.
+    origins, axes : np.ndarray, shape (k, 3)
+        Likewise, and of the axis in the joint's own frame.
+    slides : np.ndarray of bool, shape (k,)
+        Whether a joint slides.
+    by_q : np.ndarray, shape (k, d)
+        How the coordinate of each joint depends on those of the system.
+    fixed : np.ndarray, shape (k,)
+        What is added to it.
+    end : np.ndarray, shape (3,)
+        The point in the frame of the last joint [m].
+
+    """
+
+    rotations: np.ndarray
+    origins: np.ndarray
+    axes: np.ndarray
+    slides: np.ndarray
+    by_q: np.ndarray
+    fixed: np.ndarray
+    end: np.ndarray
+
+
+@kept(error_model='numpy')
+def _place(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarray) -> None:
+    """
+    Fill the place of the point, (n, 3), for coordinates of the joints, (n, k).
+
+    And its derivative by them, (n, 3, k), unless that is empty.
+    """
+    count = len(path.origins)
+    now, after = np.empty((2, 3, 3))
+    at, axis = np.empty((2, count, 3))
+    for m in range(len(angles)):
+        place = places[m]
+        place[:] = 0.0
+        for i in range(3):
+            for k in range(3):
+                now[i, k] = 1.0 if i == k else 0.0
+        for j in range(count):
+            value, (x, y, z) = angles[m, j], path.axes[j]
+            _add_turned(now, path.origins[j], place)
+            _turn(now, path.rotations[j], after)
+            for i in range(3):
+                at[j, i], axis[j, i] = place[i], 0.0
+            _add_turned(after, path.axes[j], axis[j])
+            if path.slides[j]:
+                for i in range(3):
+                    place[i] += value * axis[j, i]
+                    for k in range(3):
+                        now[i, k] = after[i, k]
+                continue
+            # Rodrigues' formula: R + sin R [a] + (1 - cos) R [a]^2.
+            sine, rest = np.sin(value), 1.0 - np.cos(value)
+            for i in range(3):
+                a, b, c = after[i]
+                u, v, w = b * z - c * y, c * x - a * z, a * y - b * x
+                now[i, 0] = a + sine * u + rest * (v * z - w * y)
+                now[i, 1] = b + sine * v + rest * (w * x - u * z)
+                now[i, 2] = c + sine * w + rest * (u * y - v * x)
+        _add_turned(now, path.end, place)
+        for j in range(count if slopes.size else 0):
+            a, b, c = axis[j]
+            if not path.slides[j]:
+                x, y, z = place[0] - at[j, 0], place[1] - at[j, 1], place[2] - at[j, 2]
+                a, b, c = b * z - c * y, c * x - a * z, a * y - b * x
+            slopes[m, 0, j], slopes[m, 1, j], slopes[m, 2, j] = a, b, c
+
+
+@inlined
+def _add_turned(rotation: np.ndarray, vector: np.ndarray, target: np.ndarray) -> None:
+    """Add a rotated vector."""
+    for i in range(3):
+        for k in range(3):
+            target[i] += rotation[i, k] * vector[k]
+
+
+@inlined
+def _turn(first: np.ndarray, second: np.ndarray, product: np.ndarray) -> None:
+    """Fill the product of two rotations."""
+    for i in range(3):
+        for j in range(3):
+            product[i, j] = 0.0
+            for k in range(3):
+                product[i, j] += first[i, k] * second[k, j]
+
+
+class Point(_OfState):
+    """
+    The square of the distance of a point of a mechanism from its goal, over a length squared.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        Of a robot that a URDF describes; ``BatchStep.hamiltonian``.
+    link : str
+        The link that carries the point.
+    goal : array_like, shape (3,)
+        In the frame of the root of the URDF [m].
+    offset : array_like, shape (3,), optional
+        The point in the frame of the link [m].
+    length : float, optional
+        [m].
+
+    Raises
+    ------
+    ValueError
+        The robot has no such link; names those that it has.
+    UnsupportedSystem
+        No URDF describes the mechanism; see ``chain``.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, link: str, goal: ArrayLike,
+                 offset: ArrayLike = (0.0, 0.0, 0.0), length: float = 1.0):
+        self._prepare(_path_to(hamiltonian, link, offset), goal, length)
+
+    @classmethod
+    def chain(cls, lengths: Sequence[float], goal: ArrayLike, length: float | None = None,
+              relative: bool = False) -> 'Point':
+        """
+        Return the cost of the tip of a chain of rods that hangs from the origin and turns about y.
+
+        Parameters
+        ----------
+        lengths : sequence of float
+            Of the rods [m]; the first coordinates are their angles.
+        goal : array_like, shape (3,)
+            [m]; (0, 0, sum of the lengths) is upright.
+        length : float, optional
+            See Point; the sum of the lengths by default.
+        relative : bool, optional
+            Whether each angle is measured from the rod before, not from the vertical.
+
+        """
+        k, point = len(lengths), cls.__new__(cls)
+        by_q = np.eye(k) if relative else np.eye(k) - np.eye(k, k=-1)
+        origins = np.zeros((k, 3))
+        origins[1:, 2] = -np.asarray(lengths)[:-1]
+        # Positive angles move a rod that hangs towards x.
+        point._prepare(_Path(
+            np.broadcast_to(np.eye(3), (k, 3, 3)).copy(), origins,
+            np.tile([0.0, -1.0, 0.0], (k, 1)), np.zeros(k, dtype=bool), by_q, np.zeros(k),
+            np.array([0.0, 0.0, -lengths[-1]])), goal, length or float(sum(lengths)))
+        return point
+
+    def _prepare(self, path: _Path, goal: ArrayLike, length: float) -> None:
+        self._path, self._goal = path, np.array(goal, dtype=np.float64)
+        if self._goal.shape != (3,) or not length > 0.0:
+            raise ValueError(f'goal = {self._goal.tolist()} must be three numbers [m], and length = {length} '
+                             'positive')
+        self._length = float(length)
+
+    def place(self, q: np.ndarray) -> np.ndarray:
+        """Return the place of the point [m], shape (..., 3), for q (..., d)."""
+        return self._placed(np.asarray(q, dtype=np.float64), 0)[0]
+
+    def _placed(self, q: np.ndarray, derivatives: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return places, and their derivatives by the joints, (n, 3, k), if 1 is given."""
+        joints, moves = self._path.by_q.shape
+        angles = (q[..., :moves] @ self._path.by_q.T + self._path.fixed).reshape(-1, joints)
+        places, slopes = np.empty((len(angles), 3)), np.empty((derivatives * len(angles), 3, joints))
+        _place(self._path, angles, places, slopes)
+        return places.reshape(*q.shape[:-1], 3), slopes
+
+    def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Return the cost; see Cost."""
+        away = (self.place(z[..., :z.shape[-1] // 2]) - self._goal) / self._length
+        return (away**2).sum(axis=-1)
+
+    def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        places, slopes = self._placed(q, 1)
+        away = (places - self._goal) / self._length
+        jacobian = slopes @ self._path.by_q / self._length
+        n, d = q.shape
+        moves = jacobian.shape[2]
+        by_z, by_zz = np.zeros((n, 2 * d)), np.zeros((n, 2 * d, 2 * d))
+        by_z[:, :moves] = 2.0 * (away[:, None] @ jacobian)[:, 0]
+        by_zz[:, :moves, :moves] = 2.0 * jacobian.swapaxes(1, 2) @ jacobian
+        return (away**2).sum(axis=-1), by_z, by_zz
+
+
+def _path_to(hamiltonian: Hamiltonian, link: str, offset: ArrayLike) -> _Path:
+    """Return the joints of a robot from its root to a link, or raise."""
+    robot = hamiltonian.robot
+    if robot is None:
+        raise UnsupportedSystem('no URDF describes this mechanism, so that its points are not '
+                                'known; use Point.chain for rods')
+    if link not in robot.links:
+        raise ValueError(f'the robot has no link {link!r}; it has {listed(robot.links)}')
+    carried = {joint.child: joint for one in robot.links.values() for joint in one.joints}
+    joints: list[Joint] = []
+    at = link
+    while at != robot.root:
+        joints.insert(0, carried[at])
+        at = carried[at].parent
+    names = [one.name for one in hamiltonian.coordinates]
+    by_q = np.array([[float(joint.name == name) for name in names] for joint in joints]
+                    ).reshape(len(joints), len(names))
+    return _Path(
+        np.array([joint.rotation for joint in joints]).reshape(-1, 3, 3),
+        np.array([joint.origin for joint in joints]).reshape(-1, 3),
+        np.array([joint.axis if joint.kind != RIGID else (0.0, 0.0, 1.0)
+                  for joint in joints]).reshape(-1, 3),
+        np.array([joint.kind == SLIDING for joint in joints], dtype=bool), by_q,
+        np.array([robot.locked.get(joint.name, 0.0) for joint in joints]),
+        np.array(offset, dtype=np.float64))

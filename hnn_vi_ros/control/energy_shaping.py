@@ -1,0 +1,76 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Swing-up by the energy of a model, and its regulator near the goal."""
+
+import math
+
+from hnn_vi_ros.control.balance import Balance
+from hnn_vi_ros.control.costs import deviation
+from hnn_vi_ros.control.linear import momentum
+import numpy as np
+from numpy.typing import ArrayLike
+
+# A push along the inputs where nothing moves, and nothing could be pumped [1/s of the input].
+_PUSH = 1e-2
+
+
+class EnergyShaping:
+    """
+    Lead the energy to that of the goal along the inputs; regulate near the goal.
+
+    H is passive from commands u to the velocities y = B v of what they drive: without friction
+    H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds of
+    H~ = H + k |B q - B q*|^2 / 2 with w, so that
+
+        w = -g (H~ - H*) y
+
+    never lets |H~ - H*| grow: d/dt (H~ - H*)^2 / 2 = -g (H~ - H*)^2 |y|^2. It holds of a learned
+    H as of any. Where a rollout under the regulator reaches the goal, that takes over.
+
+    Parameters
+    ----------
+    balance : Balance
+        The regulator of the goal, with the limits of commands.
+    gain : float
+        g > 0 [s], for a motor whose command is a torque.
+    stiffness : float, optional
+        k >= 0 [N/m], [N m/rad].
+
+    Attributes
+    ----------
+    mode, cost
+        ``'energy'`` or ``'lqr'``; |H~ - H*| [J] or the regulator's cost at the last call.
+
+    References
+    ----------
+    K. J. Åström, K. Furuta, Swinging up a pendulum by energy control, Automatica 36 (2000).
+    R. Ortega et al., Putting energy back in control, IEEE Control Systems 21 (2001).
+
+    """
+
+    plan = None
+
+    def __init__(self, balance: Balance, gain: float = 1.0, stiffness: float = 0.0):
+        self._balance, self._gain, self._stiffness = balance, gain, stiffness
+        self._hamiltonian, self._places = balance.steps.hamiltonian, balance.steps.places
+        self._energy = float(self._hamiltonian.energy(*np.split(balance.at[0], 2)))
+        self.mode, self.cost = 'energy', math.nan
+
+    def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
+        """Return the command, shape (c,), at coordinates and velocities, shape (d,) each."""
+        balance, q = self._balance, np.asarray(q, dtype=np.float64)
+        p = momentum(balance.steps, q, v)
+        z = np.concatenate([q, p])
+        if balance.catches(z):
+            u = balance.act(z)
+            self.mode, self.cost = balance.mode, balance.cost
+            return u
+        away = deviation(self._hamiltonian, z, balance.at[0])
+        stretched, y = self._places @ away[:q.size], self._places @ np.asarray(v)
+        if np.abs(y).max() < _PUSH:
+            y = np.full(y.size, _PUSH)
+        excess = float(self._hamiltonian.energy(q, p)) - self._energy \
+            + 0.5 * self._stiffness * float(stretched @ stretched)
+        self.mode, self.cost = 'energy', abs(excess)
+        return np.clip(-self._stiffness * stretched - self._gain * excess * y,
+                       -balance.limits, balance.limits)

@@ -1,0 +1,224 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Controllers that plan: iLQR with limits of commands, and a regulator where that holds."""
+
+from collections.abc import Callable
+import time
+from typing import NamedTuple
+
+from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import Cost, deviation
+from hnn_vi_ros.control.linear import momentum
+from hnn_vi_ros.control.planning import Plan, Planner
+from hnn_vi_ros.control.riccati import Stages, sweep
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Lengths of a change of all commands: that which is tried first, and those that are together.
+_LENGTHS = np.array([1.0]), np.array([0.6, 0.3, 0.1, 0.03])
+# Which share of the predicted gain is enough, and of the cost is too little to go on.
+_ENOUGH, _LITTLE = 0.01, 1e-6
+# Of damping.
+_LEAST, _MOST = 1e-6, 1e3
+# How much worse than planned a plan may become before others are tried.
+_WORSE, _NOTHING = 1.1, 1e-9
+
+
+class Regulator(NamedTuple):
+    """
+    A linear law u = u* - K x about an equilibrium, and where it is trusted.
+
+    Parameters
+    ----------
+    at : tuple of np.ndarray, shape (2 d,) and (c,)
+        z* and u*; see ``find_equilibrium``.
+    gain : np.ndarray, shape (c, 2 d)
+        K of the map of the steps; see ``lqr``.
+    below : float
+        It takes over where the running cost stays below this in a rollout with its limits.
+    duration : float
+        Of that rollout [s].
+
+    """
+
+    at: tuple[np.ndarray, np.ndarray]
+    gain: np.ndarray
+    below: float
+    duration: float = 2.0
+
+
+class Ilqr(Planner):
+    """
+    Commands from a plan over a horizon that is made anew in each call: u = controller(q, v, t).
+
+    Each call goes on from the last plan, shifted by the time since then, with iterations of iLQR
+    until the budget is spent or nothing improves. Where the state is not the one that was planned,
+    so that the plan has become worse, plans also begin from random commands, and the best of them
+    are refined. Where a rollout shows that a regulator holds, it commands.
+
+    Parameters
+    ----------
+    steps : BatchStep
+        The model; each command of a plan lasts ``steps.duration``.
+    running, final : Cost
+        Of each state and command, and of the last state, with commands of zero.
+    horizon : int
+        Commands of a plan.
+    limits : tuple of array_like, shape (c,)
+        Least and largest commands.
+    regulator : Regulator, optional
+        None if it always plans.
+    budget : float, optional
+        Time for a call [s]; a call ends with the iteration in which it is over.
+    iterations : int, optional
+        Most iterations of a plan in a call.
+    restarts, refined : int, optional
+        Random plans after a disturbance, and how many of them are refined.
+    seed : int, optional
+        Of these.
+    clock : callable, optional
+        Returns the time of the budget [s].
+
+    Attributes
+    ----------
+    mode : str
+        ``'plan'``, ``'restart'`` or ``'regulate'``.
+    cost : float
+        Of the plan.
+    plan : np.ndarray, shape (N + 1, 2 d), or None
+        Its states.
+
+    References
+    ----------
+    Y. Tassa, N. Mansard, E. Todorov, Control-limited differential dynamic programming, ICRA 2014.
+
+    """
+
+    def __init__(self, steps: BatchStep, running: Cost, final: Cost, horizon: int,
+                 limits: tuple[ArrayLike, ArrayLike], regulator: Regulator | None = None,
+                 budget: float = np.inf, iterations: int = 12, restarts: int = 24,
+                 refined: int = 4, seed: int = 0,
+                 clock: Callable[[], float] = time.perf_counter):
+        super().__init__(steps, running, final, horizon, limits, seed)
+        self._regulator, self._budget, self._clock = regulator, budget, clock
+        self._iterations, self._restarts, self._refined = iterations, restarts, refined
+        # Plans of the last call besides the best one that iterations still improve.
+        self._others: list[Plan] = []
+
+    def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
+        """Return the command from t on, shape (c,); see Planner."""
+        end = self._clock() + self._budget
+        z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
+        plans = self._candidates(z, t)
+        regulated = self._regulated(z, t)
+        if regulated is not None:
+            self.mode, self._others = 'regulate', []
+            return self._take(regulated, t)
+        for _ in range(self._iterations):
+            going = [one for one in plans if not one.done]
+            if not going or self._clock() >= end:
+                break
+            self._improve(going, t)
+        best = min(plans, key=lambda one: one.cost)
+        self._others = [one for one in plans if one is not best and not one.done]
+        return self._take(best, t)
+
+    def _candidates(self, z: np.ndarray, t: float) -> list[Plan]:
+        """Return the plans to go on from: those of the last call, or the best of random ones."""
+        last, since = self._last, self._steps_since(t)
+        going = [self._shifted(one, t) for one in (last, *self._others)]
+        self.mode = 'plan'
+        if last is not None and since < len(last.states):
+            rows = np.stack([going[0], *going])
+            planned, found, *others = self._rolled(
+                np.stack([last.states[since], *[z] * len(going)]), rows, t)
+            # A jump is further away than the plan moves in any of its steps.
+            moves = np.abs(np.diff(last.states, axis=0)).max(axis=0)
+            if found.cost <= _WORSE * planned.cost + _NOTHING and (
+                    np.abs(z - planned.states[0]) <= moves + _NOTHING).all():
+                return [found, *others]
+        self.mode = 'restart'
+        return self._fresh(z, t, going)
+
+    def _fresh(self, z: np.ndarray, t: float, going: list[np.ndarray]) -> list[Plan]:
+        """Return the best of plans with random commands that last a part of the horizon each."""
+        count, size = self._restarts, (self._horizon, self._steps.commands)
+        pieces = self._rng.uniform(self._low, self._high, (count, 6, size[1]))
+        guesses = np.repeat(pieces, -(-self._horizon // 6), axis=1)[:, :self._horizon]
+        last, *plans = self._rolled(z, np.concatenate([going, guesses]), t)
+        return [last, *sorted(plans, key=lambda one: one.cost)[:self._refined - 1]]
+
+    def _regulated(self, z: np.ndarray, t: float) -> Plan | None:
+        """Return the plan of the regulator where it is trusted."""
+        own = self._regulator
+        if own is None:
+            return None
+        # The same state, with the angles next to the equilibrium's.
+        near = own.at[0] + deviation(self._steps.hamiltonian, z, own.at[0])
+        count = max(self._horizon, round(own.duration / self._steps.duration))
+        states, commands = self._steps.rollout(
+            near, np.broadcast_to(own.at[1], (1, count, own.at[1].size)), -own.gain, own.at[0],
+            (self._low, self._high), t)
+        worst = self._running.value(states[:, :-1], commands).max()
+        if not worst <= own.below:
+            return None
+        states = states[:, :self._horizon + 1] + (z - near)
+        commands = commands[:, :self._horizon]
+        return Plan(commands[0], states[0], float(self._costs(states, commands)[0]))
+
+    def _improve(self, plans: list[Plan], t: float) -> None:
+        """Change plans by an iteration of iLQR; those are done where that gains nothing."""
+        commands = np.stack([plan.commands for plan in plans])
+        states = np.stack([plan.states for plan in plans])
+        changes, gains, gained = self._changes(plans, commands, states, t)
+        rest = np.flatnonzero(np.isfinite(gained[:, 0]))
+        failed = set(range(len(plans))) - set(rest.tolist())
+        for lengths in _LENGTHS:
+            rows, much = np.repeat(rest, lengths.size), np.tile(lengths, rest.size)
+            tried = commands[rows] + much[:, None, None] * changes[rows]
+            moved, taken = self._steps.rollout(
+                states[rows, 0], tried, gains[rows], states[rows, :-1], (self._low, self._high), t)
+            costs = self._costs(moved, taken).reshape(rest.size, lengths.size)
+            best = costs.argmin(axis=1)
+            kept = []
+            for i, m in enumerate(rest.tolist()):
+                plan, length, row = plans[m], lengths[best[i]], i * lengths.size + best[i]
+                gain = plan.cost - costs[i, best[i]]
+                predicted = -length * gained[m, 0] - length**2 * gained[m, 1]
+                if not (gain > _ENOUGH * predicted and gain > 0.0):
+                    kept.append(m)
+                    continue
+                plan.done = bool(gain < _LITTLE * abs(plan.cost))
+                plan.commands, plan.states = taken[row], moved[row]
+                plan.cost = float(costs[i, best[i]])
+                plan.damping = 0.0 if plan.damping <= _LEAST else 0.1 * plan.damping
+            rest = np.array(kept, dtype=int)
+            if not rest.size:
+                break
+        for m in (*failed, *rest.tolist()):
+            # Its next iteration changes it less, or gives it up.
+            plans[m].damping = max(_LEAST, 10.0 * plans[m].damping)
+            plans[m].done = plans[m].damping > _MOST
+
+    def _changes(self, plans: list[Plan], commands: np.ndarray, states: np.ndarray, t: float
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return changes of the commands of m plans, gains, and predicted gains; see ``sweep``."""
+        m, count, c = commands.shape
+        n = states.shape[2]
+        z, u = states[:, :-1].reshape(-1, n), commands.reshape(-1, c)
+        times = np.tile(t + self._steps.duration * np.arange(count), m)
+        _, f_z, f_u = self._steps.derivatives(z, u, times)
+        along = self._running.expand(z, u)
+        end = self._final.expand(states[:, -1], np.zeros((m, c)))
+        changes, gains, gained = np.zeros((m, count, c)), np.zeros((m, count, c, n)), \
+            np.empty((m, 2))
+        sweep(Stages(
+            np.ascontiguousarray(f_z).reshape(m, count, n, n),
+            np.ascontiguousarray(f_u).reshape(m, count, n, c),
+            np.concatenate([along.by_z.reshape(m, count, n), end.by_z[:, None]], axis=1),
+            np.concatenate([along.by_zz.reshape(m, count, n, n), end.by_zz[:, None]], axis=1),
+            along.by_u.reshape(m, count, c),
+            np.ascontiguousarray(along.by_uu).reshape(m, count, c, c),
+            self._low - commands, self._high - commands,
+            np.array([plan.damping for plan in plans])), changes, gains, gained)
+        return changes, gains, gained

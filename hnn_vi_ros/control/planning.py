@@ -1,0 +1,113 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Base of controllers that plan commands over a horizon."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import Cost
+from hnn_vi_ros.simulation.checks import check_count
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass
+class Plan:
+    """
+    Commands over a horizon.
+
+    Parameters
+    ----------
+    commands : np.ndarray, shape (N, c)
+        One after another.
+    states : np.ndarray, shape (N + 1, 2 d)
+        That they lead to.
+    cost : float
+        Infinite where a step fails.
+    damping : float
+        See ``sweep``.
+    done : bool
+        Whether nothing improves it.
+
+    """
+
+    commands: np.ndarray
+    states: np.ndarray
+    cost: float
+    damping: float = 0.0
+    done: bool = False
+
+
+class Planner(ABC):
+    """
+    A controller that plans: u = controller(q, v, t).
+
+    Attributes
+    ----------
+    mode : str
+        How the last command came about.
+    cost : float
+        Of the last plan.
+    plan : np.ndarray, shape (N + 1, 2 d), or None
+        Its states; None before there is one.
+
+    """
+
+    def __init__(self, steps: BatchStep, running: Cost, final: Cost, horizon: int,
+                 limits: tuple[ArrayLike, ArrayLike], seed: int):
+        check_count('horizon', horizon)
+        self._steps, self._running, self._final = steps, running, final
+        self._low, self._high = (np.broadcast_to(np.asarray(limit, dtype=np.float64),
+                                                 (steps.commands,)) for limit in limits)
+        if not (self._low < self._high).all() or not steps.commands:
+            raise ValueError(f'limits {self._low.tolist()} and {self._high.tolist()} must leave '
+                             'room for commands, which the scene must take by an external_force')
+        self._horizon, self._rng = int(horizon), np.random.default_rng(seed)
+        self.mode, self.cost = 'plan', np.inf
+        self.plan: np.ndarray | None = None
+        self._last: Plan | None = None
+        self._time = 0.0
+
+    @abstractmethod
+    def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
+        """
+        Return the command from t on, shape (c,).
+
+        Parameters
+        ----------
+        q, v : array_like, shape (d,)
+            Coordinates and velocities.
+        t : float
+            [s].
+
+        """
+
+    def _take(self, plan: Plan, t: float) -> np.ndarray:
+        """Make a plan the last one; return its first command."""
+        self._last, self._time, self.cost, self.plan = plan, t, plan.cost, plan.states
+        return plan.commands[0].copy()
+
+    def _steps_since(self, t: float) -> int:
+        """Return how many commands of the last plan are over."""
+        return max(0, round((t - self._time) / self._steps.duration))
+
+    def _shifted(self, plan: Plan | None, t: float) -> np.ndarray:
+        """Return the commands of a plan of the last call from now on, shape (N, c), then none."""
+        commands = np.clip(np.zeros((self._horizon, self._steps.commands)), self._low, self._high)
+        if plan is not None:
+            rest = plan.commands[self._steps_since(t):]
+            commands[:len(rest)] = rest
+        return commands
+
+    def _costs(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        """Return the costs of m plans, infinite where a step fails."""
+        running = self._running.value(states[:, :-1], commands).sum(axis=-1)
+        total = running + self._final.value(states[:, -1], np.zeros_like(commands[:, 0]))
+        return np.where(np.isfinite(total), total, np.inf)
+
+    def _rolled(self, z: np.ndarray, commands: np.ndarray, t: float) -> list[Plan]:
+        """Return the plans that m rows of commands make from a state, or from one for each."""
+        states, commands = self._steps.rollout(z, commands, limits=(self._low, self._high), time=t)
+        return [Plan(*parts) for parts in zip(
+            commands, states, self._costs(states, commands).tolist(), strict=True)]

@@ -1,0 +1,530 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks: the schema of their YAML, and how one becomes a controller of a scene."""
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cached_property, reduce
+from operator import add
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
+
+from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.control.balance import Balance, weights_of
+from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
+from hnn_vi_ros.control.energy_shaping import EnergyShaping
+from hnn_vi_ros.control.hover import Hover
+from hnn_vi_ros.control.ilqr import Ilqr, Regulator
+from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
+from hnn_vi_ros.control.mppi import Mppi
+from hnn_vi_ros.errors import DataError, did_you_mean, listed, SceneError, UnsupportedSystem
+from hnn_vi_ros.files.resources import find_yaml
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
+from hnn_vi_ros.files.yaml_text import KeyPlaces
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+from pydantic import Field, model_validator
+
+Name = Annotated[str, Field(min_length=1, max_length=256)]
+Place = Annotated[list[float], Field(min_length=3, max_length=3)]
+Weight = Annotated[float, Field(ge=0.0, le=1e9)]
+Weights = Annotated[list[Weight], Field(min_length=1, max_length=100)]
+_ROTORS = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
+# Commands are held while a model takes steps that fit into their time [1].
+_FITS = 1e-6
+
+
+class Controller(Protocol):
+    """Source of the commands of a scene: one call each."""
+
+    mode: str
+    cost: float
+    plan: Any
+
+    def __call__(self, q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
+        """Return the command, shape (c,), at coordinates and velocities at a time [s]."""
+
+
+class Goal(StrictModel):
+    """A state at rest."""
+
+    near: dict[Name, float] = Field(max_length=100, description=(
+        'coordinates by name, from which it is searched; others begin at the initial state'))
+    held: bool = Field(False, description=(
+        'whether commands hold the coordinates exactly there, against forces; without it the '
+        'state is one that needs none'))
+    position: Weight | Weights = Field(1.0, description=(
+        'weight of deviations of coordinates, for the linear regulator: one, or one for each'))
+    velocity: Weight | Weights = Field(0.1, description='the same of velocities')
+
+
+class Stepping(StrictModel):
+    """Steps of the model that a controller plans by, where they are not those of the scene."""
+
+    integrator: Name | None = Field(None, description='name of a method')
+    step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
+
+
+class Means:
+    """
+    What controllers and costs are made of; each part is made when it is first asked for.
+
+    Parameters
+    ----------
+    task : Task
+        With inputs and goal.
+    scene : Scene
+        The model with these inputs.
+    hold : int
+        Steps that each command lasts.
+
+    Attributes
+    ----------
+    limits : np.ndarray, shape (c,)
+        Largest size of each command.
+
+    """
+
+    def __init__(self, task: 'Task', scene: Scene, hold: int):
+        self.task, self.scene, self._hold = task, scene, hold
+        self.limits = np.array([*task.inputs.values()])
+
+    @cached_property
+    def steps(self) -> BatchStep:
+        """Return the steps of the model, each as long as a command is held."""
+        return BatchStep(self.scene, self._hold)
+
+    @cached_property
+    def goal(self) -> Balance:
+        """Return the regulator of the goal, or raise ValueError."""
+        goal, steps = self.task.goal, self.steps
+        if goal is None:
+            raise ValueError('needs a goal: give one, as in goal: {near: {angle: 3.14}}')
+        names, near = columns(steps.hamiltonian.coordinates)[0], [*self.scene.initial_state.q]
+        for name, value in goal.near.items():
+            if name not in names:
+                raise ValueError(f'the goal names {name}{did_you_mean(name, names)}; '
+                                 f'coordinates: {listed(names)}')
+            near[names.index(name)] = value
+        at = find_equilibrium(steps, near, [] if goal.held else None, goal.held)
+        return Balance(steps, at, self.limits, spread_over(steps, 'goal.position', goal.position),
+                       spread_over(steps, 'goal.velocity', goal.velocity))
+
+
+def spread_over(steps: BatchStep, key: str, weights: float | Sequence[float]) -> np.ndarray:
+    """Return a weight for each coordinate, shape (d,), or raise ValueError."""
+    found = np.array(weights, dtype=np.float64)
+    if found.shape not in ((), (steps.dimension,)):
+        names = listed(one.name for one in steps.hamiltonian.coordinates)
+        raise ValueError(f'{key} has {found.size} weights, expected one, or one for each '
+                         f'coordinate: {names}')
+    return np.broadcast_to(found, steps.dimension)
+
+
+class _Term(StrictModel):
+    """A cost with a weight."""
+
+    weight: float = Field(1.0, ge=0.0, le=1e12, description='by which the cost is multiplied')
+    half: float | None = Field(None, gt=0.0, le=1e12, description=(
+        'makes it cost / (cost + half), so that what is far does not dominate'))
+
+    @abstractmethod
+    def cost(self, means: Means) -> Cost:
+        """Return the cost itself."""
+
+    def make(self, means: Means) -> Cost:
+        """Return the cost with its weight."""
+        cost = self.cost(means)
+        return self.weight * (cost if self.half is None else cost.saturating(self.half))
+
+
+class QuadraticChoice(_Term):
+    """Squares of deviations from the goal, and of commands."""
+
+    kind: Literal['quadratic'] = Field(description='weighted squares of deviations from the goal')
+    position: Weight | Weights = Field(0.0, description='of coordinates: one, or one for each')
+    velocity: Weight | Weights = Field(0.0, description='of velocities: one, or one for each')
+    command: float = Field(0.0, ge=0.0, description='weight of each command over its limit')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        at = means.goal.at
+        return Quadratic(means.steps.hamiltonian, at, weights_of(
+            means.steps, at, spread_over(means.steps, 'position', self.position),
+            spread_over(means.steps, 'velocity', self.velocity)),
+            self.command * np.diag(means.limits**-2.0))
+
+
+class EffortChoice(_Term):
+    """Squares of commands."""
+
+    kind: Literal['effort'] = Field(description='the squares of commands over their limits')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        n, c = 2 * means.steps.dimension, means.steps.commands
+        return Quadratic(means.steps.hamiltonian, (np.zeros(n), np.zeros(c)), np.zeros((n, n)),
+                         np.diag(means.limits**-2.0))
+
+
+class RegulatedChoice(_Term):
+    """The cost of the linear regulator from a state on."""
+
+    kind: Literal['regulated'] = Field(description=(
+        'x . P x of the linear regulator: its cost from here on, for the end of a plan'))
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        c = means.steps.commands
+        return Quadratic(means.steps.hamiltonian, means.goal.at, means.goal.value,
+                         np.zeros((c, c)))
+
+
+class EnergyCostChoice(_Term):
+    """The energy."""
+
+    kind: Literal['energy'] = Field(description='(H - H*)^2, H* that of the goal')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Energy(means.steps.hamiltonian, means.goal.at[0])
+
+
+class KineticChoice(_Term):
+    """The kinetic energy."""
+
+    kind: Literal['kinetic'] = Field(description='the kinetic energy [J]')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Kinetic(means.steps.hamiltonian)
+
+
+class PointChoice(_Term):
+    """The distance of a point of a robot."""
+
+    kind: Literal['point'] = Field(description='the squared distance of a point of a URDF')
+    link: Name = Field(description='that carries the point')
+    goal: Place = Field(description='where it is to be, in the frame of the root [m]')
+    offset: Place = Field([0.0, 0.0, 0.0], description='the point in the frame of the link [m]')
+    length: float = Field(1.0, gt=0.0, description='unit of the distance [m]')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Point(means.steps.hamiltonian, self.link, self.goal, self.offset, self.length)
+
+
+class TipChoice(_Term):
+    """The distance of the tip of a chain of rods."""
+
+    kind: Literal['tip'] = Field(description=(
+        'the squared distance of the tip of hanging rods, over their length'))
+    lengths: Weights = Field(description='of the rods [m]; the first coordinates are their angles')
+    goal: Place = Field(description='x, y and height above the first joint [m]')
+    relative: bool = Field(False, description='whether angles are those between rods')
+
+    def cost(self, means: Means) -> Cost:
+        """Return the cost."""
+        return Point.chain(self.lengths, self.goal, relative=self.relative)
+
+
+CostChoice = Annotated[
+    QuadraticChoice | EffortChoice | RegulatedChoice | EnergyCostChoice | KineticChoice
+    | PointChoice | TipChoice, Field(discriminator='kind')]
+Costs = Annotated[list[CostChoice], Field(min_length=1, max_length=20)]
+
+
+class LqrChoice(StrictModel):
+    """The linear regulator alone."""
+
+    kind: Literal['lqr'] = Field(description='the linear regulator of the goal')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        return means.goal
+
+
+class EnergyShapingChoice(StrictModel):
+    """Energy shaping."""
+
+    kind: Literal['energy_shaping'] = Field(description=(
+        'the energy of the goal, by what commands pump in; near the goal the linear regulator'))
+    gain: float = Field(1.0, gt=0.0, le=1e9, description='command per energy and velocity [s]')
+    stiffness: float = Field(0.0, ge=0.0, le=1e9, description=(
+        'of springs that hold the driven coordinates near the goal [N/m] or [N m/rad]'))
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        return EnergyShaping(means.goal, self.gain, self.stiffness)
+
+
+class HoverChoice(StrictModel):
+    """The flight of a quadrotor."""
+
+    kind: Literal['hover'] = Field(description='a quadrotor flies to a place and stays there')
+    place: Place = Field(description='x, y and z, upwards [m]')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        body = means.scene.hamiltonian
+        if body.kind != 'quadrotor' or [*means.task.inputs] != _ROTORS:
+            raise ValueError(f'hover flies a quadrotor by the inputs {listed(_ROTORS)}, not '
+                             f'{body.kind} by {listed(means.task.inputs)}')
+        return Hover(body.mass, body.mass * body.gravity, body.inertia, self.place)
+
+
+class _Planning(StrictModel):
+    """A plan over a horizon."""
+
+    horizon: int = Field(ge=2, le=10_000, description='commands of a plan')
+    running: Costs = Field(description='costs of each state and command, which are added')
+    final: Costs = Field(description='costs of the last state')
+    seed: int = Field(0, ge=0, lt=2**63, description='of random commands')
+
+    def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
+        """Return what planners have in common."""
+        running, final = (reduce(add, [term.make(means) for term in terms])
+                          for terms in (self.running, self.final))
+        return means.steps, running, final, self.horizon, (-means.limits, means.limits)
+
+
+class IlqrChoice(_Planning):
+    """A plan by derivatives."""
+
+    kind: Literal['ilqr'] = Field(description='a plan that derivatives improve, anew each period')
+    budget: float = Field(gt=0.0, le=1e3, description='time for a plan [s]')
+    regulate_below: float | None = Field(None, gt=0.0, description=(
+        'the linear regulator takes over where the running cost stays below this in a rollout'))
+    restarts: int = Field(24, ge=1, le=10_000, description='random plans after a disturbance')
+    refined: int = Field(4, ge=1, le=1000, description='how many of them are improved')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        regulator = None if self.regulate_below is None else Regulator(
+            means.goal.at, means.goal.gain, self.regulate_below)
+        return Ilqr(*self.parts(means), regulator, self.budget, restarts=self.restarts,
+                    refined=self.refined, seed=self.seed)
+
+
+class MppiChoice(_Planning):
+    """A plan by random commands."""
+
+    kind: Literal['mppi'] = Field(description='the weighted mean of random plans')
+    spread: float = Field(0.3, gt=0.0, le=10.0, description='of random commands [limits]')
+    temperature: float = Field(gt=0.0, description='in units of the cost')
+    samples: int = Field(256, ge=1, le=100_000, description='random plans in a period')
+
+    def make(self, means: Means) -> Controller:
+        """Return the controller."""
+        return Mppi(*self.parts(means), self.spread * means.limits, self.temperature,
+                    self.samples, seed=self.seed)
+
+
+class Task(StrictModel):
+    """Task in a scene: its commands, how often they come, and what makes them."""
+
+    description: str = Field('', max_length=1000, description='one line for lists and titles')
+    scene: str = Field(min_length=1, max_length=4096, description=(
+        'the model: name of a shipped scene, or a YAML file, from the folder of this one'))
+    inputs: dict[Name, Annotated[float, Field(gt=0.0, le=1e12)]] = Field(
+        min_length=1, max_length=100, description=(
+            'the coordinates that motors drive, and the largest size of each command [N], [N m]'))
+    period: float = Field(gt=0.0, le=1e3, description='from one command to the next [s]')
+    delay: float = Field(0.0, ge=0.0, le=10.0, description=(
+        'from a state to when its command acts, which the model predicts [s]'))
+    silence: float = Field(0.2, ge=0.01, le=1e6, description=(
+        'wall time without a usable state, after which the commands are as `on_silence` says [s]'))
+    on_silence: Literal['stop', 'hold'] = Field('stop', description=(
+        'stop: they are zero; hold: the last one is repeated'))
+    goal: Goal | None = Field(None, description='the state at rest to reach')
+    stepping: Stepping | None = Field(None, description='the steps of the model')
+    controller: LqrChoice | EnergyShapingChoice | HoverChoice | IlqrChoice | MppiChoice = Field(
+        discriminator='kind', description='what computes the commands')
+
+    @model_validator(mode='after')
+    def _check_delay(self) -> Self:
+        if self.delay > 100.0 * self.period:
+            raise ValueError(f'delay: {self.delay:g} s are more than 100 periods of '
+                             f'{self.period:g} s')
+        return self
+
+
+class Assignment(NamedTuple):
+    """
+    A task, ready: its controller and what belongs to it.
+
+    Parameters
+    ----------
+    task : Task
+        As it was read.
+    scene : Scene
+        The model, with the task's inputs and steps.
+    hamiltonian : Hamiltonian
+        Its H.
+    controller : Controller
+        What acts.
+    prediction : Prediction
+        Where the state will be when a command acts.
+    numbers : tuple of str
+        The coordinates of the numbers of a whole command to the scene, inputs or not.
+
+    """
+
+    task: Task
+    scene: Scene
+    hamiltonian: Hamiltonian
+    controller: Controller
+    prediction: 'Prediction'
+    numbers: Sequence[str]
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Return the largest size of each command, shape (c,)."""
+        return np.array([*self.task.inputs.values()])
+
+
+class Prediction:
+    """
+    The state that a command will find: some time on, under the commands that act until then.
+
+    Parameters
+    ----------
+    steps : BatchStep or None
+        Single steps of the model; None without a delay.
+    delay : float
+        From a state to when its command acts [s], rounded to steps.
+
+    """
+
+    def __init__(self, steps: BatchStep | None, delay: float):
+        self._steps, self._count = steps, round(delay / steps.duration) if steps else 0
+        self.delay = self._count * steps.duration if steps else 0.0
+        # When commands act, and they, newest last.
+        self._sent: deque[tuple[float, np.ndarray]] = deque()
+
+    def forget(self) -> None:
+        """Begin anew: no command is under way."""
+        self._sent.clear()
+
+    def send(self, t: float, u: np.ndarray) -> None:
+        """Keep the command, shape (c,), that answers the state of a time [s]."""
+        self._sent.append((t + self.delay, u))
+
+    def __call__(self, t: float, q: np.ndarray, v: np.ndarray
+                 ) -> tuple[np.ndarray, np.ndarray]:
+        """Return q and v, shape (d,) each, when the command to a state at a time [s] acts."""
+        if self._steps is None or not self._count:
+            return q, v
+        z, h = np.concatenate([q, momentum(self._steps, q, v)]), self._steps.duration
+        # A command acts in the step that begins nearest to its time.
+        while len(self._sent) > 1 and self._sent[1][0] < t + 0.5 * h:
+            self._sent.popleft()
+        for begin in t + h * np.arange(self._count):
+            acting = [u for since, u in self._sent if since < begin + 0.5 * h]
+            z = self._steps(z, acting[-1] if acting else np.zeros(self._steps.commands), begin)
+        q, p = np.split(z, 2)
+        return q, velocity(self._steps, q, p)
+
+
+def load_task(task: str | Path) -> tuple[Task, KeyPlaces, Path]:
+    """
+    Read and validate a task.
+
+    Parameters
+    ----------
+    task : str or Path
+        The name of a shipped task, or the path of a YAML file.
+
+    Returns
+    -------
+    tuple of (Task, KeyPlaces, Path)
+        The task, where its keys stand, and the folder that its paths start from.
+
+    Raises
+    ------
+    DataError
+        No such task, or one that is not valid; names file, line and key.
+
+    """
+    path = find_yaml('task', str(task), DataError)
+    loaded, places = read_yaml(path, Task, DataError)
+    return loaded, places, path.parent
+
+
+def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
+    """
+    Return a task with its controller, which is compiled on its first call.
+
+    Parameters
+    ----------
+    task : str or Path
+        See ``load_task``.
+    scene : str, Path or Scene, optional
+        The model in the place of the task's; its coordinates must have the same names.
+
+    Raises
+    ------
+    DataError
+        The task does not fit the scene; names file, line and key.
+    HnnViRosError
+        The scene cannot be read, or built, or has effects whose steps have no derivatives.
+
+    """
+    loaded, places, folder = load_task(task)
+    if not scene:
+        beside = folder / loaded.scene
+        scene = beside if beside.is_file() else loaded.scene
+    model = scene if isinstance(scene, Scene) else load_scene(scene)
+    return _Assigning(loaded, places, model).assignment()
+
+
+class _Assigning:
+    """A task and the scene that it is for; errors name the place in the task."""
+
+    def __init__(self, task: Task, places: KeyPlaces, scene: Scene):
+        self._task, self._places = task, places
+        own = [effect for effect in scene.effects if effect.kind == 'external_force']
+        others = [effect.model_dump(by_alias=True) for effect in scene.effects
+                  if effect.kind != 'external_force']
+        force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
+        with self._placed('stepping'):
+            self.scene, _ = resolve(scene.changed({'effects': [*others, force]}) if (
+                stepping := task.stepping) is None else scene.changed(
+                    {'effects': [*others, force]}).with_overrides(
+                        stepping.step_size, stepping.integrator))
+        numbers = own[0].coordinates if own and own[0].coordinates else [*task.inputs]
+        self._numbers = [*numbers, *(name for name in task.inputs if name not in numbers)]
+
+    def assignment(self) -> Assignment:
+        """Return it, ready."""
+        task, h = self._task, self.scene.known_step_size
+        with self._placed('inputs'):
+            parts = self.scene.parts()
+            System(parts.hamiltonian, parts.effects, parts.integrator)
+        hold = round(task.period / h)
+        if hold < 1 or abs(hold * h - task.period) > _FITS * task.period:
+            raise self._wrong(f'{task.period:g} s must be a multiple of the step size of the '
+                              f'model, {h:g} s; see stepping', 'period')
+        with self._placed('controller'):
+            controller = task.controller.make(Means(task, self.scene, hold))
+        with self._placed('delay'):
+            prediction = Prediction(BatchStep(self.scene) if task.delay else None, task.delay)
+        return Assignment(task, self.scene, parts.hamiltonian, controller, prediction,
+                          self._numbers)
+
+    @contextmanager
+    def _placed(self, key: str) -> Iterator[None]:
+        """Add where it stands in the task to what is wrong with a part of it."""
+        try:
+            yield
+        except (ValueError, SceneError, UnsupportedSystem) as problem:
+            raise self._wrong(str(problem), key) from problem
+
+    def _wrong(self, text: str, *key: str) -> DataError:
+        return DataError(f'{self._places.place(*key)}: {text}')

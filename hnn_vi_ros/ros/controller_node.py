@@ -1,0 +1,303 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The controller node: hears the state of a machine or a simulator, and commands it by a task."""
+
+from collections import deque
+from collections.abc import Sequence
+import math
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros.bags.cdr import MOMENTUM
+from hnn_vi_ros.control.task import assign, Assignment
+from hnn_vi_ros.effects.commands import select
+from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.ros import arguments as command_lines
+from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
+from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
+from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
+from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
+from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
+from hnn_vi_ros.ros.topics.hearing import Hearing
+from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
+from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
+import numpy as np
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.timer import Timer
+from rclpy.validate_topic_name import validate_topic_name
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, Header
+
+# Commands whose plans' times count for the figures of diagnostics, which come so often [s].
+_RECENT, _REPORT = 1000, 1.0
+# A state may be so much earlier than a period after the last one that was answered [1].
+_EARLY = 0.01
+# Calls that compile a controller, and the time of one that does [s].
+_WARM_CALLS, _COMPILING = 10, 0.5
+# As sensors are heard, but only the newest: a plan begins at no older state.
+_STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return q and v of joint states, or of the simulator's ~/state, which has momenta.
+
+    Parameters
+    ----------
+    message : JointState
+        With every coordinate once, in any order, and possibly more.
+    hamiltonian : Hamiltonian
+        H of d coordinates.
+
+    Raises
+    ------
+    ValueError
+        A coordinate is missing, or a number is not finite; one line.
+
+    """
+    (names, momenta), seen = columns(hamiltonian.coordinates), read_observation(message, 0)
+    if MOMENTUM + momenta[0] in message.name:
+        numbers, _ = select(seen, [*names, *(MOMENTUM + name for name in momenta)])
+        q, p = np.split(numbers, [len(names)])
+        return q, hamiltonian.gradient(q, p)[1]
+    if hamiltonian.rotations:
+        raise ValueError('no joint states make a state of bodies that turn: give ~/state of a '
+                         'simulator')
+    q, v = select(seen, names)
+    if np.isnan(v).any():
+        raise ValueError('a velocity is missing or not finite')
+    return q, v
+
+
+class ControllerNode(ManagedNode):
+    """
+    Answer states with the commands of a task.
+
+    A command answers one state and is sent when its plan is ready: what comes late acts late.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        The command line, by which parameters were given.
+
+    Raises
+    ------
+    ParameterError
+        A parameter is not usable; one line.
+
+    """
+
+    def __init__(self, arguments: Sequence[str] = ()):
+        super().__init__('hnn_controller')
+        self.settings = declare_parameters(self, ControllerSettings)
+        name = self.settings.simulator
+        try:
+            validate_topic_name(name)
+        except InvalidTopicNameException as problem:
+            raise ParameterError(f'parameter simulator = {name!r}: expected the full name of a '
+                                 'node, such as /hnn_simulator') from problem
+        self._topic = f'{name}/{self.settings.commands}'
+        refuse_unknown(self, CONTROLLER_PARAMETERS, [
+            Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
+            Endpoint(self._topic, 'publisher'), Endpoint(DIAGNOSTICS.topic, 'publisher')],
+            arguments)
+        self._assignment: Assignment | None = None
+        self._publishers: list[Publisher] = []
+        self._timers: list[Timer] = []
+        self._active = False
+
+    async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Read the task, compile its controller, and open the topics; serve meanwhile."""
+        settings, begin = self.settings, time.monotonic()
+        assignment: Assignment = await self.in_thread(
+            lambda: _warm(assign(settings.task, settings.scene)))
+        self._assignment, self._silence = assignment, assignment.task.silence
+        self._commands = create_publisher(
+            self, JointState if settings.commands == 'joint_commands' else Float64MultiArray,
+            self._topic, NEWEST)
+        diagnostics = create_publisher(self, DiagnosticArray, DIAGNOSTICS.topic, DIAGNOSTICS.qos)
+        self._publishers = [self._commands, diagnostics]
+        self._diagnostics = DiagnosticsPublisher(
+            self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
+        self._hearing = Hearing(self)
+        turning = assignment.hamiltonian.rotations
+        self._states = f'{settings.simulator}/state' if turning else 'joint_states'
+        self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
+                           self._on_state)
+        self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
+                        steady_timer(self, _REPORT, self._report)]
+        self._times: deque[float] = deque(maxlen=_RECENT)
+        self._sent = self._late = self._reported_late = 0
+        self._forget()
+        self.get_logger().info(
+            f'{settings.task}: {assignment.task.controller.kind} of {assignment.scene.name}, '
+            f'ready after {time.monotonic() - begin:.1f} s')
+        freeze_memory()
+        return SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer states from now on."""
+        self._forget()
+        self._active, self._heard, self._silent = True, math.inf, False
+        self.get_logger().info(f'answers {self._states} on {self._topic}')
+        return SUCCESS
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Send zeros, and answer no more."""
+        self._rest()
+        self._active = False
+        return SUCCESS
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to the unconfigured state."""
+        self._hearing.close()
+        for publisher in self._publishers:
+            self.destroy_publisher(publisher)
+        for timer in self._timers:
+            self.destroy_timer(timer)
+        self._assignment, self._publishers, self._timers = None, [], []
+        return SUCCESS
+
+    def finish(self, received: Sequence[int]) -> int:
+        """Send zeros if commands may act, and let them arrive; return the exit status."""
+        if self._active:
+            self._rest()
+        wait_for_delivery(self, self._publishers, received)
+        return self.exit_status or 0
+
+    @property
+    def _assigned(self) -> Assignment:
+        assert self._assignment is not None, 'the node is configured'
+        return self._assignment
+
+    def _forget(self) -> None:
+        """Begin at the next state, whatever was before."""
+        self._assigned.prediction.forget()
+        self._stamp, self._due = -1, -1
+
+    def _on_state(self, message: JointState) -> None:
+        begin, assigned = time.monotonic(), self._assigned
+        if not self._active:
+            return
+        q, v = state_of(message, assigned.hamiltonian)
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        if self._silent:
+            self.get_logger().info(f'{self._states}: states again, after '
+                                   f'{begin - self._heard:.3g} s')
+        self._heard, self._silent = begin, False
+        if stamp < self._stamp:
+            # The simulator has begun anew.
+            self._forget()
+        self._stamp = stamp
+        if stamp < self._due:
+            return
+        period = round(assigned.task.period * 1e9)
+        self._due = stamp + period - round(_EARLY * period)
+        t = stamp / 1e9
+        u = np.asarray(assigned.controller(
+            *assigned.prediction(t, q, v), t + assigned.prediction.delay))
+        if not np.isfinite(u).all():
+            raise ValueError(f'the controller has no command for q = {q.tolist()}, '
+                             f'v = {v.tolist()}')
+        u = np.clip(u, -assigned.limits, assigned.limits)
+        self._send(u)
+        assigned.prediction.send(t, u)
+        # A long plan is no silence.
+        self._heard = time.monotonic()
+        self._times.append(self._heard - begin)
+        self._sent += 1
+        self._late += self._times[-1] > assigned.task.period
+
+    def _send(self, u: np.ndarray) -> None:
+        """Publish a command; its stamp is that of the state that it answers."""
+        assigned, names, self._last = self._assigned, [*self._assigned.task.inputs], u
+        message: Any
+        if self.settings.commands == 'commands':
+            numbers = dict.fromkeys(assigned.numbers, 0.0) | dict(zip(names, u, strict=True))
+            message = Float64MultiArray(data=[*numbers.values()])
+        else:
+            message = JointState(header=Header(), name=names, effort=u)
+            seconds, message.header.stamp.nanosec = divmod(max(0, self._stamp), 10**9)
+            message.header.stamp.sec = seconds
+        self._commands.publish(message)
+
+    def _rest(self) -> None:
+        self._send(np.zeros(len(self._assigned.task.inputs)))
+
+    def _watch(self) -> None:
+        """Stop or hold, and say so once, when no state comes any more."""
+        if not self._active or time.monotonic() - self._heard < self._silence:
+            return
+        hold = self._assigned.task.on_silence == 'hold' and self._sent
+        if not self._silent:
+            self._silent = True
+            self._assigned.prediction.forget()
+            self.get_logger().warning(
+                f'{self._states}: no usable state for {self._silence:g} s: '
+                f'{"the last command is repeated" if hold else "commands are zero"} until one '
+                'comes')
+            if not hold:
+                self._rest()
+        if hold:
+            self._send(self._last)
+
+    def _report(self) -> None:
+        """Publish how the controller does."""
+        assigned, controller = self._assigned, self._assigned.controller
+        late, self._reported_late = self._late - self._reported_late, self._late
+        ignored = self._hearing.ignored[self._states]
+        level, message = OK, f'{assigned.task.controller.kind}: {controller.mode}'
+        if not self._active:
+            message = 'inactive'
+        elif self._silent:
+            level, message = WARN, f'no usable state for {time.monotonic() - self._heard:.3g} s'
+        elif self._heard == math.inf:
+            level, message = WARN, 'no usable state yet'
+        elif late:
+            level, message = WARN, (f'{late} plans since the last report took longer than the '
+                                    f'period, {assigned.task.period:g} s, and act late')
+        times = np.array(self._times) if self._times else np.full(1, np.nan)
+        self._diagnostics.publish([Status('control', level, message, {
+            'mode': controller.mode, 'cost': float(controller.cost),
+            'plan_time_median [s]': float(np.median(times)),
+            'plan_time_p99 [s]': float(np.quantile(times, 0.99)),
+            'plan_time_largest [s]': float(times.max()), 'period [s]': assigned.task.period,
+            'delay [s]': assigned.prediction.delay, 'commands [1]': self._sent,
+            'late [1]': self._late, 'states_ignored [1]': ignored,
+            'ignored_because': self._hearing.reasons.get(self._states, '')})],
+            max(0, self._stamp), record=False)
+
+
+def _warm(assignment: Assignment) -> Assignment:
+    """Call the controller before the first state, until nothing is left to compile."""
+    q, p = (np.array(one) for one in (assignment.scene.initial_state.q,
+                                      assignment.scene.initial_state.p))
+    v = assignment.hamiltonian.gradient(q, p)[1]
+    for k in range(-_WARM_CALLS, 0):
+        begin = time.monotonic()
+        t = k * assignment.task.period
+        assignment.controller(*assignment.prediction(t, q, v), t)
+        # A plan with a budget ends when that is spent by a compilation, before all is compiled.
+        if time.monotonic() - begin < _COMPILING:
+            break
+    return assignment
+
+
+def main(argv: list[str]) -> int:
+    """Control until the node is shut down, or a signal arrives."""
+    command_lines.controller().parse_args(own_arguments(argv))
+    with ros_process(argv) as received:
+        node = ControllerNode(argv)
+        try:
+            node.serve(received, node.settings.autostart)
+        finally:
+            status = node.end(node.finish(received))
+    return status

@@ -1,0 +1,80 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions that report and ignore the messages that cannot be used."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription
+from hnn_vi_ros.ros.topics.inputs import Input
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+
+# Longer messages are not heard [bytes].
+LARGEST_MESSAGE = 1 << 20
+# The reason for ignoring a message has room for the names of twelve joints, and a remedy.
+LONGEST_REASON = 500
+
+
+class Hearing:
+    """
+    The subscriptions of a node.
+
+    Parameters
+    ----------
+    node : Node
+        Whose they are.
+
+    Attributes
+    ----------
+    ignored : Counter of str
+        Number of messages that could not be used, by topic.
+    reasons : dict of str to str
+        Why the last one could not, by topic.
+
+    """
+
+    def __init__(self, node: Node):
+        self._node = node
+        self._subscriptions: list[Subscription] = []
+        self.ignored: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+
+    def hear(self, one: Input, take: Callable[[Any], None]) -> Subscription:
+        """
+        Hear a topic; what cannot be used is reported and ignored.
+
+        Parameters
+        ----------
+        one : Input
+            Which.
+        take : callable
+            Uses a message, or raises ValueError and changes nothing.
+
+        """
+        topic = one.topic
+
+        def on_message(payload: bytes) -> None:
+            try:
+                if len(payload) > LARGEST_MESSAGE:
+                    raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
+                take(deserialize_message(payload, one.message_type))
+            except (ValueError, RuntimeError) as problem:
+                # RuntimeError: the bytes are no message of this type.
+                self.ignored[topic] += 1
+                reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
+                self._node.get_logger().error(
+                    f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)',
+                    throttle_duration_sec=1.0)
+
+        subscription = create_subscription(
+            self._node, one.message_type, topic, on_message, one.qos, raw=True)
+        self._subscriptions.append(subscription)
+        return subscription
+
+    def close(self) -> None:
+        """Take the subscriptions away."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)

@@ -1,0 +1,102 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Costs and their expansions."""
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.control import Energy, Kinetic, Point, Quadratic
+from hnn_vi_ros.control.costs import Cost
+from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+import numpy as np
+import pytest
+
+Q, R = np.diag([2.0, 1.0, 0.5, 0.0]), np.array([[0.3]])
+
+
+@pytest.fixture(scope='module')
+def model() -> Hamiltonian:
+    return load_scene('exact_double_pendulum').create_hamiltonian()
+
+
+def points(count: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(count, 4)), rng.normal(size=(count, 1))
+
+
+def costs(model: Hamiltonian) -> dict[str, Cost]:
+    tip = Point.chain([1.0, 0.7], [0.1, 0.0, 1.6])
+    quadratic = Quadratic(model, ([np.pi, 0.0, 0.1, 0.0], [0.2]), Q, R)
+    return {'quadratic': quadratic, 'energy': Energy(model, np.zeros(4)),
+            'kinetic': Kinetic(model), 'tip': tip,
+            'relative': Point.chain([1.0, 0.7], [0.1, 0.0, 1.6], relative=True),
+            'sum': 3.0 * tip.saturating(0.1) + 0.1 * Kinetic(model) + quadratic.saturating(5.0)}
+
+
+@pytest.mark.parametrize('name', ['quadratic', 'energy', 'kinetic', 'tip', 'relative', 'sum'])
+def test_gradients_are_differences_and_hessians_are_not_negative(model, name):
+    cost, (z, u) = costs(model)[name], points(6)
+    found = cost.expand(z, u)
+    assert found.value == pytest.approx(cost.value(z, u), rel=1e-13)
+    # Fourth-order differences: rounding 2e-16 / e times values of up to some hundred, and e^4.
+    e = 1e-3
+    for by, at in ((found.by_z, 0), (found.by_u, 1)):
+        for k, unit in enumerate(np.eye(by.shape[1])):
+            def moved(length, at=at, unit=unit):
+                return cost.value(z + length * unit * (at == 0), u) if at == 0 else \
+                    cost.value(z, u + length * unit)
+            slope = (8.0 * (moved(e) - moved(-e)) - moved(2.0 * e) + moved(-2.0 * e)) / (12.0 * e)
+            assert np.abs(slope - by[:, k]).max() < 1e-9 * max(1.0, np.abs(by).max())
+    scale = max(1.0, np.abs(found.by_zz).max())
+    assert np.linalg.eigvalsh(found.by_zz).min() > -1e-12 * scale
+
+
+def test_quadratic_wraps_angles_and_kinetic_has_inverse_masses(model):
+    z, u = points(4)
+    cost = costs(model)['quadratic']
+    turned = z + 2.0 * np.pi * np.array([3.0, -1.0, 0.0, 0.0])
+    assert cost.value(turned, u) == pytest.approx(cost.value(z, u), rel=1e-12)
+    by_zz = Kinetic(model).expand(z, u).by_zz
+    rest = np.zeros((4, 2))
+    for k, unit in enumerate(np.eye(2)):
+        velocity = model.gradient(z[:, :2], rest + unit)[1]
+        assert by_zz[:, 2:, 2 + k] == pytest.approx(velocity, rel=1e-12)
+
+
+def test_points_are_those_of_rods_and_of_a_urdf():
+    q = np.random.default_rng(1).normal(size=(5, 2))
+    tip = Point.chain([1.0, 0.7], [0.0, 0.0, 1.7], relative=True).place(q)
+    turned = np.cumsum(q, axis=1)
+    expected = [np.sin(turned) @ [1.0, 0.7], np.zeros(5), -np.cos(turned) @ [1.0, 0.7]]
+    assert np.abs(tip - np.transpose(expected)).max() < 1e-14
+    arm = load_scene('two_joint_arm').create_hamiltonian()
+    end = Point(arm, 'forearm', [0.0, 0.0, 0.7], offset=[0.0, 0.0, -0.3])
+    # The URDF turns both joints about y: positive angles move what hangs towards -x.
+    expected = [-np.sin(turned) @ [0.4, 0.3], np.full(5, 0.125), -np.cos(turned) @ [0.4, 0.3]]
+    assert np.abs(end.place(q) - np.transpose(expected)).max() < 1e-14
+
+
+@pytest.mark.parametrize('scene', ['six_joint_arm'])
+def test_points_of_an_arm_have_exact_derivatives(scene):
+    arm = load_scene(scene).create_hamiltonian()
+    link = arm.joints[-1].child
+    cost = Point(arm, link, [0.3, 0.2, 0.4], offset=[0.0, 0.05, 0.1])
+    q, e = np.random.default_rng(2).normal(size=(3, 6)), 1e-3
+    z, u = np.hstack([q, np.zeros((3, 6))]), np.zeros((3, 6))
+    by_z = cost.expand(z, u).by_z
+    for k, unit in enumerate(np.eye(12)):
+        one, two = (cost.value(z + n * e * unit, u) - cost.value(z - n * e * unit, u)
+                    for n in (1.0, 2.0))
+        assert np.abs((8.0 * one - two) / (12.0 * e) - by_z[:, k]).max() < 1e-10
+
+
+def test_what_makes_no_cost_is_one_line(model):
+    with pytest.raises(ValueError, match='q must be symmetric'):
+        Quadratic(model, (np.zeros(4), np.zeros(1)), -Q, R)
+    with pytest.raises(ValueError, match=r'weight -1\.0'):
+        -1.0 * Kinetic(model)
+    with pytest.raises(ValueError, match='half = 0'):
+        Kinetic(model).saturating(0.0)
+    with pytest.raises(UnsupportedSystem, match='no URDF describes'):
+        Point(model, 'forearm', np.zeros(3))
+    with pytest.raises(ValueError, match='no link .wrist.; it has .*forearm'):
+        Point(load_scene('two_joint_arm').create_hamiltonian(), 'wrist', np.zeros(3))

@@ -1,0 +1,114 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks: their files, what is wrong with some, and the state that a late command finds."""
+
+import json
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.control import BatchStep, velocity
+from hnn_vi_ros.control.task import assign, load_task, Prediction, Task
+from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
+from hnn_vi_ros.files.yaml_file import json_schema
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+import yaml
+
+GOOD = yaml.safe_load(shipped_file('task', 'swing_up').read_text())
+ILQR = {'kind': 'ilqr', 'horizon': 10, 'budget': 0.01, 'running': [{'kind': 'effort'}],
+        'final': [{'kind': 'kinetic'}]}
+
+
+def wrong(tmp_path, **changes: object) -> str:
+    """Return the one line about a task with other values of some keys, from its own name on."""
+    data = {key: value for key, value in (GOOD | changes).items() if value is not None}
+    (tmp_path / 'task.yaml').write_text(yaml.safe_dump(data, sort_keys=False))
+    with pytest.raises(DataError) as refused:
+        assign(tmp_path / 'task.yaml')
+    assert '\n' not in str(refused.value)
+    return str(refused.value).removeprefix(f'{tmp_path}/')
+
+
+@pytest.mark.parametrize('name', shipped_names('task'))
+def test_every_shipped_task_names_its_schema_and_a_scene_that_takes_its_inputs(name):
+    text = shipped_file('task', name).read_text()
+    assert text.startswith('# yaml-language-server: $schema=../task.schema.json\n')
+    task, _, folder = load_task(name)
+    path = folder / task.scene
+    scene = load_scene(path if path.is_file() else task.scene)
+    force, = (effect for effect in scene.effects if effect.kind == 'external_force')
+    assert set(task.inputs) <= set(force.coordinates) and task.silence >= force.timeout
+
+
+def test_schema_of_tasks_is_the_shipped_one():
+    shipped = (share_folder() / 'config' / 'task.schema.json').read_text(encoding='utf-8')
+    assert shipped == json_schema(Task, 'A task of the controller node') + '\n'
+    json.loads(shipped)
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'scene': 'motor_pendlum'}, "no scene 'motor_pendlum'; did you mean motor_pendulum?"),
+    ({'inputs': {'angel': 4.0}}, "inputs: external_force: no coordinate 'angel'"),
+    ({'inputs': {}}, 'inputs: must have 1 or more entries, not {}'),
+    ({'inputs': {'angle': float('nan')}}, 'inputs.angle'),
+    ({'period': 0.0111}, 'period: 0.0111 s must be a multiple of the step size of the model, '
+                         '0.002 s; see stepping'),
+    ({'period': 1e-4, 'delay': 1.0}, 'delay: 1 s are more than 100 periods'),
+    ({'silence': 0.0}, 'silence: '), ({'on_silence': 'panic'}, "on_silence: 'panic'"),
+    ({'goal': None}, 'controller: needs a goal'),
+    ({'goal': {'near': {'angel': 3.1}}}, 'the goal names angel; did you mean angle?'),
+    ({'goal': {'near': {'angle': 3.1}, 'position': [1.0, 2.0]}},
+     'goal.position has 2 weights, expected one, or one for each coordinate: angle'),
+    ({'stepping': {'integrator': 'rk5', 'step_size': 0.01}}, "unknown integrator 'rk5'"),
+    ({'stepping': {'integrator': 'discrete_gradient', 'step_size': 0.01}}, 'discrete_gradient cannot take the effect external_force'),
+    ({'controller': {'kind': 'energy_shapping'}},
+     "unknown kind 'energy_shapping'; did you mean energy_shaping?"),
+    ({'controller': {'kind': 'energy_shaping', 'gian': 1.0}}, 'unknown key; did you mean gain?'),
+    ({'controller': {'kind': 'hover', 'place': [0.0, 0.0, 1.0]}}, 'hover flies a quadrotor'),
+    ({'controller': ILQR | {'final': [{'kind': 'point', 'link': 'tool', 'goal': [0.0] * 3}]}},
+     'no URDF describes this mechanism'),
+    ({'controller': ILQR | {'running': []}}, 'running: must have 1 or more entries, not []'),
+    ({'controller': ILQR | {'running': [{'kind': 'quadratic', 'position': [1.0, 2.0]}]}},
+     'position has 2 weights'),
+    ({'controller': ILQR | {'horizon': 1}}, 'horizon: must be greater than or equal to 2, not 1')])
+def test_task_that_cannot_be_used_is_one_line_with_its_place(tmp_path, changes, message):
+    assert message in wrong(tmp_path, **changes)
+
+
+def test_task_of_another_scene_needs_its_coordinates_by_name():
+    with pytest.raises(DataError, match="no coordinate 'angle'; .*cart, pole"):
+        assign('swing_up', 'cart_pole')
+    # The real one has friction and another step; the task's inputs and steps replace its own.
+    assigned = assign('swing_up', load_scene('exact_pendulum').with_overrides(0.005, 'rk4'))
+    assert (assigned.scene.step_size, assigned.numbers) == (0.005, ['angle'])
+    assert [effect.kind for effect in assigned.scene.effects] == ['external_force']
+
+
+def test_prediction_is_the_run_under_the_commands_that_are_under_way():
+    scene, delay, chance = load_scene('motor_pendulum'), 0.03, np.random.default_rng(1)
+    run, predict = build(scene), Prediction(BatchStep(scene), delay)
+    steps, told, wanted = BatchStep(scene), [], []
+    for k in range(20):
+        # A command to the state of k * 0.01 s acts from 0.03 s later on.
+        if k >= 3:
+            run.set_command(told[k - 3])
+        z = np.concatenate([run.q, run.p])
+        for index, expected in [one for one in wanted if one[0] == k]:
+            assert np.abs(expected - z).max() < 1e-12, index
+        q, v = predict(k * 0.01, run.q, velocity(steps, run.q, run.p))
+        wanted.append((k + 3, np.array([q[0], v[0]])))
+        told.append(chance.uniform(-4.0, 4.0, 1))
+        predict.send(k * 0.01, told[-1])
+        run.advance(5)
+    predict.forget()
+    assert predict(0.0, np.array([np.pi]), np.zeros(1))[0] == pytest.approx(np.pi)
+
+
+def test_every_controller_of_a_task_commands_within_its_limits(tmp_path):
+    for controller in ({'kind': 'lqr'}, ILQR, {'kind': 'mppi', 'temperature': 1.0, 'samples': 4}
+                       | {key: ILQR[key] for key in ('horizon', 'running', 'final')}):
+        (tmp_path / 'task.yaml').write_text(yaml.safe_dump(GOOD | {'controller': controller}))
+        assigned = assign(tmp_path / 'task.yaml')
+        u = assigned.controller(np.array([3.0]), np.array([0.1]), 0.0)
+        assert u.shape == (1,) and np.abs(u) <= assigned.limits

@@ -1,0 +1,155 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The controller node: what it hears, and simulators that it commands in processes of their own."""
+
+import math
+from pathlib import Path
+import signal
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.ros.controller_node import state_of
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.messages import encode_state
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+from peer import peer, SIMULATOR
+from processes import finish, standard_error, start, start_executable, wait_until
+import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+
+def joints(names: list[str], position: list[float], velocity: list[float]) -> JointState:
+    return JointState(name=names, position=position, velocity=velocity)
+
+
+def test_state_is_that_of_joints_in_any_order_and_of_the_simulators_own_topic():
+    model = load_scene('realaigym_double_pendulum').create_hamiltonian()
+    q, v = state_of(joints(['gripper', 'elbow', 'shoulder'], [9.0, 2.0, 1.0], [9.0, 4.0, 3.0]),
+                    model)
+    assert (q.tolist(), v.tolist()) == ([1.0, 2.0], [3.0, 4.0])
+    run = build(load_scene('quadrotor'))
+    run.set_command([9.0, 0.1, 0.0, 0.0])
+    run.advance(50)
+    payload, = encode_state(run.hamiltonian.coordinates)(Sampler(run, 50.0).sample())
+    q, v = state_of(deserialize_message(payload, JointState), run.hamiltonian)
+    assert np.array_equal(q, run.q)
+    assert np.array_equal(v, run.hamiltonian.gradient(run.q, run.p)[1]) and v[3] > 0.0
+
+
+@pytest.mark.parametrize('message, reason', [
+    (joints(['angel'], [1.0], [0.0]), "joint 'angle' is observed 0 times"),
+    (joints(['angle', 'angle'], [1.0, 2.0], [0.0, 0.0]), "joint 'angle' is observed 2 times"),
+    (joints(['angle'], [1.0, 2.0], [0.0]), 'position has 2 numbers for 1 names'),
+    (joints(['angle'], [1.0], []), 'a velocity is missing or not finite'),
+    (joints(['angle'], [math.nan], [0.0]), 'a position is missing or not finite'),
+    (joints(['angle'], [1.0], [math.inf]), 'a velocity is infinite'),
+    (joints(['p_angle', 'angle'], [math.nan, 1.0], []), 'a position is missing or not finite'),
+    (joints([], [], []), "joint 'angle' is observed 0 times")])
+def test_state_that_cannot_be_used_is_refused_in_a_line(message, reason):
+    model = load_scene('motor_pendulum').create_hamiltonian()
+    with pytest.raises(ValueError, match=reason):
+        state_of(message, model)
+
+
+def test_joint_states_of_bodies_that_turn_are_refused():
+    with pytest.raises(ValueError, match='give ~/state of a simulator'):
+        state_of(joints(['body_x'], [0.0], [0.0]), load_scene('quadrotor').create_hamiltonian())
+
+
+def commanding(folder: Path, **parameters: object):
+    return start_executable('controller', '--ros-args', *(
+        word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')),
+        folder=folder)
+
+
+def test_controller_swings_up_a_pendulum_and_what_neither_can_use_changes_nothing(tmp_path):
+    """In lockstep: a step is asked for when its command has come, however long that takes."""
+    simulator = start(tmp_path, scene='motor_pendulum', record_path='bag', rerun_sink='none')
+    (tmp_path / 'task.yaml').write_text(shipped_file('task', 'swing_up').read_text().replace(
+        'period:', 'silence: 1.0\nperiod:'))
+    controller = commanding(tmp_path, task='task.yaml')
+    with peer() as other:
+        heard: list[JointState] = []
+        other.node.create_subscription(
+            JointState, f'{SIMULATOR}/joint_commands', heard.append, 100)
+        other.spin_until(lambda: heard and other.states)
+        assert other.pause().success
+        wait_until(lambda: 'no usable state for 1 s: commands are zero' in standard_error(
+            controller))
+        assert other.set_parameters(step_count=5).successful
+        assert other.trigger('reset').success
+        hostile = other.node.create_publisher(JointState, '/joint_states', 10)
+        there = 0
+        for k in range(1500):
+            if k == 20:
+                hostile.publish(joints(['angle'], [math.nan], [0.0]))
+                wait_until(lambda: 'joint_states: message ignored' in standard_error(controller))
+            count = len(heard)
+            assert other.trigger('step').success
+            other.spin_until(lambda count=count: len(heard) > count)
+            assert heard[-1].name == ['angle'] and abs(heard[-1].effort[0]) <= 4.0
+            there = there + 1 if math.cos(other.states[-1].position[0]) < -0.9999 else 0
+            if there == 50:
+                break
+        assert there == 50
+        for process in (controller, simulator):
+            process.send_signal(signal.SIGINT)
+            assert finish(process)[0] == 0
+    # It says once that it has nothing to answer, and ends with zeros.
+    assert standard_error_of(controller).count('no usable state') == 1
+    bag = tmp_path / 'bag-2'
+    verdict = check_replay(bag)
+    assert verdict.good, verdict.text
+    topics = {topic for _, topic, _ in RecordedRun(bag).commands()}
+    assert topics == {f'{SIMULATOR}/joint_commands'}
+
+
+def standard_error_of(process) -> str:
+    """Return what an ended process has written."""
+    return finish(process)[2]
+
+
+def test_simulator_outlives_a_controller_that_dies_and_its_time_out_ends_the_last_command(tmp_path):
+    simulator = start(tmp_path, scene='quadrotor', record='false', rerun_sink='none',
+                      publish_rate=50.0)
+    controller = commanding(tmp_path, task='hover', commands='commands')
+    with peer() as other:
+        told: list[DiagnosticArray] = []
+        heard: list[Float64MultiArray] = []
+        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
+        other.node.create_subscription(
+            Float64MultiArray, f'{SIMULATOR}/commands', heard.append, 100)
+
+        def figures() -> dict[str, str]:
+            return {item.key: item.value for message in told for status in message.status
+                    if status.name == 'hnn_controller: control' for item in status.values}
+
+        other.spin_until(lambda: float(figures().get('commands [1]', 0)) > 10)
+        assert figures()['mode'] == 'hover' and float(figures()['plan_time_median [s]']) < 1.0
+        assert len(heard[-1].data) == 4
+        controller.kill()
+        controller.wait()
+        states: list[JointState] = []
+        other.node.create_subscription(JointState, f'{SIMULATOR}/state', states.append, 100)
+        # Falling freely but for the drag, as without any command.
+        other.spin_until(lambda: len(states) > 30)
+        speed = [dict(zip(one.name, one.position, strict=True))['p_body_z'] for one in states]
+        assert (np.diff(speed[-10:]) < -0.5 * 0.8 * 9.81 / 50.0).all()
+        simulator.send_signal(signal.SIGINT)
+        assert finish(simulator)[0] == 0
+
+
+@pytest.mark.parametrize('parameters, message', [
+    ({'task': 'swing_upp'}, "no task 'swing_upp'; did you mean swing_up?"),
+    ({'simulator': 'not a name'}, "parameter simulator = 'not a name': expected the full name"),
+    ({'commands': 'torques'}, 'expected one of joint_commands, commands'),
+    ({'scene': 'kepler'}, "inputs: ")])
+def test_controller_that_cannot_begin_says_why_in_one_line(tmp_path, parameters, message):
+    status, _, error = finish(commanding(tmp_path, **parameters))
+    assert status == 1 and message in error and error.count('\n') == 1
