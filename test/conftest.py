@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Give every test session a ROS 2 graph, a domain and log folders of its own."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 import csv
 from dataclasses import dataclass
@@ -165,40 +165,25 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
         _findings.extend(Finding(*row) for row in rows)
 
 
-def findings_table(findings: Sequence[Finding]) -> str:
-    """Return the range of the findings of each claim and bound as a table."""
-    found: dict[tuple[str, str], list[Finding]] = {}
-    for row in findings:
-        found.setdefault((row.claim, row.bound), []).append(row)
-    lines = ['| claim | bound | measured | cases |', '|---|---|---|---|']
-    for (claim, bound), rows in found.items():
-        ends = dict.fromkeys(f'{end(row.value for row in rows):.3g}' for end in (min, max))
-        lines.append(f'| {claim} | {bound} | {" to ".join(ends)} | {len(rows)} |')
-    return '\n'.join(lines)
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let files that tests compare with be renewed by them."""
     parser.addoption('--findings', type=Path, metavar='FILE',
-                     help='write what the verification tests measured into a page and a CSV')
+                     help='write what the verification tests measured into a CSV')
     parser.addoption('--policy', action='store_true',
                      help='write the SROS2 policy of the simulator as it is in the graph')
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the findings into a CSV, and their ranges between the markers of the page."""
+    """Write the findings into a CSV, sorted by claim and subject."""
     path = session.config.getoption('--findings')
     # Workers of pytest-xdist have what their own tests measured only.
     if path is None or hasattr(session.config, 'workerinput'):
         return
     rows = sorted(_findings, key=lambda row: (row.claim, row.bound, row.subject))
-    with path.with_suffix('.csv').open('w', newline='', encoding='utf-8') as file:
+    with path.open('w', newline='', encoding='utf-8') as file:
         csv.writer(file, lineterminator='\n').writerows(
             [['claim', 'bound', 'subject', 'measured'],
              *([row.claim, row.bound, row.subject, f'{row.value:.3g}'] for row in rows)])
-    before, begin, rest = path.read_text(encoding='utf-8').partition('<!-- findings -->\n')
-    _, end, after = rest.partition('\n<!-- end of findings -->')
-    path.write_text(f'{before}{begin}{findings_table(rows)}{end}{after}', encoding='utf-8')
 
 
 def pytest_report_header() -> str:

@@ -96,8 +96,10 @@ def page_of(docs: Path) -> str:
 
 
 def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:
-    """Yield for each method its verdicts in each case, from the worst."""
+    """Yield for each method, but for variants of one, its verdicts in each case, the worst first."""
     for method in dict.fromkeys(row.method for row in rows):
+        if '@' in method:
+            continue
         yield method, [Counter(sorted(
             (row.verdict for row in _of(case, rows) if row.method == method),
             key=_VERDICTS.index)) for case in cases]

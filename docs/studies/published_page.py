@@ -133,7 +133,8 @@ def draw(path: Path, results: Sequence[Result]) -> Path:
     for (name, system, measure), published in PUBLISHED.items():
         ratios = table.values(name, system, measure) / published
         axes.plot(ratios, [len(names)] * len(ratios), 'o', color='#56b4e9', markersize=4)
-        axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
+        if len(ratios):
+            axes.plot(ratios.mean(), len(names), 'D', color='#0072b2')
         names.append(f'{name}, {SYSTEMS[system]}: {measure.removeprefix("published ")}')
     axes.axvline(1.0, color='grey', linestyle=':')
     axes.set(xscale='log', xlabel='our error over the published one: seeds, and their mean',
@@ -197,8 +198,7 @@ def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
         rows = [results.values('hnn', system, measure) for measure in (
             'test loss', 'test loss of the true H', 'least test loss')]
         if all(len(values) for values in rows):
-            yield [SYSTEMS[system], 'seed 0', *(f'{values[0]:.3e}' for values in rows)]
-            yield [SYSTEMS[system], f'{len(rows[0])} seeds', *map(spread, rows)]
+            yield [SYSTEMS[system], *map(spread, rows)]
 
 
 def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
@@ -234,11 +234,11 @@ def machine_rows(path: Path) -> Iterator[list[str]]:
 
 
 def robot_rows(path: Path) -> Iterator[list[str]]:
-    """Yield what was identified of robots, and which networks the choice takes."""
+    """Yield what was identified of robots, with the chosen networks in bold."""
     for row in _read(path):
-        choice = '' if row['choice'] is None else f'{row["choice"]:.3g}'
-        yield [row['robot'], row['measure'], f'`{row["model"]}`', _numbers(row['reference']),
-               _numbers(row['ours']), choice, 'yes' if row['chosen'] else '']
+        model = f'`{row["model"]}`'
+        yield [row['robot'], row['measure'], f'**{model}**' if row['chosen'] else model,
+               _numbers(row['reference']), _numbers(row['ours'])]
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
