@@ -10,6 +10,7 @@ all, `none` for none. A picture is made once for each version of its scene and i
 import hashlib
 import io
 import json
+import math
 import os
 from pathlib import Path
 import sys
@@ -26,8 +27,11 @@ _DURATION = 10.0
 _DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 100.0,
               'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
               'tao': 30.0, 'learned_tao': 30.0}
+# Thrust [N] and torques [N m] over time [s]: it hovers, and sways a little.
+_COMMANDS = {'quadrotor': lambda t: [
+    0.8 * 9.81, 3e-4 * math.cos(2.0 * t), 3e-4 * math.sin(2.0 * t), 0.0]}
 # What a picture is made by: another number makes all of them anew.
-_VERSION = '5'
+_VERSION = '6'
 
 
 def write_gallery(docs: Path) -> None:
@@ -73,7 +77,8 @@ def draw(name: str, path: Path, folder: Path) -> str:
         scene = load_scene(name)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', AlarmWarning)
-            run = simulate(scene, duration=_DURATIONS.get(name, _DURATION))
+            run = simulate(scene, duration=_DURATIONS.get(name, _DURATION),
+                           commands=_COMMANDS.get(name))
     except ModelError:
         return 'its model is not shipped, since its data are not ours to give: train it first'
     print(f'gallery: {run}', file=sys.stderr)
@@ -91,7 +96,7 @@ def picture_of(name: str) -> Image.Image:
 
 def mechanism_picture(run: Trajectory) -> Image.Image:
     """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
-    if run.scene is not None and run.scene.mechanism is not None:
+    if run.mechanism() is not None:
         return sketch(run)
     try:
         figure = run.phase_portrait()
