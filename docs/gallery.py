@@ -28,7 +28,7 @@ _DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 
               'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
               'tao': 30.0, 'learned_tao': 30.0}
 # Thrust [N] and torques [N m] over time [s]: it hovers, and rises and sinks a little.
-_COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.1 * math.cos(2.0 * t)), 0.0, 0.0, 0.0]}
+_COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.4 * math.cos(t)), 0.0, 0.0, 0.0]}
 # What a picture is made by: another number makes all of them anew.
 _VERSION = '6'
 
