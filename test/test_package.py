@@ -68,6 +68,7 @@ HOMES = {
                   r'|commands/cost_figure\.py',
     'pandas': r'trajectory/\w+\.py',
     'xarray': r'trajectory/\w+\.py',
+    'control': r'control/linear\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'visualization_msgs', 'ament_index_python',
