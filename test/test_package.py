@@ -68,6 +68,7 @@ HOMES = {
                   r'|commands/cost_figure\.py',
     'pandas': r'trajectory/\w+\.py',
     'xarray': r'trajectory/\w+\.py',
+    'control': r'control/linear\.py',
     'shtab': r'commands/completion\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',

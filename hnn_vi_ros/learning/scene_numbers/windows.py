@@ -52,7 +52,8 @@ class MeasuredForce(Force):
 
     """
 
-    depends_on_momentum, single, turns = False, True, False
+    depends_on_momentum, depends_on_state = False, False
+    single, turns = True, False
 
     def __init__(self, names: Sequence[str], most: int):
         self.names = tuple(names)
