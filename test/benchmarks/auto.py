@@ -45,9 +45,8 @@ def _row(name: str, tolerance: Tolerance, settings: Settings) -> Row:
         times[:, 1], target=1.5, scale=1e6 / _TIMED, peer_name=f'{label}, h = {h:g}',
         note=f'auto chose {chosen}, h = {choice.step_size:.3g}; the peer is the fastest '
              'row of the grid that holds the tolerance',
-        miss='auto counts gradients, so that its choice does not depend on the load of the '
-             'machine. The fixed cost of an implicit step, one or two microseconds, dominates '
-             'where a gradient costs some nanoseconds.')
+        miss='auto counts gradients and steps, whose fixed cost is that of one machine, so that '
+             'its choice does not depend on the load.')
 
 
 def _contestant(problem: InitialValueProblem, method: str | Method, h: float) -> Callable:
