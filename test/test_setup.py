@@ -144,7 +144,7 @@ def _requirements(name: str) -> Iterator[Requirement]:
             yield Requirement(line)
 
 
-@pytest.mark.parametrize('python', ['3.11', '3.12', '3.13'])
+@pytest.mark.parametrize('python', ['3.11', '3.12', '3.13', '3.14'])
 def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
         'constraints.txt', 'bench.txt', 'ray.txt', 'jazzy.txt', 'jazzy_test.txt')
