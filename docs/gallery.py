@@ -10,6 +10,7 @@ all, `none` for none. A picture is made once for each version of its scene and i
 import hashlib
 import io
 import json
+import math
 import os
 from pathlib import Path
 import sys
@@ -30,8 +31,10 @@ _ROBOTS = 'Robots and bodies that turn'
 # By whether the model is learned, and whether effects act.
 _TOPICS = {(True, False): 'Learned models', (True, True): 'Learned models with effects',
            (False, False): 'Formulas', (False, True): 'Formulas with effects'}
+# Thrust [N] and torques [N m] over time [s]: it hovers, and rises and sinks a little.
+_COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.4 * math.cos(t)), 0.0, 0.0, 0.0]}
 # What a picture is made by: another number makes all of them anew.
-_VERSION = '5'
+_VERSION = '6'
 
 
 def write_gallery(docs: Path) -> None:
@@ -87,7 +90,8 @@ def draw(name: str, path: Path, folder: Path) -> str:
         scene = load_scene(name)
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', AlarmWarning)
-            run = simulate(scene, duration=_DURATIONS.get(name, _DURATION))
+            run = simulate(scene, duration=_DURATIONS.get(name, _DURATION),
+                           commands=_COMMANDS.get(name))
     except ModelError:
         return 'its model is not shipped, since its data are not ours to give: train it first'
     print(f'gallery: {run}', file=sys.stderr)
@@ -105,7 +109,7 @@ def picture_of(name: str) -> Image.Image:
 
 def mechanism_picture(run: Trajectory) -> Image.Image:
     """Draw the mechanism at the end of a run, with the path behind it, or a phase portrait."""
-    if run.scene is not None and run.scene.mechanism is not None:
+    if run.mechanism() is not None:
         return sketch(run)
     try:
         figure = run.phase_portrait()

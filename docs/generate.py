@@ -54,6 +54,7 @@ def parameter_page() -> str:
         'takes effect between two steps. Set them with `--ros-args -p NAME:=VALUE`, in a '
         'parameter file, as an argument of a launch file, or with `ros2 param set`.'), '']
     for node, table in (('simulator', parameters.PARAMETERS),
+                        ('controller', parameters.CONTROLLER_PARAMETERS),
                         ('replay', parameters.REPLAY_PARAMETERS),
                         ('rerun_bridge', parameters.BRIDGE_PARAMETERS)):
         changes = ' can be set |' if node == 'simulator' else ''

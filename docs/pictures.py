@@ -253,6 +253,33 @@ def write_flow(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def write_swing_up(path: Path) -> None:
+    """Draw the swing-up of a pendulum by its model, and by the guess that the tutorial has."""
+    truth = load_scene('motor_pendulum')
+    guess = truth.changed({
+        'hamiltonian': {'kind': 'pendulum', 'mass': 0.7, 'length': 1.3},
+        'effects': [{'kind': 'damping', 'rate': 0.2}, truth.effects[1].model_dump()]})
+    figure = Figure(figsize=(8.0, 3.0), layout='constrained')
+    left, right = figure.subplots(1, 2)
+    for name, model, line in (('identified', truth, '-'), ('guessed', guess, '--')):
+        ready, run, rows = assign('swing_up', model), build(truth), []
+        period = ready.task.period
+        for k in range(round(8.0 / period)):
+            u = ready.controller(run.q, run.hamiltonian.gradient(run.q, run.p)[1], k * period)
+            rows.append([k * period, run.q[0] / np.pi, u[0]])
+            run.set_command(u)
+            run.advance(round(period / run.step_size))
+        t, angle, torque = np.array(rows).T
+        left.plot(t, angle, line, label=f'{name} model')
+        right.plot(t, torque, line)
+    left.set(xlabel='t [s]', title='angle over a half turn')
+    left.legend()
+    right.set(xlabel='t [s]', title='torque [N m]')
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
 def _learned(model: Path, **more: Any) -> Scene:
     """Return the scene of a learned pendulum."""
     return load_scene('pendulum').changed(
@@ -274,6 +301,7 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     'architecture.png': write_flow, 'identify_fit.png': write_fit, 'uncertainty.png': write_bands,
     'machines.png': write_machines, 'tutorials/csv.png': write_learned,
     'tutorials/oscillator.png': partial(write_run, name='harmonic_oscillator', duration=20.0),
+    'tutorials/swing-up.png': write_swing_up,
     'tutorials/arm.png': partial(write_run, name='two_joint_arm', duration=5.0)}
 
 if __name__ == '__main__':

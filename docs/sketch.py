@@ -5,7 +5,6 @@
 import io
 
 from hnn_vi_ros import Trajectory
-from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Part, Trail
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -31,7 +30,9 @@ def sketch(run: Trajectory, sample: int = -1) -> Image.Image:
         At which it is drawn: by default the last.
 
     """
-    parts = MECHANISMS[run.scene.mechanism](run.q, float(np.abs(run.q).max()) or 1.0)
+    mechanism = run.mechanism()
+    assert mechanism is not None, 'the caller asks for those that have one'
+    parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
     figure = Figure(figsize=(_SIDE, _SIDE), facecolor=_GROUND)
     axes = figure.add_axes((0.04, 0.04, 0.92, 0.92), aspect='equal')
     axes.set_axis_off()

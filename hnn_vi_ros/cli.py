@@ -29,6 +29,8 @@ _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
 _TRAINING = ('plotly', 'torch')
 # Within this time SIGINT counts as one [s].
 _ONE_INTERRUPT = 1.0
+# Of work that cannot continue later.
+_STOPPED = 'stopped: nothing more is written; the same command begins anew'
 # The status of a process that SIGINT has ended, as shells give it.
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -167,7 +169,7 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt as stop:
         # The message of a command whose work can continue later explains how.
-        print(f'{shown}: {str(stop) or "stopped"}', file=sys.stderr)
+        print(f'{shown}: {str(stop) or _STOPPED}', file=sys.stderr)
         return _INTERRUPTED
 
 

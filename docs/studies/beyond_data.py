@@ -2,21 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train models of machines on slow motions, and judge them by motions twice as fast."""
 
-import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import json
 from pathlib import Path
 import tempfile
 import time
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.runs import Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
-from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.config import (
+    ExcitationData, find_config, load_machine, MachineConfig)
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
-from hnn_vi_ros.learning.judging.evaluation import predicted_by, score
+from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
 from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 import numpy as np
@@ -129,13 +130,13 @@ def write_machine(path: Path, number: int) -> None:
         tau = stiff * (wanted - q) + 0.15 * stiff * (rates - v)
         found.append(np.stack([q, v, tau]))
         for _ in range(_SUBSTEPS):
-            q, v = _step(machine, q, v, acts, h)
+            q, v = step(machine, q, v, acts, h)
         acts = tau
     t = _INTERVAL * np.arange(len(found))
     every = np.array(found)
     every[:, 0] += _Q_NOISE * rng.normal(size=every[:, 0].shape)
     every[:, 1] += _V_NOISE * rng.normal(size=every[:, 1].shape)
-    runs = {}
+    runs: dict[str, Any] = {}
     for k in range(2 * _RUNS):
         name = f'{"slow" if k < _RUNS else "fast"}_{k % _RUNS}'
         runs |= {f'{name}/t': t} | {f'{name}/{key}': every[:, j, k]
@@ -143,7 +144,7 @@ def write_machine(path: Path, number: int) -> None:
     np.savez(path, **runs)
 
 
-def _step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: float
+def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: float
           ) -> tuple[np.ndarray, np.ndarray]:
     """Return q and v after a step of the classical method of order 4."""
     a1 = machine.accelerations(q, v, tau)
@@ -170,6 +171,7 @@ def motions_of(case: str, data: Path) -> tuple[MachineConfig, list[Run], list[Ru
         peak = {key.partition('/')[0]: np.abs(values).max() for key, values in arrays.items()
                 if key.endswith('/dq')}
         fast = sorted(peak, key=peak.__getitem__)[len(peak) // 2:]
+        assert not isinstance(config.data, ExcitationData), 'they are read'
         motions, text = read_motions(file, config.data, names, [str(file)])
     return config, *train_and_test(motions, fast), text
 
@@ -197,22 +199,33 @@ def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
             'minutes': (time.process_time() - begin) / 60.0}
 
 
-def _judged(predict: Callable[..., np.ndarray], test: Sequence[Run]) -> dict[str, Any]:
+def _judged(predict: Predict, test: Sequence[Run]) -> dict[str, Any]:
     found = score(predict, test, [0.1, 0.5], _EVERY, _LONGEST)
     return {'rms': {f'{horizon:g}': rms.tolist() for horizon, rms in found.horizons.items()},
             'followed': found.valid_prediction_time}
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def parser() -> Parser:
+    """Return the parser of the command line."""
+    found = Parser('beyond_data', __doc__, [
+        "make study NAME=beyond_data ARGS='--data ../data --seeds 0'"])
+    cases = [REAL, *(f'{SIMULATED} {k}' for k in range(3))]
+    found.add_argument('--data', type=Path, default=Path(), metavar='DIR',
+                       help='folder of the data sets')
+    found.add_argument('--cases', nargs='+', default=cases, choices=cases,
+                       help='what is learned (default: all)')
+    found.add_argument('--models', nargs='+', default=[*MODELS], choices=[*MODELS],
+                       help='how (default: all)')
+    found.add_argument('--seeds', nargs='+', type=int, default=[0, 1, 2],
+                       help='of the networks (default: 0 1 2)')
+    found.add_argument('--out', type=Path, default=Path('beyond_data.jsonl'), metavar='FILE',
+                       help='a line is added for each model that is not in it')
+    return found
+
+
+def main(argv: Sequence[str]) -> None:
     """Measure what is asked for, and print a line for each model and seed."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--data', type=Path, help='folder of the data sets')
-    parser.add_argument('--cases', nargs='+', default=[
-        REAL, *(f'{SIMULATED} {k}' for k in range(3))])
-    parser.add_argument('--models', nargs='+', default=[*MODELS], choices=[*MODELS])
-    parser.add_argument('--seeds', nargs='+', type=int, default=[0, 1, 2])
-    parser.add_argument('--out', type=Path, required=True, help='JSON lines are added to it')
-    given = parser.parse_args(argv)
+    given = parser().parse_args(argv)
     done = [json.loads(line) for line in given.out.read_text('utf-8').splitlines()] \
         if given.out.is_file() else []
     known = {(run['case'], run['model'], run['seed']) for run in done}
@@ -228,6 +241,3 @@ def main(argv: Sequence[str] | None = None) -> None:
                     file.write(json.dumps(run) + '\n')
                 print(json.dumps(run), flush=True)
 
-
-if __name__ == '__main__':
-    main()

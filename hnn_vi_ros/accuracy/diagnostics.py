@@ -3,6 +3,7 @@
 """Quality of samples and steps: energy error, drift and scale, local error."""
 
 import math
+from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -141,6 +142,39 @@ class EnergyScale:
             self.value = mean if self.turned else self._first
         return self.value
 
+    def ahead(self, p: np.ndarray, dH_dp: np.ndarray, weights: np.ndarray
+              ) -> tuple[np.ndarray, tuple[float, float, float, int]] | None:
+        """
+        Return the scale at each of the next k samples [J], and what ``take`` needs to take them.
+
+        None where they must be added one by one: before energy has been turned over, and where a
+        virial is more than a product.
+
+        Parameters
+        ----------
+        p, dH_dp : np.ndarray, shape (k, d)
+            Their momenta and velocities.
+        weights : np.ndarray, shape (k,)
+            As of ``add``.
+
+        """
+        if not (self.turned and self._hamiltonian.canonical and self._gauge is None):
+            return None
+        # Products and sums in the order of ``add``, so that all bits are the same.
+        virial = np.abs(p[:, 0] * dH_dp[:, 0]) if p.shape[1] == 1 else np.array(
+            [abs(float(np.vdot(*pair))) for pair in zip(p, dH_dp, strict=True)])
+        if not np.isfinite(virial).all():
+            return None
+        sums = np.add.accumulate(np.concatenate([[self._sum], weights * virial]))[1:]
+        times = np.add.accumulate(np.concatenate([[self._time], weights]))[1:]
+        return sums / times, (float(sums[-1]), float(times[-1]),
+                              max(self._largest, float(virial.max())), self._count + len(p))
+
+    def take(self, ahead: tuple[float, float, float, int]) -> None:
+        """Take the samples that ``ahead`` was asked for."""
+        self._sum, self._time, self._largest, self._count = ahead
+        self.value = self._sum / self._time
+
     def least(self, weights: np.ndarray, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
               dH_dp: np.ndarray) -> np.ndarray:
         """
@@ -247,14 +281,14 @@ def secular_change(values: np.ndarray) -> float:
     return float(x @ values / (x @ x))
 
 
-def rounding_walk(scale: float, steps: int) -> float:
+def rounding_walk(scale: Any, steps: Any) -> Any:
     """
     Return how far rounding alone may carry the energy, eight times its standard deviation [J].
 
     A step solved to 8 eps leaves errors of that share of the scale; they add up like a random
     walk. A band below this says nothing of the method.
     """
-    return 8.0 * 8.0 * _EPS * scale * float(np.sqrt(steps))
+    return 8.0 * 8.0 * _EPS * scale * np.sqrt(steps)
 
 
 def state_scales(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
@@ -95,9 +96,10 @@ def main(argv: list[str]) -> int:
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
     check_outputs(paths, options.force)
     try:
-        trajectory = simulate(
-            options.scene, options.duration, step_size=options.step_size,
-            integrator=options.integrator, every=options.every)
+        with elapsed('simulating'):
+            trajectory = simulate(
+                options.scene, options.duration, step_size=options.step_size,
+                integrator=options.integrator, every=options.every)
     except ValueError as problem:
         raise ParameterError(str(problem)) from problem
     print(trajectory)

@@ -9,6 +9,6 @@ from hnn_vi_ros.control.linear import (
     find_equilibrium, Gain, linearise, lqr, momentum, state_space, velocity)
 from hnn_vi_ros.control.mppi import Mppi
 
-__all__ = ['BatchStep', 'Cost', 'Energy', 'Gain', 'Ilqr', 'Kinetic', 'Mppi', 'Point',
-           'Quadratic', 'Regulator', 'find_equilibrium', 'linearise', 'lqr', 'momentum', 'state_space',
+__all__ = ['BatchStep', 'Cost', 'Energy', 'Gain', 'Ilqr', 'Kinetic', 'Mppi', 'Point', 'Quadratic',
+           'Regulator', 'find_equilibrium', 'linearise', 'lqr', 'momentum', 'state_space',
            'velocity']

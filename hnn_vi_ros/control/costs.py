@@ -410,8 +410,8 @@ class Point(_OfState):
     def _prepare(self, path: _Path, goal: ArrayLike, length: float) -> None:
         self._path, self._goal = path, np.array(goal, dtype=np.float64)
         if self._goal.shape != (3,) or not length > 0.0:
-            raise ValueError(f'goal = {self._goal.tolist()} must be three numbers [m], and length = {length} '
-                             'positive')
+            raise ValueError(f'goal = {self._goal.tolist()} must be three numbers [m], and '
+                             f'length = {length} positive')
         self._length = float(length)
 
     def place(self, q: np.ndarray) -> np.ndarray:
@@ -422,7 +422,8 @@ class Point(_OfState):
         """Return places, and their derivatives by the joints, (n, 3, k), if 1 is given."""
         joints, moves = self._path.by_q.shape
         angles = (q[..., :moves] @ self._path.by_q.T + self._path.fixed).reshape(-1, joints)
-        places, slopes = np.empty((len(angles), 3)), np.empty((derivatives * len(angles), 3, joints))
+        places = np.empty((len(angles), 3))
+        slopes = np.empty((derivatives * len(angles), 3, joints))
         _place(self._path, angles, places, slopes)
         return places.reshape(*q.shape[:-1], 3), slopes
 

@@ -44,7 +44,7 @@ class Stages(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """Space of a stage: Q and V of differential dynamic programming, and of the search in a box."""
+    """Space of a stage: Q and V of dynamic programming, and of the search in a box."""
 
     v_z: np.ndarray
     v_zz: np.ndarray

@@ -336,8 +336,12 @@ class Task(StrictModel):
         min_length=1, max_length=100, description=(
             'the coordinates that motors drive, and the largest size of each command [N], [N m]'))
     period: float = Field(gt=0.0, le=1e3, description='from one command to the next [s]')
+    plan_time: float = Field(0.0, ge=0.0, le=10.0, description=(
+        'from a state to when its command is sent, no sooner: time for a plan, at most a period; '
+        'the model predicts the state then [s]'))
     delay: float = Field(0.0, ge=0.0, le=10.0, description=(
-        'from a state to when its command acts, which the model predicts [s]'))
+        'from there to when the command acts, by the machine and the way to it; predicted too '
+        '[s]'))
     silence: float = Field(0.2, ge=0.01, le=1e6, description=(
         'wall time without a usable state, after which the commands are as `on_silence` says [s]'))
     on_silence: Literal['stop', 'hold'] = Field('stop', description=(
@@ -348,7 +352,10 @@ class Task(StrictModel):
         discriminator='kind', description='what computes the commands')
 
     @model_validator(mode='after')
-    def _check_delay(self) -> Self:
+    def _check_times(self) -> Self:
+        if self.plan_time > self.period:
+            raise ValueError(f'plan_time: {self.plan_time:g} s are more than the period, '
+                             f'{self.period:g} s')
         if self.delay > 100.0 * self.period:
             raise ValueError(f'delay: {self.delay:g} s are more than 100 periods of '
                              f'{self.period:g} s')
@@ -514,7 +521,8 @@ class _Assigning:
         with self._placed('controller'):
             controller = task.controller.make(Means(task, self.scene, hold))
         with self._placed('delay'):
-            prediction = Prediction(BatchStep(self.scene) if task.delay else None, task.delay)
+            delay = task.plan_time + task.delay
+            prediction = Prediction(BatchStep(self.scene) if delay else None, delay)
         return Assignment(task, self.scene, parts.hamiltonian, controller, prediction,
                           self._numbers)
 

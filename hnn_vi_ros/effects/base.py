@@ -317,6 +317,8 @@ class Force(Effect):
         Whether it depends on p, for given t and q.
     depends_on_state : bool
         Whether it depends on q or p, for given t.
+    held : bool
+        Whether it is the same all through a step.
     add_force : callable
         ``add_force(parameters, t, q, p, velocity, f_q, f_p)`` adds f_q and f_p to the last two
         arguments; ``velocity`` is H_p. Arrays have shape (d,). Plain Python in numba's subset.
@@ -330,6 +332,7 @@ class Force(Effect):
     acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
     depends_on_state: bool = True
+    held: bool = False
     add_force: Callable[..., None]
 
     @property
@@ -339,7 +342,7 @@ class Force(Effect):
 
     def accepts(self, integrator: Integrator) -> bool:
         """Return whether the method takes this force at its nodes."""
-        return integrator.requirements.take_force(self.depends_on_momentum)
+        return integrator.requirements.take_force(self.depends_on_momentum, self.held)
 
 
 class Layer:

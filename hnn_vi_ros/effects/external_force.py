@@ -65,6 +65,7 @@ class ExternalForce(Force, Commanded):
         if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
+        self.held = model is None
         self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
         # The input map of a model depends on q.
         self.depends_on_state = model is not None

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Standard output and error that are closed, full, or pipes that nobody reads any more."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import io
 import os
 import shutil
 import signal
 import sys
+import threading
 import time
 from typing import Any, TextIO
 
@@ -143,6 +146,30 @@ class ProgressLine:
     def close(self) -> None:
         """Clear the line: what is printed next takes its place."""
         if self._shown:
+            rewrite_line(sys.stderr, '')
+
+
+@contextmanager
+def elapsed(what: str) -> Iterator[None]:
+    """Write on standard error, every 10 s and on a terminal in one line, how long work takes."""
+    begin, done, terminal = time.monotonic(), threading.Event(), sys.stderr.isatty()
+
+    def show() -> None:
+        while not done.wait(1.0 if terminal else _ELSEWHERE):
+            text = f'{what}, {time.monotonic() - begin:.0f} s so far'
+            if terminal:
+                rewrite_line(sys.stderr, text)
+            else:
+                print(text, file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=show, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        if terminal:
             rewrite_line(sys.stderr, '')
 
 

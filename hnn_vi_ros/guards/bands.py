@@ -7,7 +7,8 @@ from collections.abc import Callable
 import math
 
 from hnn_vi_ros.accuracy.diagnostics import state_scales
-from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Observed
+from hnn_vi_ros.guards.base import (
+    accounted_energy, Alarm, Block, BlockScale, Guard, Observed, scales_over)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
@@ -52,6 +53,17 @@ class BandGuard(Guard):
     @abstractmethod
     def _alarm(self, step: int, limit: float) -> Alarm:
         """Return what to say of a band that is beyond the limit."""
+
+
+def _range(low: float, high: float, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest value as of each of some values."""
+    return (np.minimum.accumulate(np.concatenate([[low], values]))[1:],
+            np.maximum.accumulate(np.concatenate([[high], values]))[1:])
+
+
+def _taken(scale: object, block: Block) -> None:
+    if isinstance(scale, BlockScale):
+        scale.take(block)
 
 
 # H may go this many times as far as the modified energy that the method keeps: that it does is
@@ -105,6 +117,25 @@ class ResolutionGuard(BandGuard):
         if sample.energy > self._highest:
             self._highest = sample.energy
         return super().update(sample)
+
+    def quiet(self, block: Block) -> Callable[[], None] | None:
+        """See Guard."""
+        scales = scales_over(self._scale, block)
+        if scales is None or not np.isfinite(block.accounted + block.energy).all():
+            return None
+        low, high = _range(self._low, self._high, block.accounted)
+        lowest, highest = _range(self._lowest, self._highest, block.energy)
+        bands = high - low
+        if self._modified:
+            bands = np.maximum(bands, (highest - lowest) / PLAIN)
+        if not (self.raised or (bands <= self._share * scales).all()):
+            return None
+
+        def take() -> None:
+            self._low, self._high = float(low[-1]), float(high[-1])
+            self._lowest, self._highest = float(lowest[-1]), float(highest[-1])
+            _taken(self._scale, block)
+        return take
 
     def _limit(self, sample: Observed) -> float:
         return self._share * self._scale(sample)
@@ -310,6 +341,42 @@ class EnergyGuard(Guard):
         if change == 0.0:
             return None
         return self._alarm(sample.step, change, self._share, 'changed for good')
+
+    @property
+    def calm(self) -> tuple[float, float]:
+        """See Guard: ten times the scale that was known when it looked last."""
+        if self.raised:
+            return super().calm
+        if self._start is None:
+            return math.inf, -math.inf
+        return self._start - _JUMP * self._scale, self._start + _JUMP * self._scale
+
+    @property
+    def ahead(self) -> float:
+        """See Guard: the sample that closes a block of this guard is looked at by itself."""
+        return math.inf if self.raised else self._length - self._count - 1
+
+    def quiet(self, block: Block) -> Callable[[], None] | None:
+        """See Guard."""
+        scales = scales_over(self._scale_at, block)
+        if self._start is None or scales is None or not np.isfinite(
+                block.accounted + block.work).all():
+            return None
+        turnover = np.add.accumulate(np.concatenate([
+            [self._turnover], np.abs(np.diff(block.work, prepend=self._work))]))[1:]
+        scales = np.maximum(scales, turnover)
+        changes = block.accounted - self._start
+        if not (self.raised or (np.abs(changes) <= _JUMP * scales).all()):
+            return None
+
+        def take() -> None:
+            self._work, self._turnover = float(block.work[-1]), float(turnover[-1])
+            self._scale = float(scales[-1])
+            self._lowest = min(self._lowest, float(changes.min()))
+            self._highest = max(self._highest, float(changes.max()))
+            self._count += changes.size
+            _taken(self._scale_at, block)
+        return take
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.guards.base import Alarm, Block, Guard, Observed
 from hnn_vi_ros.models.seen import Domain
 import numpy as np
 
@@ -62,6 +62,20 @@ class BoxGuard(Guard):
                 return None if before > 0.0 else self.renew(sample)
         self.excess = 0.0
         return None
+
+    def quiet(self, block: Block) -> Callable[[], None] | None:
+        """See Guard."""
+        if self._domain is not None:
+            return None
+        p = block.p if self._gauge is None else block.p - block.q @ self._gauge.T
+        values = np.concatenate([block.q, p], axis=1)
+        if not ((values >= self._low) & (values <= self._high)).all():
+            return None
+
+        def take() -> None:
+            self._samples += len(values)
+            self.excess = 0.0
+        return take
 
     def _update_of_machine(self, sample: Observed, domain: Domain) -> Alarm | None:
         q, v = sample.q[None], sample.dH_dp[None]

@@ -28,6 +28,7 @@ class CostGuard(Guard):
 
     """
 
+    by_sample = False
     kind = 'slow step'
     remedy = 'use a smaller step_size, or `time_transformed` for close encounters'
 
@@ -70,6 +71,7 @@ class CountGuard(Guard):
 
     """
 
+    by_sample = False
     counted: ClassVar[str]
     message: ClassVar[str]
 

@@ -9,7 +9,8 @@ from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, PLAIN
-from hnn_vi_ros.guards.base import accounted_energy, Alarm, Guard, Look, Observed
+from hnn_vi_ros.guards.base import (
+    accounted_energy, Alarm, Block, BlockScale, Guard, Look, Observed)
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -25,7 +26,7 @@ _ABOVE_ROUNDING = 50.0
 _EARLY = 20.0
 
 
-class SampledScale:
+class SampledScale(BlockScale):
     """
     Energy scale by which the guards of a run measure: one for all of them.
 
@@ -45,6 +46,10 @@ class SampledScale:
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
         self._last: Observed | None = None
         self._first, self._newest, self._size, self._value = 0, 0, 0.0, 0.0
+        # The block that ``over`` was last asked for, its scales, and what follows from it.
+        self._block: Block | None = None
+        self._values: np.ndarray | None = None
+        self._then: tuple[float, tuple[float, float, float, int]] | None = None
 
     def __call__(self, sample: Observed) -> float:
         """Return the scale [J] as of a sample, the newest one or that before it again."""
@@ -60,9 +65,36 @@ class SampledScale:
             size = abs(accounted_energy(sample)) + abs(sample.work) + self._rounding
             if math.isfinite(size) and size > self._size:
                 self._size = size
-            floor = _ABOVE_ROUNDING * rounding_walk(self._size, steps)
+            floor = float(_ABOVE_ROUNDING * rounding_walk(self._size, steps))
             self._value = floor if floor > scale else scale
         return self._value
+
+    def over(self, block: Block) -> np.ndarray | None:
+        """See BlockScale."""
+        if block is not self._block:
+            self._block, self._values, self._then = block, None, None
+            if self._last is not None and block.first is not self._last:
+                self._values = self._look_ahead(block)
+        return self._values
+
+    def _look_ahead(self, block: Block) -> np.ndarray | None:
+        weights = np.maximum(np.diff(block.step, prepend=self._newest), 1)
+        ahead = self._scale.ahead(block.p, block.dH_dp, weights)
+        sizes = np.abs(block.accounted) + np.abs(block.work) + self._rounding
+        if ahead is None or not np.isfinite(sizes).all():
+            return None
+        sizes = np.maximum.accumulate(np.concatenate([[self._size], sizes]))[1:]
+        self._then = float(sizes[-1]), ahead[1]
+        return np.maximum(_ABOVE_ROUNDING * rounding_walk(
+            sizes, block.step - self._first + 1), ahead[0])
+
+    def take(self, block: Block) -> None:
+        """See BlockScale."""
+        if block is self._block and self._then is not None and self._values is not None:
+            (self._size, ahead), self._then = self._then, None
+            self._scale.take(ahead)
+            self._last, self._newest = block.last, block.last.step
+            self._value = float(self._values[-1])
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,

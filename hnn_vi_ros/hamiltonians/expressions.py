@@ -495,23 +495,23 @@ class Symbol:
     """A node that computes like a number: functions of such numbers build formulas."""
 
     def __init__(self, graph: Graph, node: int):
-        self._graph, self.node = graph, node
+        self.graph, self.node = graph, node
 
     def _made(self, make: Callable[[int, int], int], other: Any) -> 'Symbol':
-        node = other.node if isinstance(other, Symbol) else self._graph.number(other)
-        return Symbol(self._graph, make(self.node, node))
+        node = other.node if isinstance(other, Symbol) else self.graph.number(other)
+        return Symbol(self.graph, make(self.node, node))
 
     def __add__(self, other: Any) -> 'Symbol':
         """Return the sum."""
-        return self._made(self._graph.plus, other)
+        return self._made(self.graph.plus, other)
 
     def __mul__(self, other: Any) -> 'Symbol':
         """Return the product."""
-        return self._made(self._graph.product, other)
+        return self._made(self.graph.product, other)
 
     def __truediv__(self, other: Any) -> 'Symbol':
         """Return the quotient."""
-        return self._made(self._graph.over, other)
+        return self._made(self.graph.over, other)
 
     def __neg__(self) -> 'Symbol':
         """Return the negative."""
@@ -527,11 +527,11 @@ class Symbol:
 
     def __rtruediv__(self, other: Any) -> 'Symbol':
         """Return the quotient."""
-        return Symbol(self._graph, self._graph.number(other)) / self
+        return Symbol(self.graph, self.graph.number(other)) / self
 
     def __pow__(self, other: Any) -> 'Symbol':
         """Return the power."""
-        return self._made(self._graph.raised, other)
+        return self._made(self.graph.raised, other)
 
     def __eq__(self, other: object) -> bool:
         """Refuse, as other comparisons do: a branch would be taken for all values."""
@@ -543,7 +543,7 @@ class Symbol:
         """Return the method in which numpy looks for its function of a name."""
         if name not in _SMOOTH:
             raise AttributeError(name)
-        return lambda: Symbol(self._graph, self._graph.apply(_SMOOTH[name], self.node))
+        return lambda: Symbol(self.graph, self.graph.apply(_SMOOTH[name], self.node))
 
 
 # By the names that numpy gives them.

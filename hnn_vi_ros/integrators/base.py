@@ -121,8 +121,9 @@ class Requirements:
         takes such.
     hamiltonian : bool
         False if the map is made of something else than the kernel's H, which no effect can join.
-    forces : bool
-        Whether the map stays right where the kernel's gradient holds forces as well.
+    forces : bool or str
+        Whether the map stays right where the kernel's gradient holds forces as well; ``'held'``
+        if it does for forces that are the same all through a step, and for one of them.
     from_state : bool
         False if the next step starts elsewhere than at the state that the last one ended in:
         nothing may change that state between them.
@@ -134,12 +135,13 @@ class Requirements:
     separable: bool = False
     coordinates: Literal['canonical', 'any', 'other', 'group'] = 'canonical'
     hamiltonian: bool = True
-    forces: bool = True
+    forces: bool | Literal['held'] = True
     from_state: bool = True
 
-    def take_force(self, depends_on_momentum: bool) -> bool:
+    def take_force(self, depends_on_momentum: bool, held: bool = False) -> bool:
         """Return whether the method takes a force at its nodes."""
-        return self.hamiltonian and self.forces and not (depends_on_momentum and self.separable)
+        takes = held if self.forces == 'held' else self.forces
+        return self.hamiltonian and takes and not (depends_on_momentum and self.separable)
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Return why a Hamiltonian cannot be integrated, to follow the method's name, or ''."""

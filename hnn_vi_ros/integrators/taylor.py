@@ -25,6 +25,8 @@ _LANES = 8
 # Nodes of a graph from which on heyoka writes loops, which compile sooner and run slower.
 _COMPACT = 1000
 _OPERATIONS = {'sum': operator.add, 'raised': operator.pow}
+# What names of parts of a held force begin with.
+_FORCE = 'f'
 _MONOMIALS = frozenset({'scaled', 'product', 'over', 'power', 'sqrt'})
 
 
@@ -61,6 +63,8 @@ class TaylorWork:
         several = states.ndim > 1
         series = self.series(kernel, states.shape[1] if several else 1)
         series.state[:] = states
+        if kernel.channels:
+            series.pars[:] = _held_force(kernel, states)
         if several:
             series.set_time(0.0)
             series.propagate_until(h, max_steps=_MOST_STEPS)
@@ -97,7 +101,8 @@ class TaylorWork:
             if kind == 'number':
                 found[a] = self._heyoka.expression(rest[0])
             elif kind == 'name':
-                found[a] = self._heyoka.make_vars(rest[0])
+                found[a] = self._heyoka.par[int(rest[0][1:])] if rest[0].startswith(_FORCE) \
+                    else self._heyoka.make_vars(rest[0])
             elif kind in _MONOMIALS:
                 found[a] = self._product(found, *_monomial(graph, a))
             elif kind == 'versine':
@@ -142,6 +147,14 @@ def _original(kernel: Kernel) -> Kernel:
     return original(kernel)
 
 
+def _held_force(kernel: Kernel, state: np.ndarray) -> np.ndarray:
+    """Return the force that a step holds, as the gradient at its start leaves it, shape (d,)."""
+    (q, p), slopes = np.split(state, 2), np.empty((2, kernel.dimension))
+    kernel.gradient(kernel.parameters, q, p, slopes[0], slopes[1])
+    space: np.ndarray = _original(kernel).parameters[3]
+    return space[3, :kernel.dimension - kernel.channels]
+
+
 def _names(d: int) -> list[str]:
     return [f'{half}{i}' for half in 'qp' for i in range(d)]
 
@@ -161,7 +174,15 @@ def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp
     kernel = _original(kernel)
     gradient: Any = getattr(kernel.gradient, 'py_func', kernel.gradient)
     inside = getclosurevars(gradient).nonlocals
-    if 'add_gradient' in inside:
+    if 'add_all' in inside:
+        # One that is held; its channel is the time, and its power times -1.
+        base, d = kernel.parameters[0], q.size - 1
+        _fill(kernel._replace(parameters=base), q[:d], p[:d], dH_dq[:d], dH_dp[:d])
+        force = [Symbol(q[0].graph, q[0].graph.name(f'{_FORCE}{i}')) for i in range(d)]
+        dH_dq[:d] = [slope - own for slope, own in zip(dH_dq, force, strict=False)]
+        dH_dq[d] = -sum((v * own for v, own in zip(dH_dp, force, strict=False)), q[0] * 0.0)
+        dH_dp[d] = q[0] * 0.0 + 1.0
+    elif 'add_gradient' in inside:
         base, own, _ = kernel.parameters
         _fill(kernel._replace(parameters=base), q, p, dH_dq, dH_dp)
         inside['add_gradient'](own, q, dH_dq)
@@ -178,8 +199,8 @@ class Taylor(Integrator):
     A step goes from the state at its start to that at its end, over as many series as that takes:
     long steps cost least. Neither symplectic nor symmetric; with small tolerances the energy is
     kept to round-off, over long times too. For H as a formula: exact systems in scalar
-    coordinates, ``formula``, robots of up to three joints; and for potentials that join it. With
-    ``pip install heyoka``.
+    coordinates, ``formula``, robots of up to three joints; for potentials that join it, and for
+    commands to ``external_force``, which a step holds. With ``pip install heyoka``.
 
     Parameters
     ----------
@@ -200,7 +221,7 @@ class Taylor(Integrator):
     """
 
     explicit, compiled = True, False
-    requirements = Requirements(symmetric=False, symplectic=False, forces=False)
+    requirements = Requirements(symmetric=False, symplectic=False, forces='held')
 
     def __init__(self, tolerance: float = 1e-12):
         if not 1e-16 <= tolerance <= 1e-3:
@@ -226,7 +247,7 @@ class Taylor(Integrator):
         return ''
 
     def own_times(self, kernel: Kernel) -> tuple[float, float]:
-        """Return the time of a step in Python, and of a series, which is counted; see Integrator."""
+        """Return the time of a step in Python, and of each series; see Integrator."""
         nodes = len(_rates(_original(kernel))[0].nodes)
         return 1e-5, 7e-8 + 5e-11 * nodes * self.order ** 2
 

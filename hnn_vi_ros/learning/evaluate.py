@@ -14,6 +14,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
 from hnn_vi_ros.files.regular_file import check_new
+from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
@@ -77,8 +78,9 @@ def main(argv: Sequence[str]) -> None:
             # Fitted by the default windows of training.
             rigid = best_rigid_body(Trajectory(), known)
             others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
-    scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
-                         arguments.longest, others)
+    with elapsed('simulating'):
+        scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
+                             arguments.longest, others)
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
             'median of the valid prediction time,\nand what the energy changes by over each '

@@ -38,10 +38,13 @@ from std_msgs.msg import Float64MultiArray, Header
 
 # Commands whose plans' times count for the figures of diagnostics, which come so often [s].
 _RECENT, _REPORT = 1000, 1.0
+# States whose lags, from their stamps to when they come, are compared.
+_LAGS = 20
 # A state may be so much earlier than a period after the last one that was answered [1].
 _EARLY = 0.01
-# Calls that compile a controller, and the time of one that does [s].
-_WARM_CALLS, _COMPILING = 10, 0.5
+# Most calls that compile a controller, the time of one that does [s], and how many that do not
+# show that all is compiled.
+_WARM_CALLS, _COMPILING, _FAST_CALLS = 20, 0.5, 4
 # As sensors are heard, but only the newest: a plan begins at no older state.
 _STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -81,7 +84,7 @@ class ControllerNode(ManagedNode):
     """
     Answer states with the commands of a task.
 
-    A command answers one state and is sent when its plan is ready: what comes late acts late.
+    A command answers one state, and is sent when the task says; what comes late acts late.
 
     Parameters
     ----------
@@ -120,6 +123,7 @@ class ControllerNode(ManagedNode):
         assignment: Assignment = await self.in_thread(
             lambda: _warm(assign(settings.task, settings.scene)))
         self._assignment, self._silence = assignment, assignment.task.silence
+        self._time = assignment.task.plan_time or assignment.task.period
         self._commands = create_publisher(
             self, JointState if settings.commands == 'joint_commands' else Float64MultiArray,
             self._topic, NEWEST)
@@ -182,6 +186,7 @@ class ControllerNode(ManagedNode):
         """Begin at the next state, whatever was before."""
         self._assigned.prediction.forget()
         self._stamp, self._due = -1, -1
+        self._lags: deque[float] = deque(maxlen=_LAGS)
 
     def _on_state(self, message: JointState) -> None:
         begin, assigned = time.monotonic(), self._assigned
@@ -207,14 +212,19 @@ class ControllerNode(ManagedNode):
         if not np.isfinite(u).all():
             raise ValueError(f'the controller has no command for q = {q.tolist()}, '
                              f'v = {v.tolist()}')
-        u = np.clip(u, -assigned.limits, assigned.limits)
-        self._send(u)
-        assigned.prediction.send(t, u)
+        spent = time.monotonic() - begin
+        # States come late by chance; the least late of the recent ones tells when this one was.
+        self._lags.append(begin - t)
+        sooner = min(begin, t + min(self._lags)) + assigned.task.plan_time - time.monotonic()
+        if sooner > 0.0:
+            time.sleep(sooner)
+        self._send(np.clip(u, -assigned.limits, assigned.limits))
+        assigned.prediction.send(t, self._last)
         # A long plan is no silence.
         self._heard = time.monotonic()
-        self._times.append(self._heard - begin)
+        self._times.append(spent)
         self._sent += 1
-        self._late += self._times[-1] > assigned.task.period
+        self._late += spent > self._time
 
     def _send(self, u: np.ndarray) -> None:
         """Publish a command; its stamp is that of the state that it answers."""
@@ -262,8 +272,8 @@ class ControllerNode(ManagedNode):
         elif self._heard == math.inf:
             level, message = WARN, 'no usable state yet'
         elif late:
-            level, message = WARN, (f'{late} plans since the last report took longer than the '
-                                    f'period, {assigned.task.period:g} s, and act late')
+            level, message = WARN, (f'{late} plans since the last report took longer than their '
+                                    f'time, {self._time:g} s, and act late')
         times = np.array(self._times) if self._times else np.full(1, np.nan)
         self._diagnostics.publish([Status('control', level, message, {
             'mode': controller.mode, 'cost': float(controller.cost),
@@ -281,12 +291,14 @@ def _warm(assignment: Assignment) -> Assignment:
     q, p = (np.array(one) for one in (assignment.scene.initial_state.q,
                                       assignment.scene.initial_state.p))
     v = assignment.hamiltonian.gradient(q, p)[1]
+    fast = 0
     for k in range(-_WARM_CALLS, 0):
-        begin = time.monotonic()
-        t = k * assignment.task.period
-        assignment.controller(*assignment.prediction(t, q, v), t)
+        begin, t = time.monotonic(), k * assignment.task.period
+        # Where the state is not the one that was planned, plans begin anew.
+        assignment.controller(*assignment.prediction(t, q, v + 0.1 * (k % 3)), t)
         # A plan with a budget ends when that is spent by a compilation, before all is compiled.
-        if time.monotonic() - begin < _COMPILING:
+        fast = fast + 1 if time.monotonic() - begin < _COMPILING else 0
+        if fast == _FAST_CALLS:
             break
     return assignment
 

@@ -8,6 +8,9 @@ from typing import Any, Self
 
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.mechanisms.parts import Mechanism
+from hnn_vi_ros.mechanisms.skeleton import skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
@@ -102,6 +105,15 @@ class TrajectoryData:
     def hamiltonian(self) -> Hamiltonian:
         """Return H with the potentials among the effects of the scene."""
         return self.simulation().hamiltonian
+
+    def mechanism(self) -> Mechanism | None:
+        """Return what draws the mechanism of the scene, or the skeleton of its robot, if any."""
+        if self.scene is None:
+            return None
+        if self.scene.mechanism is not None:
+            return MECHANISMS[self.scene.mechanism]
+        robot = self.hamiltonian().robot
+        return None if robot is None else skeleton(robot, self.names[0])
 
     def simulation(self) -> Simulation:
         """Return a simulation of the scene, in its initial state."""

@@ -9,7 +9,6 @@ from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
-from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 from hnn_vi_ros.trajectory.data import TrajectoryData
@@ -267,8 +266,8 @@ def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnima
                          'or a smaller rate')
     # The newest sample that is not later; half a rounding error of time does not matter.
     samples = np.searchsorted(run.t, times + 1e-9 * speed / rate, side='right') - 1
-    mechanism = run.scene.mechanism if run.scene is not None else None
-    figure, show = _mechanism(run, MECHANISMS[mechanism]) if mechanism else _portrait(run)
+    mechanism = run.mechanism()
+    figure, show = _mechanism(run, mechanism) if mechanism else _portrait(run)
     _write_title(figure, run.title)
     clock = figure.axes[0].set_title('', loc='left', fontsize='medium')
 

@@ -222,7 +222,7 @@ class Trajectory(TrajectoryData):
             scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=h, modified=False,
-            interval=0, begin=(stamps[0], round(run.t[0] / h)))
+            conservative=run.work is None, interval=0, begin=(stamps[0], round(run.t[0] / h)))
         try:
             told = [(event.t, f'event {event}', 'INFO') for event in run.events] + [
                 (alarm.step * h, alarm.message, 'WARN') for alarm in run.alarms]

@@ -12,7 +12,8 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
-from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism
+from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism, SILVER
+from hnn_vi_ros.mechanisms.skeleton import bones, lacking_shapes, moved, tip_of
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import fitted, frame_of
@@ -20,12 +21,11 @@ from hnn_vi_ros.viewer.rerun_blueprint import PALETTE
 import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree
-from scipy.spatial.transform import Rotation
 
 # The entity whose frame holds the root of the robot, and the entities that move its joints.
 _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
 # Below the world, which the view of the mechanism shows.
-_EFFORTS = '/world/efforts'
+_EFFORTS, _SKELETON = '/world/efforts', '/world/skeleton'
 # An arrow at the limit of the effort is this share of the reach long; its colours (red, green,
 # blue) at no effort and at the limit.
 _ARROW, _IDLE, _FULL = 0.4, np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
@@ -45,6 +45,11 @@ class RobotPicture:
         The joints that move, in the order of q; the others are held.
     recording : rerun.RecordingStream
         What takes the data.
+
+    Attributes
+    ----------
+    problem : str
+        Why its skeleton is drawn, too; empty where all shapes are there.
 
     Raises
     ------
@@ -73,6 +78,20 @@ class RobotPicture:
             for name in {**dict.fromkeys(coordinates), **robot.locked} if name in own]
         self._moving = [own[name] for name in coordinates if name in own]
         self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
+        self.problem = lacking_shapes(robot)
+        if self.problem:
+            self._draw_skeleton(robot)
+
+    def _draw_skeleton(self, robot: Robot) -> None:
+        """Draw a bone from the origin of each link to those of its joints, or to its end."""
+        for name, link in robot.links.items():
+            tip = tip_of(link)
+            ends = [joint.origin for joint in link.joints] + ([] if tip is None else [tip])
+            path = f'{_SKELETON}/{rr.escape_entity_path_part(name)}'
+            self._recording.log(path, rr.CoordinateFrame(name), static=True)
+            self._recording.log(path, rr.LineStrips3D(
+                [[np.zeros(3), end] for end in ends], radii=0.012 * self._reach, colors=SILVER),
+                static=True)
 
     def send(self, times: list[rr.TimeColumn], q: np.ndarray, efforts: np.ndarray | None = None
              ) -> None:
@@ -94,7 +113,7 @@ class RobotPicture:
         for joint, path, column, held in self._joints:
             values = np.full(len(q), held) if column is None else q[:, column]
             # Not as the SDK moves it, whose axes are not brought to length one.
-            places, turns = _moved(joint, values)
+            places, turns = moved(joint, values)
             self._recording.send_columns(path, times, rr.Transform3D.columns(
                 translation=places, quaternion=turns.as_quat(),
                 parent_frame=[joint.parent] * len(values),
@@ -150,30 +169,10 @@ def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> n
         The path [rad], [m].
 
     """
-    points, still = [], (np.zeros((len(q), 3)), Rotation.identity(len(q)))
-    waiting = [(robot.root, *still)]
-    while waiting:
-        name, place, turn = waiting.pop()
-        link = robot.links[name]
-        points.append(place)
-        if link.inertial is not None and not link.joints:
-            points.append(place + turn.apply(2.0 * link.inertial.centre))
-        for joint in link.joints:
-            value = (q[:, list(coordinates).index(joint.name)] if joint.name in coordinates
-                     else np.full(len(q), robot.locked.get(joint.name, 0.0)))
-            offset, own = _moved(joint, value)
-            waiting.append((joint.child, place + turn.apply(offset), turn * own))
-    corners = np.array([np.min(points, axis=(0, 1)), np.max(points, axis=(0, 1))])
+    points = [*bones(robot, coordinates, q).values()] or [np.zeros((1, 2, 3))]
+    corners = np.array([np.min(points, axis=(0, 1, 2)), np.max(points, axis=(0, 1, 2))])
     margin = 0.05 * (np.ptp(corners, axis=0).max() or 1.0)
     return corners + margin * np.array([[-1.0], [1.0]])
-
-
-def _moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, Rotation]:
-    """Return where the child of a joint is in the frame of its parent, at n values of it."""
-    motion, frame = values[:, None] * joint.axis, Rotation.from_matrix(joint.rotation)
-    if joint.kind == SLIDING:
-        return joint.origin + frame.apply(motion), Rotation.concatenate([frame] * len(values))
-    return np.tile(joint.origin, (len(values), 1)), frame * Rotation.from_rotvec(motion)
 
 
 def _reach_of(robot: Robot) -> float:

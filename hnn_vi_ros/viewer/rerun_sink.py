@@ -8,6 +8,7 @@ from functools import partial
 import math
 import time
 from typing import final
+import warnings
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import RecordingError
@@ -235,10 +236,14 @@ class RerunSink:
         """Draw the robot; if the SDK cannot, report that, and show the rest."""
         names = [coordinate.name for coordinate in self._coordinates]
         try:
-            return RobotPicture(robot, names, self._stream.recording)
+            picture = RobotPicture(robot, names, self._stream.recording)
         except RecordingError as problem:
             self._events.append((*self._begin, str(problem), 'WARN'))
             return None
+        if picture.problem:
+            self._events.append((*self._begin, picture.problem, 'WARN'))
+            warnings.warn(picture.problem, stacklevel=4)
+        return picture
 
     def _send_if_due(self) -> None:
         if self._sent_at + self._gather() <= time.monotonic():

@@ -280,7 +280,7 @@ def test_choice_for_code_of_the_user_is_made_anew_each_time(tmp_path, monkeypatc
         "def make():\n    return HAMILTONIANS['harmonic_oscillator'](stiffness=1.0)\n")
     (tmp_path / 'own.yaml').write_text(
         "hamiltonian: {kind: python, factory: 'own_oscillator:make'}\n"
-        'integrator: {kind: auto, path_error: 1.0e-4, horizon: 20.0}\n'
+        'integrator: {kind: auto, energy_error: 1.0e-6, horizon: 20.0}\n'
         'initial_state: {q: [1.0], p: [0.0]}\n')
     own = load_scene(tmp_path / 'own.yaml')
     stiff = HAMILTONIANS['harmonic_oscillator'](stiffness=1600.0)

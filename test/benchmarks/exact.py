@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import time
 from typing import Any
 
+from benchmarks import by_hand
 from benchmarks.measurement import compare, interleave, Row, Settings
 import heyoka
 from hnn_vi_ros.errors import StepFailure
@@ -131,7 +132,8 @@ def _network(hamiltonian: Any, variables: list[Any]) -> Any:
 
 
 def rows(settings: Settings) -> Iterator[Row]:
-    """Measure one row a motion, one of a batch, and the integrator taylor on the same."""
+    """Measure formulas, then each motion, alone and in a batch, and by the integrator taylor."""
+    yield from by_hand.rows(settings)
     for case in cases():
         settings.say(f'{case.name}, T = {case.duration:g}')
         true = case.theirs(1e-16)()

@@ -99,13 +99,14 @@ def _make_tick(node: Node, folder: Path
         sample = sampler.sample()
         monitor.add(sample)
         recording.write(sample, topics.publish(sample))
-        monitor.evaluate()
+        evaluated = monitor.evaluate()
         before = time.perf_counter()
         begin = time.perf_counter()
-        alarms = monitor.watch(sample)
+        alarms = monitor.watch(sample, evaluated)
         end = time.perf_counter()
         # Less what looking at the clock takes.
         watching.append(end - begin - (begin - before))
         if alarms:
-            raise RuntimeError(f'an alarm, which was not to be measured: {alarms[0].message}')
+            raise RuntimeError(
+                f'an alarm, which was not to be measured: {alarms[0][0].message}')
     return tick, watching, recording

@@ -80,11 +80,11 @@ def identified(robot: str, seed: int) -> dict[str, float]:
     names = [f'parameters.{name}' for name in NUMBERS]
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         where = Path(folder)
-        scene = scene_of(robot, 0.005, 'rk4', guess).model_dump(exclude_unset=True)
+        scene = scene_of(robot, 0.01, 'gauss4', guess).model_dump(exclude_unset=True)
         (where / 'arm.yaml').write_text(yaml.safe_dump(scene))
         np.savez(where / 'runs.npz', **arrays)
         identify([str(where / 'arm.yaml'), '--data', str(where / 'runs.npz'), '--free', *names,
-                  '--inputs', 'held', '--horizon', '0.5', '--json', str(where / 'numbers.json')])
+                  '--inputs', 'held', '--horizon', '0.3', '--json', str(where / 'numbers.json')])
         found = json.loads((where / 'numbers.json').read_text())
     return {name: found[full]['value'] for name, full in zip(NUMBERS, names, strict=True)}
 

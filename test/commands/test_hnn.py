@@ -5,12 +5,16 @@
 import os
 from pathlib import Path
 import re
+import signal
 import subprocess
 import sys
+import time
 
+from hnn_vi_ros import cli
 from hnn_vi_ros.commands import completion, doctor, run, scene_tool
 from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, GROUPS
 from hnn_vi_ros.errors import ParameterError, SceneError
+from hnn_vi_ros.files import standard_streams
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.arguments import ORDERS
@@ -208,3 +212,23 @@ def test_scene_without_a_task_says_which_there_are(words, said, capsys):
         scene_tool.main(words)
     printed = capsys.readouterr().err
     assert said in printed and printed.count('\n') == 1
+
+
+def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys):
+    monkeypatch.setattr(standard_streams, '_ELSEWHERE', 0.02)
+    with standard_streams.elapsed('simulating'):
+        while 'so far' not in (said := capsys.readouterr().err):
+            time.sleep(0.01)
+    assert re.match(r'simulating, 0 s so far\n', said)
+
+
+def test_interrupt_says_how_to_go_on(monkeypatch, capsys):
+    def interrupted(argv):
+        raise KeyboardInterrupt
+    monkeypatch.setattr(doctor, 'main', interrupted)
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        assert cli.run_module('hnn_vi_ros.commands.doctor', [], 'hnn doctor') == 130
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert 'the same command begins anew' in capsys.readouterr().err

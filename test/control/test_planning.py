@@ -18,7 +18,7 @@ H = 0.02
 
 @pytest.fixture(scope='module')
 def pendulum() -> BatchStep:
-    """Steps of a pendulum of 1 kg and 1 m with a motor."""
+    """Return steps of a pendulum of 1 kg and 1 m with a motor."""
     scene = load_scene('exact_pendulum')
     scene = scene.model_copy(update={'hamiltonian': scene.hamiltonian.model_copy(update={
         'mass': 1.0, 'length': 1.0, 'gravity': 9.81})})

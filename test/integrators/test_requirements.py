@@ -100,7 +100,8 @@ def test_composition_needs_what_its_base_needs():
 
 @pytest.mark.parametrize('needs, takes', [
     ({}, (True, True)), ({'separable': True}, (True, False)), ({'forces': False}, (False, False)),
-    ({'hamiltonian': False}, (False, False))])
+    ({'hamiltonian': False}, (False, False)), ({'forces': 'held'}, (False, False))])
 def test_forces_that_a_method_takes_follow_from_what_it_needs(needs, takes):
     declared = Requirements(symmetric=True, symplectic=True, **needs)
     assert tuple(declared.take_force(depends) for depends in (False, True)) == takes
+    assert declared.take_force(False, held=True) == (takes[0] or 'held' in needs.values())

@@ -5,6 +5,7 @@
 import sys
 
 from hnn_vi_ros.effects.damping import Damping
+from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.potential import FormulaPotential
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -75,6 +76,21 @@ def test_taylor_agrees_with_gauss16_on_a_rich_formula(effects):
     other.advance(40)
     # Two methods, each at round-off.
     assert np.abs(np.append(ours.q - other.q, ours.p - other.p)).max() < 1e-13
+
+
+def test_taylor_holds_a_command_over_a_step_and_counts_its_work():
+    ends, works = [], []
+    for method, h in ((Taylor(1e-15), 1.0), (INTEGRATORS['gauss16'](), 0.05)):
+        simulation = Simulation(HAMILTONIANS['double_pendulum'](), method, h, [0.7, -0.2],
+                                [0.1, 0.4], [ExternalForce(['angle2', 'angle1'], timeout=1.5)])
+        for command in ([0.6, -0.3], [-0.2, 0.5]):
+            simulation.motors.command(command, simulation.q)
+            simulation.advance(round(1.0 / h))
+        ends.append(np.append(simulation.q, simulation.p))
+        works.append(simulation.energy_balance)
+    # Two methods, each at round-off of energies of some 40 J.
+    assert np.abs(ends[0] - ends[1]).max() < 1e-12
+    assert np.abs(works).max() < 1e-12
 
 
 def test_taylor_takes_several_trajectories_as_one_batch():

@@ -50,7 +50,7 @@ def executable_of(name: str, folder: Path) -> list[object]:
     return [name, folder / 'bag', '--loop']
 
 
-@pytest.mark.parametrize('name', ['hover', 'listener', 'replay', 'rerun_bridge'])
+@pytest.mark.parametrize('name', ['controller', 'listener', 'replay', 'rerun_bridge'])
 def test_time_that_cannot_be_is_told_and_ends_no_node(tmp_path: Path, name: str):
     words = executable_of(name, tmp_path)
     process = start_executable(*words, *['--ros-args'] * ('--ros-args' not in words), '-p',

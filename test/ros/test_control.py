@@ -31,7 +31,7 @@ class Steps:
         self.recording = SimpleNamespace(flush=lambda: None)
         # Nothing is due as long as it is not asked for.
         self.pacer = SimpleNamespace(
-            restart=lambda: None, timer_period=0.01, due=lambda: False, wait=1.0)
+            restart=lambda: None, timer_period=0.01, due=lambda: False, wait=1.0, led=False)
         self.start, self.at_sample, self.began = (np.array([1.0]), np.array([-0.5])), True, []
 
     def watch(self) -> None:
@@ -83,6 +83,15 @@ class Timers:
 
     def destroy_timer(self, timer) -> None:
         pass
+
+    def get_name(self) -> str:
+        return 'hnn_simulator'
+
+    def get_namespace(self) -> str:
+        return '/'
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return [('hnn_simulator', '/')]
 
 
 @pytest.fixture

@@ -115,7 +115,7 @@ def standard_error_of(process) -> str:
     return finish(process)[2]
 
 
-def test_simulator_outlives_a_controller_that_dies_and_its_time_out_ends_the_last_command(tmp_path):
+def test_time_out_of_the_simulator_ends_the_command_of_a_controller_that_hangs_or_dies(tmp_path):
     simulator = start(tmp_path, scene='quadrotor', record='false', rerun_sink='none',
                       publish_rate=50.0)
     controller = commanding(tmp_path, task='hover', commands='commands')
@@ -133,14 +133,20 @@ def test_simulator_outlives_a_controller_that_dies_and_its_time_out_ends_the_las
         other.spin_until(lambda: float(figures().get('commands [1]', 0)) > 10)
         assert figures()['mode'] == 'hover' and float(figures()['plan_time_median [s]']) < 1.0
         assert len(heard[-1].data) == 4
-        controller.kill()
-        controller.wait()
         states: list[JointState] = []
         other.node.create_subscription(JointState, f'{SIMULATOR}/state', states.append, 100)
-        # Falling freely but for the drag, as without any command.
-        other.spin_until(lambda: len(states) > 30)
-        speed = [dict(zip(one.name, one.position, strict=True))['p_body_z'] for one in states]
-        assert (np.diff(speed[-10:]) < -0.5 * 0.8 * 9.81 / 50.0).all()
+
+        def falls() -> bool:
+            """Look at the last states: they lose momentum freely, but for the drag."""
+            momenta = [dict(zip(one.name, one.position, strict=True))['p_body_z']
+                       for one in states[-10:]]
+            return bool((np.diff(momenta) < -0.5 * 0.8 * 9.81 / 50.0).all())
+
+        for end in (signal.SIGSTOP, signal.SIGCONT, signal.SIGKILL):
+            controller.send_signal(end)
+            count = len(states)
+            other.spin_until(lambda count=count: len(states) > count + 30)
+            assert falls() == (end != signal.SIGCONT)
         simulator.send_signal(signal.SIGINT)
         assert finish(simulator)[0] == 0
 

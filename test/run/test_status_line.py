@@ -59,7 +59,8 @@ def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(act):
         sampler=SimpleNamespace(stamp=0, time=0.0), reset=lambda time_too: None,
         simulation=SimpleNamespace(steps=0, q=np.zeros(1), p=np.zeros(1)),
         start_clocks=lambda: started.append(True), tell=lambda *words: None)
-    control = Control(None, run, None, SimpleNamespace(start_paused=False))
+    run.pacer = SimpleNamespace(led=False)
+    control = Control(SimpleNamespace(), run, None, SimpleNamespace(start_paused=False))
     # As once subscribers have been found.
     control._timer = SimpleNamespace(reset=lambda: None, cancel=lambda: None)
     control.active = True

@@ -60,7 +60,7 @@ def test_simulate_every_keeps_each_nth_state(scene):
 
 
 def test_simulate_bad_arguments_are_refused(scene):
-    with pytest.raises(SceneError, match='did you mean lie_leapfrog\?; valid: .* more\)'):
+    with pytest.raises(SceneError, match=r'did you mean lie_leapfrog\?; valid: .* more\)'):
         simulate(scene, 1.0, integrator='leapfrog9')
     for step_size in (0.0, -0.1, float('nan'), float('inf')):
         with pytest.raises(SceneError, match='step_size'):

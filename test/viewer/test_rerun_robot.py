@@ -8,6 +8,7 @@ import sys
 
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.mechanisms.skeleton import skeleton
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_entities import bounds_of_path, bounds_of_robot, collisions_of
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
@@ -121,6 +122,33 @@ def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: 
         # Quaternions of both signs are the same turn; they are stored as float32.
         assert np.abs((old * new).sum(axis=1)) == pytest.approx(np.ones(2), abs=1e-6)
     assert 'TextLog:text' not in found[1].get('/events', {})
+
+
+@pytest.mark.parametrize('visual, said', [
+    ('', 'no <visual> to draw'),
+    ('<visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>',
+     '2 of 2 meshes are not there, as package://nowhere/arm.dae')])
+def test_robot_without_its_meshes_is_drawn_as_its_skeleton(visual, said, tmp_path: Path):
+    file = tmp_path / 'arm.urdf'
+    file.write_text(chain([1.0, 1.0], [0.7, 0.5]).replace('<inertial>', f'{visual}<inertial>'))
+    with pytest.warns(UserWarning, match=f'{said}.*; its skeleton is shown'):
+        found = record(tmp_path / 'arm.rrd', RigidBodyTree(str(file)), np.zeros((2, 2)))
+    assert said in found['/events']['TextLog:text'][0][0]
+    still = {chunk.entity_path for chunk in RrdReader(tmp_path / 'arm.rrd').stream()
+             if chunk.is_static}
+    assert {f'/world/skeleton/{link}' for link in ('l1', 'l2')} <= still
+
+
+def test_bones_lead_from_joint_to_joint():
+    robot = parse_urdf(chain([1.0, 1.0], [0.7, 0.5]).encode(), 'chain')
+    q = np.array([[0.0, 0.0], [np.pi, 0.0]])
+    parts = skeleton(robot, ['j1', 'j2'])(q, 1.0)
+    lower = parts['j2']
+    assert lower.points.shape == (2, 2, 3) and lower.moves
+    # It hangs, and stands after half a turn.
+    assert lower.points[:, 1] == pytest.approx(
+        np.array([[0.0, 0.0, -0.7], [0.0, 0.0, 0.7]]), abs=1e-12)
+    assert parts['j2 joint'].center == pytest.approx(lower.points[:, 1])
 
 
 def test_robot_whose_file_is_gone_is_told_and_the_rest_is_shown(tmp_path: Path):

@@ -17,6 +17,7 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
+from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
@@ -171,7 +172,8 @@ def main(argv: Sequence[str]) -> None:
     _check(options)
     scene, _ = resolve(load_scene(options.scene))
     with tempfile.TemporaryDirectory() as folder:
-        found = identify(scene, _source(options), options, Path(folder))
+        with elapsed('fitting'):
+            found = identify(scene, _source(options), options, Path(folder))
         text = report_of(found)
         print(text)
         command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'identify', *argv])

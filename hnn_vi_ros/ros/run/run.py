@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A configured run: one scene from its initial state on, its messages, files and figures."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 import math
@@ -14,6 +14,7 @@ from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard
+from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
@@ -147,16 +148,19 @@ class Run:
         if show:
             self.recording.event(text, level)
 
-    def watch(self, sample: Sample | None = None) -> None:
+    def watch(self, sample: Sample | None = None, at_once: bool = True) -> None:
         """Publish what the guards find in a sample, or the state; stop if that was asked for."""
-        sample = sample or self.sampler.sample()
-        for alarm in self._monitor.watch(sample):
+        self._report_alarms(self._monitor.watch(sample or self.sampler.sample(), at_once))
+
+    def _report_alarms(self, alarms: Iterable[tuple[Alarm, Sample]]) -> None:
+        for alarm, sample in alarms:
             self._health.add(alarm, sample.stamp)
             if alarm.kind == BoxGuard.kind and self._settings.stop_outside_box:
                 self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp / 1e9:.9g} s')
 
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
+        self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin) if one is not None]
         self._diagnostics.publish(
             [*self.status.statuses(self.pacer), *more], self.sampler.stamp, record=False)
@@ -251,9 +255,10 @@ class Run:
         payloads = self._topics.publish(sample)
         # What takes long comes behind the messages, which it would delay.
         self.recording.write(sample, payloads)
-        if self._monitor.evaluate():
+        evaluated = self._monitor.evaluate()
+        if evaluated:
             self.recording.timing(self._monitor.timing.figures)
-        self.watch(sample)
+        self.watch(sample, evaluated or self._settings.stop_outside_box or self.status.paused)
         self._status.show(sample, self.pacer.overruns)
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
@@ -297,6 +302,7 @@ class Run:
             The initial state cannot be used; the one before is then, from the next reset on.
 
         """
+        self._report_alarms(self._monitor.look())
         origin = 0 if time_too else self.sampler.stamp
         before = self.simulation.snapshot()
         try:

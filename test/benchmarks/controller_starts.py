@@ -1,0 +1,131 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+A task from random starts: a simulator and a controller in processes of their own, over DDS.
+
+Each start has a bag, which is simulated again without the controller and compared bit by bit. A
+start is a success where both angles stay upright through the last two seconds. The latency is
+simulated time, at the pace of the clock, from the state that a command answers to when it acts.
+
+    PYTHONPATH=test .venv/bin/python -m benchmarks.controller_starts acrobot --starts 20
+"""
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+import json
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+from hnn_vi_ros.control.task import load_task
+from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
+from hnn_vi_ros.ros.replay.replay_check import check_replay
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+# Upright [rad], through the end of a run [s].
+_CLOSE, _END = 0.1, 2.0
+
+
+@contextmanager
+def running(name: str, folder: Path, **parameters: object) -> Iterator[subprocess.Popen]:
+    """Start an executable of the package; interrupt it at the end."""
+    words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
+    code = f'from hnn_vi_ros.cli import {name}; {name}()'
+    with (folder / f'{name}.log').open('w') as log:
+        process = subprocess.Popen([sys.executable, '-c', code, '--ros-args', *words],
+                                   cwd=folder, stdout=log, stderr=log)
+        try:
+            yield process
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+
+
+def wait_for(text: str, log: Path) -> None:
+    """Wait until a line is logged."""
+    while text not in log.read_text():
+        time.sleep(0.1)
+
+
+def evaluate(bag: Path, names: list[str]) -> dict[str, object]:
+    """Return what a bag shows: success, latencies [ms], and whether it is verified."""
+    run = RecordedRun(bag)
+    states = [(message.time, state.q) for message, state in run.in_order([*run.states])
+              if state is not None]
+    last = np.array([q for stamp, q in states if stamp > states[-1][0] - _END * 1e9])
+    wanted = np.array([np.pi, *[0.0] * (len(names) - 1)])
+    away = np.abs((last - wanted + np.pi) % (2.0 * np.pi) - np.pi).max()
+    channels = [number for number, name in run.names.items() if name == 'joint_commands']
+    latencies = []
+    for message in run.reader.messages(channels):
+        stamp = run.decoded(message, JointState).header.stamp
+        latencies.append((message.time - stamp.sec * 10**9 - stamp.nanosec) / 1e6)
+    return {'success': bool(away < _CLOSE), 'commands': len(latencies),
+            'latencies': latencies, 'verified': check_replay(bag).good}
+
+
+def starts(task: str, count: int, duration: float, seed: int, folder: Path
+           ) -> Iterator[dict[str, object]]:
+    """Yield the result of each start."""
+    read, _, _ = load_task(task)
+    names = ['angle'] if read.scene == 'motor_pendulum' else ['shoulder', 'elbow']
+    rng = np.random.default_rng(seed)
+    rclpy.init()
+    node = Node('starts')
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    publisher = node.create_publisher(JointState, '/hnn_simulator/initial_state', 10)
+    with running('controller', folder, task=task), \
+            running('simulator', folder, scene=read.scene, record_path='bag', rerun_sink='none',
+                    reset_on_initial_state='true'):
+        wait_for('-> active', folder / 'controller.log')
+        wait_for('-> active', folder / 'simulator.log')
+        while not publisher.get_subscription_count():
+            time.sleep(0.1)
+        for _ in range(count):
+            publisher.publish(JointState(
+                name=names, position=rng.uniform(-np.pi, np.pi, len(names)),
+                velocity=rng.uniform(-1.0, 1.0, len(names))))
+            time.sleep(duration)
+    node.destroy_node()
+    rclpy.shutdown()
+    for k in range(2, count + 2):
+        yield evaluate(folder / f'bag-{k}', names)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Print a line of JSON for each start, and one for all."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('task', choices=['swing_up', 'acrobot', 'pendubot'])
+    parser.add_argument('--starts', type=int, default=20)
+    parser.add_argument('--duration', type=float, default=10.0)
+    parser.add_argument('--seed', type=int, default=0)
+    chosen = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory() as folder:
+        found = list(starts(chosen.task, chosen.starts, chosen.duration, chosen.seed,
+                            Path(folder)))
+        late = [line for line in (Path(folder) / 'controller.log').read_text().splitlines()
+                if 'WARN' in line or 'ERROR' in line]
+    for one in found:
+        latencies = one.pop('latencies')
+        print(json.dumps(one | {'latency ms, 50 99 %': np.percentile(
+            latencies, [50, 99]).round(1).tolist()}), flush=True)
+        one['latencies'] = latencies
+    together = np.concatenate([one['latencies'] for one in found])
+    print(json.dumps({
+        'successes': sum(one['success'] for one in found), 'of': len(found),
+        'verified': sum(one['verified'] for one in found),
+        'latency ms, 50 99 %': np.percentile(together, [50, 99]).round(1).tolist(),
+        'complaints': late[:5]}))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,89 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Guards that look at many samples together find what they find in each, to the last bit."""
+
+from dataclasses import replace
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.bands import EnergyGuard
+from hnn_vi_ros.guards.watch import SampledScale
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
+import numpy as np
+import pytest
+
+# With a box, of several coordinates, with work, and with steps that are too large for the motion.
+SCENES = {
+    'learned': ('harmonic_oscillator', {}),
+    'two coordinates': ('exact_double_pendulum', {}),
+    'driven': ('damped_driven_pendulum', {}),
+    'under-resolved': ('exact_harmonic_oscillator', {
+        'integrator': {'kind': 'variational_euler'}, 'step_size': 0.9}),
+    'drifting': ('exact_harmonic_oscillator', {'integrator': {'kind': 'rk4'}, 'step_size': 0.9}),
+    'outside of the box': ('harmonic_oscillator', {'initial_state': {'q': [2.2], 'p': [0.0]}}),
+}
+
+
+def monitor_of(simulation) -> Monitor:
+    scale = SampledScale(simulation.hamiltonian)
+    guards = make_guards(simulation, scale, 0.05, 0.02, None)
+    return Monitor(simulation, 1, simulation.step_size, None, pytest.fail, guards, scale)
+
+
+def state_of(monitor: Monitor) -> dict:
+    """Return the numbers that guards and scale have by now, in all their bits."""
+    things = [*monitor.guards, monitor._scale, monitor._scale._scale]
+    return {f'{type(thing).__name__}.{name}': value for thing in things
+            for name, value in vars(thing).items()
+            if isinstance(value, float | int | bool | list) and name != '_then'}
+
+
+@pytest.mark.parametrize('name, changes', SCENES.values(), ids=SCENES)
+def test_samples_that_wait_for_each_other_are_judged_as_each_by_itself(name, changes):
+    simulation = build(load_scene(name).changed(changes))
+    sampler = Sampler(simulation, 1.0 / simulation.step_size)
+    alone, together = monitor_of(simulation), monitor_of(simulation)
+    assert together._together
+    found, waited = ([], []), 0
+    for _ in range(4000):
+        sample = sampler.sample()
+        found[0].extend(alone.watch(sample))
+        found[1].extend(together.watch(sample, at_once=False))
+        waited = max(waited, len(together._pending))
+        simulation.advance(1)
+    found[1].extend(together.look())
+    assert state_of(together) == state_of(alone)
+    order = [sorted(((alarm, sample.step) for alarm, sample in one), key=str) for one in found]
+    assert order[0] == order[1]
+    assert waited >= 200
+    assert bool(found[0]) == (changes != {})
+
+
+@pytest.mark.parametrize('energy', [1e9, np.inf, np.nan])
+def test_energy_that_jumps_is_found_in_its_own_sample(energy):
+    simulation = build(load_scene('exact_pendulum'))
+    sampler, monitor = Sampler(simulation, 1000.0), monitor_of(simulation)
+    for _ in range(500):
+        assert monitor.watch(sampler.sample(), at_once=False) == []
+        simulation.advance(1)
+    jumped = replace(sampler.sample(), energy=energy, modified_energy=np.nan)
+    alarms = monitor.watch(jumped, at_once=False)
+    assert EnergyGuard.kind in {alarm.kind for alarm, sample in alarms if sample is jumped}
+
+
+def test_scale_that_is_asked_for_takes_each_sample_once_and_in_order():
+    simulation = build(load_scene('exact_pendulum'))
+    sampler = Sampler(simulation, 1.0 / simulation.step_size)
+    alone, together = monitor_of(simulation), monitor_of(simulation)
+    for step in range(1500):
+        sample = sampler.sample()
+        for monitor in (alone, together):
+            monitor.newest = sample
+            monitor.watch(sample, at_once=monitor is alone)
+        if step % 37 == 0:
+            assert together.energy_scale == alone.energy_scale
+        simulation.advance(1)
+    together.look()
+    assert state_of(together) == state_of(alone)
