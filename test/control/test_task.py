@@ -48,8 +48,8 @@ def test_schema_of_tasks_is_the_shipped_one():
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'scene': 'motor_pendlum'}, "no scene 'motor_pendlum'; did you mean motor_pendulum?"),
-    ({'inputs': {'angel': 4.0}}, "inputs: external_force: no coordinate 'angel'"),
+    ({'scene': 'motor_pendlum'}, "scene: no scene 'motor_pendlum'; did you mean motor_pendulum?"),
+    ({'inputs': {'angel': 4.0}}, "inputs: no coordinate 'angel'"),
     ({'inputs': {}}, 'inputs: must have 1 or more entries, not {}'),
     ({'inputs': {'angle': float('nan')}}, 'inputs.angle'),
     ({'period': 0.0111}, 'period: 0.0111 s must be a multiple of the step size of the model, '
