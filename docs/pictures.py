@@ -63,6 +63,7 @@ def write_moving(path: Path) -> None:
 
 def write_hover(path: Path) -> None:
     """Draw the quadrotor on its way to where the task `hover` holds it."""
+    from matplotlib.figure import Figure
     ready = assign('hover')
     run, place = build(load_scene('quadrotor')), np.array(ready.task.controller.place)
     rows = []

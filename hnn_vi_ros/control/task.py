@@ -73,7 +73,7 @@ class Stepping(StrictModel):
 
 class Means:
     """
-    What controllers and costs are made of; each part is made when it is first asked for.
+    Material of controllers and costs, each part made when it is first asked for.
 
     Parameters
     ----------
@@ -484,10 +484,15 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
 
     """
     loaded, places, folder = load_task(task)
-    if not scene:
-        beside = folder / loaded.scene
-        scene = beside if beside.is_file() else loaded.scene
-    model = scene if isinstance(scene, Scene) else load_scene(scene)
+    if isinstance(scene, Scene):
+        return _Assigning(loaded, places, scene).assignment()
+    beside = folder / loaded.scene
+    try:
+        model = load_scene(scene or (beside if beside.is_file() else loaded.scene))
+    except SceneError as problem:
+        if scene:
+            raise
+        raise DataError(f'{places.place("scene")}: {problem}') from problem
     return _Assigning(loaded, places, model).assignment()
 
 

@@ -8,7 +8,8 @@ from textwrap import fill
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.ros.settings import (
-    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS, Specification)
+    BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, help_of, PARAMETERS, REPLAY_PARAMETERS,
+    Specification)
 
 _SIMULATOR = """\
 It publishes ~/state, ~/q, ~/p, ~/energy, joint_states, ~/scene, ~/state_set and /diagnostics; as

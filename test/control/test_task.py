@@ -48,8 +48,8 @@ def test_schema_of_tasks_is_the_shipped_one():
 
 
 @pytest.mark.parametrize('changes, message', [
-    ({'scene': 'motor_pendlum'}, "no scene 'motor_pendlum'; did you mean motor_pendulum?"),
-    ({'inputs': {'angel': 4.0}}, "inputs: external_force: no coordinate 'angel'"),
+    ({'scene': 'motor_pendlum'}, "scene: no scene 'motor_pendlum'; did you mean motor_pendulum?"),
+    ({'inputs': {'angel': 4.0}}, "inputs: no coordinate 'angel'"),
     ({'inputs': {}}, 'inputs: must have 1 or more entries, not {}'),
     ({'inputs': {'angle': float('nan')}}, 'inputs.angle'),
     ({'period': 0.0111}, 'period: 0.0111 s must be a multiple of the step size of the model, '
@@ -61,7 +61,8 @@ def test_schema_of_tasks_is_the_shipped_one():
     ({'goal': {'near': {'angle': 3.1}, 'position': [1.0, 2.0]}},
      'goal.position has 2 weights, expected one, or one for each coordinate: angle'),
     ({'stepping': {'integrator': 'rk5', 'step_size': 0.01}}, "unknown integrator 'rk5'"),
-    ({'stepping': {'integrator': 'discrete_gradient', 'step_size': 0.01}}, 'discrete_gradient cannot take the effect external_force'),
+    ({'stepping': {'integrator': 'discrete_gradient', 'step_size': 0.01}},
+     'discrete_gradient cannot take the effect external_force'),
     ({'controller': {'kind': 'energy_shapping'}},
      "unknown kind 'energy_shapping'; did you mean energy_shaping?"),
     ({'controller': {'kind': 'energy_shaping', 'gian': 1.0}}, 'unknown key; did you mean gain?'),

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node: what it hears, and simulators that it commands in processes of their own."""
+"""The controller node: states that it hears, and simulators that it commands."""
 
 import math
 from pathlib import Path
@@ -155,7 +155,7 @@ def test_time_out_of_the_simulator_ends_the_command_of_a_controller_that_hangs_o
     ({'task': 'swing_upp'}, "no task 'swing_upp'; did you mean swing_up?"),
     ({'simulator': 'not a name'}, "parameter simulator = 'not a name': expected the full name"),
     ({'commands': 'torques'}, 'expected one of joint_commands, commands'),
-    ({'scene': 'kepler'}, "inputs: ")])
+    ({'scene': 'kepler'}, 'inputs: no coordinate')])
 def test_controller_that_cannot_begin_says_why_in_one_line(tmp_path, parameters, message):
     status, _, error = finish(commanding(tmp_path, **parameters))
     assert status == 1 and message in error and error.count('\n') == 1
