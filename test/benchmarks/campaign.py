@@ -228,8 +228,8 @@ def page(rows: list[Row]) -> Iterator[str]:
         f'of {len(rows)} rows', f'({len(systems()) * len(TOLERANCES)} planned). No system here '
         'shaped its rules.', '',
         f'The best is the cheapest of a sweep over {len(_METHODS)} methods and steps up to half a '
-        'period, a factor', f'{_RATIO} apart. Costs are gradients per simulated second, by which '
-        'auto chooses. We measure the error of', 'each choice again at every step, against an '
+        'period, a factor', f'{_RATIO} apart. Costs are the work of a simulated second in gradients, by '
+        'which auto chooses. We measure the error of', 'each choice again at every step, against an '
         'exact orbit or DOP853 of scipy at 3e-14. Energies are', 'relative to the mean of '
         'abs(p . H_p). The ratio of times comes from one run each and is noisy.',
         '[automatic-choice.json](automatic-choice.json) holds the best of each sweep.', '')
@@ -243,7 +243,7 @@ def page(rows: list[Row]) -> Iterator[str]:
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the lines of the table."""
-    yield '| system | tolerance, horizon | auto chose | error | ratio of gradients | of times |'
+    yield '| system | tolerance, horizon | auto chose | error | ratio of work | of times |'
     yield '|---|---|---|---|---|---|'
     for entry in rows:
         ratio, times = (entry.gradients / entry.best_gradients,
