@@ -280,11 +280,11 @@ def test_choice_for_code_of_the_user_is_made_anew_each_time(tmp_path, monkeypatc
         "def make():\n    return HAMILTONIANS['harmonic_oscillator'](stiffness=1.0)\n")
     (tmp_path / 'own.yaml').write_text(
         "hamiltonian: {kind: python, factory: 'own_oscillator:make'}\n"
-        'integrator: {kind: auto, energy_error: 1.0e-6, horizon: 20.0}\n'
+        'integrator: {kind: auto, path_error: 1.0e-4, horizon: 20.0}\n'
         'initial_state: {q: [1.0], p: [0.0]}\n')
     own = load_scene(tmp_path / 'own.yaml')
     stiff = HAMILTONIANS['harmonic_oscillator'](stiffness=1600.0)
-    slow = resolve(own)[0].step_size
+    slow = resolve(own)[1].choice.work_per_simulated_second
     monkeypatch.setattr('own_oscillator.make', lambda: stiff)
-    # As many steps for each period, 40 times as many periods.
-    assert resolve(own)[0].step_size < 0.1 * slow
+    # As much for each period, 40 times as many periods, and the fixed cost of long steps.
+    assert resolve(own)[1].choice.work_per_simulated_second > 1.5 * slow
