@@ -151,7 +151,8 @@ class OverrunGuard(Guard):
 # Batches of steps, and samples, that the figures are taken over.
 WINDOW = 512
 # Wall time between two evaluations of the figures, as between two diagnostics [s]. Each takes some
-# 0.2 ms, which delays a message at 1 kHz and the period after it: more often it is one in a hundred.
+# 0.2 ms, which may delay a message at 1 kHz, and changes two periods: four times a second these
+# would be one in a hundred.
 _PERIOD = 1.0
 
 
