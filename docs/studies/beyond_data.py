@@ -145,7 +145,7 @@ def write_machine(path: Path, number: int) -> None:
 
 
 def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: float
-          ) -> tuple[np.ndarray, np.ndarray]:
+         ) -> tuple[np.ndarray, np.ndarray]:
     """Return q and v after a step of the classical method of order 4."""
     a1 = machine.accelerations(q, v, tau)
     a2 = machine.accelerations(q + 0.5 * h * v, v + 0.5 * h * a1, tau)
@@ -240,4 +240,3 @@ def main(argv: Sequence[str]) -> None:
                 with given.out.open('a', encoding='utf-8') as file:
                     file.write(json.dumps(run) + '\n')
                 print(json.dumps(run), flush=True)
-
