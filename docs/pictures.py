@@ -229,7 +229,8 @@ def write_flow(path: Path) -> None:
     """Draw what becomes of a scene: boxes by column and row, and the arrows between them."""
     boxes = {
         'scene.yaml': (0, 1, ''), 'Scene': (1, 1, 'scene/'),
-        'model.safetensors': (0, 0, ''), 'Kernel of H': (1, 0, 'models/, hamiltonians/,\nkernels/'),
+        'model.safetensors': (0, 0, ''),
+        'Kernel of H': (1, 0, 'models/, hamiltonians/,\nkernels/'),
         'Simulation': (2, 1, 'simulation/,\nintegrators/, effects/'),
         'Trajectory': (3, 0, 'trajectory/, gradients/,\nsweeps/'), 'Run': (3, 1, 'run/, ros/run/'),
         'alarms': (4, 2, 'guards/'), 'topics': (4, 1, 'ros/topics/'),

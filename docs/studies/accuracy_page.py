@@ -221,7 +221,7 @@ def _growth(results: Results, method: str) -> float:
 
 
 def _drifting(results: _Results) -> list[float]:
-    """Return how the band of RK4 grows in each scene, of the middle one of the steps that drift."""
+    """Return how the band of RK4 grows in each scene, by the middle one of its steps."""
     pairs = [list(_drifts(entry)) for entry in results.values()]
     return [end.energy_band / row.energy_band
             for some in pairs for row, end in some[len(some) // 2:][:1]]

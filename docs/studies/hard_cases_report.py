@@ -96,7 +96,7 @@ def page_of(docs: Path) -> str:
 
 
 def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:
-    """Yield for each method, but for variants of one, its verdicts in each case, the worst first."""
+    """Yield for each method but variants its verdicts in each case, the worst first."""
     for method in dict.fromkeys(row.method for row in rows):
         if '@' in method:
             continue
@@ -131,7 +131,7 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
 
 
 def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return for each set-up of a case how its runs ended that were not stable, the best first."""
+    """Return for each set-up of a case how those runs ended that were not stable."""
     found: dict[str, dict[str, list[str]]] = {}
     for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):
         set_up = f'{row.set_up}, {row.hamiltonian}' if row.set_up else row.hamiltonian

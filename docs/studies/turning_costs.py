@@ -199,7 +199,8 @@ def section(scene: str, results: Results) -> dict[str, Any]:
                           and (' ' in row.method) == is_peer), None) for is_peer in (False, True))
     (horizon, floor), = results.floors.items()
     cells = [[_shown(_name(row)),
-              row.method.partition('=')[2] if np.isnan(row.step_size) else f'{row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
+              row.method.partition('=')[2] if np.isnan(row.step_size)
+              else f'{row.step_size:g} s', f'{row.path_error:.1e}', f'{row.energy_band:.1e}',
               f'{1e3 * row.horizon * row.seconds_per_simulated_second:.3g}']
              for row in best if row.path_error <= GOOD]
     return {'scene': scene, 'horizon': horizon, 'floor': floor, 'rows': cells,
