@@ -95,8 +95,8 @@ class ModesWork(NamedTuple):
         The inverse of I - mu J for each eigenvalue and, one after another, each system.
     factors, products : np.ndarray, shape (s, 4 ceil(r / 2))
         Their right factors for each component, and the products: real and imaginary parts.
-    direct : np.ndarray of bool, shape (1,)
-        Whether coordinates follow from the new momenta, without that matrix.
+    direct : np.ndarray of int, shape (1,)
+        1 if coordinates follow from the new momenta, without that matrix, else 0.
     masses : np.ndarray, shape (d, d)
         The inverse masses H_pp, where it is so.
     sums : np.ndarray, shape (4 ceil(s / 4),)
@@ -116,7 +116,7 @@ class ModesWork(NamedTuple):
         """Return the working space of systems of up to s / 2 coordinates, n in all."""
         d, fours = min(n, stages), -(-stages // 4) * 4
         return cls(np.zeros(((stages + 1) // 2, 2 * stages * n), dtype=complex),
-                   np.zeros((stages, fours)), np.zeros((stages, fours)), np.zeros(1, dtype=bool),
+                   np.zeros((stages, fours)), np.zeros((stages, fours)), np.zeros(1, dtype=np.int64),
                    np.zeros((d, d), dtype), np.zeros(fours, dtype))
 
 
@@ -161,9 +161,9 @@ def simplified_newton(equation: Callable, tangent: Callable, problem: Any, x: np
         if stage == BACK:
             copy_array(value, x)
             continue
-        if direct[0] and k > 1 and residual > _SLOW * before:
-            direct[0] = False
-        elif direct[0]:
+        if direct[0] > 0 and k > 1 and residual > _SLOW * before:
+            direct[0] = 0
+        elif direct[0] > 0:
             copy_array(value, x)
             continue
         if not inverted and not _invert(problem, x, work.newton):
@@ -430,8 +430,8 @@ class Gauss(Collocation):
         # The slopes H_q and H_p at the stages stay in the workspace for the next start.
         problem = _Problem(kernel, h, options.matrix, options.modes, work.modes, z, x[:s * n],
                            x[s * n:], slopes[:s * n], slopes[s * n:])
-        work.modes.direct[0] = options.direct and kernel.quadratic
-        if work.modes.direct[0]:
+        work.modes.direct[0] = 1 if options.direct and kernel.quadratic else 0
+        if work.modes.direct[0] > 0:
             _find_masses(problem, work.solver.newton)
         _start(options, kept, problem, x)
         outcome, residual, rounds = options.solver.solve(
@@ -485,7 +485,7 @@ def _start(options: Tableau, kept: StageSlopes, problem: _Problem, x: np.ndarray
     """Start the stages from the last step's collocation polynomial, or from the state."""
     z, h, sums, masses = problem.z, problem.h, problem.work.sums, problem.work.masses
     n, s, d, slopes = z.q.size, options.weights.size, problem.kernel.dimension, kept.slopes
-    go_on, direct = kept.count[0] > 0 and options.solver.extrapolate, problem.work.direct[0]
+    go_on, direct = kept.count[0] > 0 and options.solver.extrapolate, problem.work.direct[0] > 0
     for i in range(n):
         for j in range(s):
             x[j * n + i], x[(s + j) * n + i] = z.q[i], z.p[i]
@@ -516,7 +516,7 @@ def _equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         add_up(problem.matrix, problem.dH_dq, i, n, sums)
         for j in range(s):
             value[(s + j) * n + i] = z.p[i] + (z.p_carry[i] - h * sums[j])
-    if problem.work.direct[0]:
+    if problem.work.direct[0] > 0:
         _renew_velocities(problem, x, value)
     for i in range(n):
         add_up(problem.matrix, problem.dH_dp, i, n, sums)
