@@ -240,4 +240,3 @@ def main(argv: Sequence[str]) -> None:
                 with given.out.open('a', encoding='utf-8') as file:
                     file.write(json.dumps(run) + '\n')
                 print(json.dumps(run), flush=True)
-

@@ -231,8 +231,8 @@ def page(rows: list[Row]) -> Iterator[str]:
         f'The best is the cheapest of a sweep over {len(_METHODS)} methods and steps up to half a '
         'period, a factor', f'{_RATIO} apart. We measure the error of each choice again at every '
         'step, against an exact orbit or', 'DOP853 of scipy at 3e-14. Energies are relative to '
-        'the mean of abs(p . H_p). Each cell names the method', 'that auto chose, and its gradients '
-        'per simulated second over the best. Energies are held for 30',
+        'the mean of abs(p . H_p). Each cell names the method', 'that auto chose, and its '
+        'gradients per simulated second over the best. Energies are held for 30',
         f'periods and paths for 6. Ratios of times, from one run each, are {times[0]:.2g} to '
         f'{times[-1]:.2g}, the median {times[len(times) // 2]:.2g}.',
         '[automatic-choice.json](automatic-choice.json) holds steps, errors, times and the best '
