@@ -28,9 +28,10 @@ import numpy as np
 
 
 class MeasuredParameters(NamedTuple):
-    """The clock, the places of the coordinates, and what ``MeasuredForce`` is given."""
+    """The clock, when a force ends, the places of the coordinates, and what it is given."""
 
     clock: np.ndarray
+    until: np.ndarray
     places: np.ndarray
     table: np.ndarray
     times: np.ndarray
@@ -77,7 +78,8 @@ class MeasuredForce(Force):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> MeasuredParameters:
         """Return the clock, the coordinates' places, and the table."""
         places = np.array([coordinate_index(coordinates, name) for name in self.names])
-        return MeasuredParameters(state.clock, places, self._table, self._times)
+        return MeasuredParameters(
+            state.clock, state.command[-1:], places, self._table, self._times)
 
     @staticmethod
     @inlined
@@ -86,6 +88,8 @@ class MeasuredForce(Force):
         """Add the force of the step that is being taken, by the time at its start."""
         # Steps begin where a force does, or well after: by rounding also a little before.
         row = int(max(0.0, min((own.clock[0] - own.times[0]) * own.times[1] + 1e-9, own.times[2])))
+        # A gradient that a method keeps for its next step is taken again where this force ends.
+        own.until[0] = own.times[0] + (row + 1 - 1e-9) / own.times[1]
         for k in range(own.places.size):
             f_p[own.places[k]] += own.table[row, k]
 
