@@ -366,6 +366,9 @@ def _measure(study: CostStudy, method: Method, parts: int) -> Cost:
     try:
         with np.errstate(over='ignore', invalid='ignore'):
             simulation = problem.simulation(method, h)
+            # A first step may compile: the series of a formula, say.
+            simulation.advance(1)
+            simulation.restart(problem.q, problem.p)
             start = time.process_time()
             errors = run_errors(simulation, reference, study.lost)
             times = [time.process_time() - start]

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 from inspect import getclosurevars
 import math
 import operator
+import threading
 from typing import Any
 
 from hnn_vi_ros.errors import pip_command
@@ -28,6 +29,8 @@ _OPERATIONS = {'sum': operator.add, 'raised': operator.pow}
 # What names of parts of a held force begin with.
 _FORCE = 'f'
 _MONOMIALS = frozenset({'scaled', 'product', 'over', 'power', 'sqrt'})
+# Series of the latest formulas of each thread, and how many: a restart compiles none again.
+_SERIES, _KEPT = threading.local(), 16
 
 
 class TaylorWork:
@@ -48,15 +51,24 @@ class TaylorWork:
             self._kernel, self._made = own, {}
         if lanes not in self._made:
             graph, roots = _rates(own)
-            names = _names(own.dimension)
-            rates = self._expressions(graph, roots)
-            kind, state = self._heyoka.taylor_adaptive, np.zeros(len(names))
-            if lanes > 1:
-                kind, state = self._heyoka.taylor_adaptive_batch, np.zeros((len(names), lanes))
-            self._made[lanes] = kind(
-                [*zip(self._heyoka.make_vars(*names), rates, strict=True)], state,
-                tol=self._tolerance, compact_mode=len(graph.nodes) > _COMPACT)
+            known = vars(_SERIES)
+            key = repr((graph.nodes, roots, self._tolerance, lanes))
+            if key not in known:
+                while len(known) >= _KEPT:
+                    del known[next(iter(known))]
+                known[key] = self._compiled(graph, roots, lanes)
+            self._made[lanes] = known[key]
         return self._made[lanes]
+
+    def _compiled(self, graph: Graph, roots: list[int], lanes: int) -> Any:
+        """Return heyoka's integrator of rates."""
+        names, state = _names(len(roots) // 2), np.zeros(len(roots))
+        kind = self._heyoka.taylor_adaptive
+        if lanes > 1:
+            kind, state = self._heyoka.taylor_adaptive_batch, np.zeros((len(roots), lanes))
+        return kind([*zip(self._heyoka.make_vars(*names), self._expressions(graph, roots),
+                          strict=True)], state,
+                    tol=self._tolerance, compact_mode=len(graph.nodes) > _COMPACT)
 
     def advance(self, kernel: Kernel, h: float, states: np.ndarray, **options: Any) -> Any:
         """Advance a state, shape (2 d,), or several, (2 d, lanes); return what heyoka says."""

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS, taylor
-from hnn_vi_ros.integrators.taylor import Taylor
+from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
 import numpy as np
@@ -139,3 +139,22 @@ def test_taylor_without_heyoka_is_one_line_with_the_command(monkeypatch):
 def test_taylor_refuses_a_tolerance_that_is_none(tolerance):
     with pytest.raises(ValueError, match='from 1e-16 to 1e-3'):
         Taylor(tolerance)
+
+
+def test_a_restart_compiles_no_series_again_but_for_other_numbers(monkeypatch):
+    made = []
+    compiled = TaylorWork._compiled
+    monkeypatch.setattr(TaylorWork, '_compiled', lambda self, *rest: (
+        made.append(rest), compiled(self, *rest))[1])
+
+    def after(stiffness: float) -> np.ndarray:
+        run = Simulation(Formula(['x'], 'p_x^2/2 + k*x^4', parameters={'k': stiffness}),
+                         Taylor(), 1.0, [0.5], [0.0])
+        for _ in range(3):
+            run.restart([0.5], [0.0])
+            run.advance(2)
+        return run.q
+
+    first, other, again = after(0.3141), after(0.2718), after(0.3141)
+    assert len(made) == 2
+    assert (first == again).all() and (first != other).all()
