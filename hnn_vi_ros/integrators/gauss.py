@@ -116,7 +116,8 @@ class ModesWork(NamedTuple):
         """Return the working space of systems of up to s / 2 coordinates, n in all."""
         d, fours = min(n, stages), -(-stages // 4) * 4
         return cls(np.zeros(((stages + 1) // 2, 2 * stages * n), dtype=complex),
-                   np.zeros((stages, fours)), np.zeros((stages, fours)), np.zeros(1, dtype=np.int64),
+                   np.zeros((stages, fours)), np.zeros((stages, fours)),
+                   np.zeros(1, dtype=np.int64),
                    np.zeros((d, d), dtype), np.zeros(fours, dtype))
 
 

@@ -189,14 +189,16 @@ def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp
     if 'add_all' in inside:
         # One that is held; its channel is the time, and its power times -1.
         base, d = kernel.parameters[0], q.size - 1
-        _fill(kernel._replace(parameters=base), q[:d], p[:d], dH_dq[:d], dH_dp[:d])
+        _fill(kernel._replace(gradient=inside['base_gradient'], parameters=base),
+              q[:d], p[:d], dH_dq[:d], dH_dp[:d])
         force = [Symbol(q[0].graph, q[0].graph.name(f'{_FORCE}{i}')) for i in range(d)]
         dH_dq[:d] = [slope - own for slope, own in zip(dH_dq, force, strict=False)]
         dH_dq[d] = -sum((v * own for v, own in zip(dH_dp, force, strict=False)), q[0] * 0.0)
         dH_dp[d] = q[0] * 0.0 + 1.0
     elif 'add_gradient' in inside:
         base, own, _ = kernel.parameters
-        _fill(kernel._replace(parameters=base), q, p, dH_dq, dH_dp)
+        _fill(kernel._replace(gradient=inside['base_gradient'], parameters=base),
+              q, p, dH_dq, dH_dp)
         inside['add_gradient'](own, q, dH_dq)
     elif gradient.__module__ == straight_code.__name__:
         gradient(kernel.parameters, q, p, dH_dq, dH_dp)
