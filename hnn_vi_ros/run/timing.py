@@ -150,10 +150,8 @@ class OverrunGuard(Guard):
 
 # Batches of steps, and samples, that the figures are taken over.
 WINDOW = 512
-# Wall time between two evaluations of the figures, as between two diagnostics [s]. Each takes some
-# 0.2 ms, which may delay a message at 1 kHz, and changes two periods: four times a second these
-# would be one in a hundred.
-_PERIOD = 1.0
+# Wall time between two evaluations of the figures [s].
+_PERIOD = 0.25
 
 
 class Figures(NamedTuple):

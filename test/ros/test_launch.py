@@ -8,7 +8,7 @@ import subprocess
 import sys
 from types import ModuleType, SimpleNamespace
 
-from hnn_vi_ros.ros.settings import PARAMETERS, REPLAY_PARAMETERS
+from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS
 from processes import read_bag
 import pytest
 import yaml
@@ -19,6 +19,7 @@ FILES = {
     'simulator': ('simulator', 'hnn_simulator', PARAMETERS, []),
     'managed_simulator': ('simulator', 'hnn_simulator', [
         item for item in PARAMETERS if item.name != 'autostart'], []),
+    'controller': ('controller', 'hnn_controller', CONTROLLER_PARAMETERS, []),
     'replay': ('replay', 'hnn_replay', REPLAY_PARAMETERS, ['bag']),
 }
 MANAGED = pytest.mark.parametrize('name', ['managed_simulator'], indirect=True)
