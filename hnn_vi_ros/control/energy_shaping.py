@@ -20,12 +20,12 @@ class EnergyShaping:
 
     H is passive from commands u to the velocities y = B v of what they drive: without friction
     H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds of
-    H~ = H + k |B q - B q*|^2 / 2 with w, so that
+    H~ = H + k (B q - B q*)^2 / 2 with w, so that
 
         w = -g (H~ - H*) y
 
-    never lets |H~ - H*| grow: d/dt (H~ - H*)^2 / 2 = -g (H~ - H*)^2 |y|^2. It holds of a learned
-    H as of any. Where a rollout under the regulator reaches the goal, that takes over.
+    never lets (H~ - H*)^2 grow: its rate is -2 g (H~ - H*)^2 y . y, for a learned H as for any.
+    Where a rollout under the regulator reaches the goal, that takes over.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ class EnergyShaping:
     Attributes
     ----------
     mode, cost
-        ``'energy'`` or ``'lqr'``; |H~ - H*| [J] or the regulator's cost at the last call.
+        ``'energy'`` or ``'lqr'``; the distance of H~ from H* [J], or the regulator's cost, at the
+        last call.
 
     References
     ----------
