@@ -5,6 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
@@ -193,35 +194,20 @@ def _held(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work)
 @inlined
 def _factorise(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
     """Fill the Cholesky factor of Q_uu, with unit rows for commands that limits hold."""
-    factor = work.factor
     for a in range(k.size):
         held = _held(low, high, k, a, work)
         for b in range(a + 1):
-            total = 1.0 if a == b else 0.0
+            work.factor[a, b] = 1.0 if a == b else 0.0
             if not (held or _held(low, high, k, b, work)):
-                total = work.damped[a, b]
-            for e in range(b):
-                total -= factor[a, e] * factor[b, e]
-            if a > b:
-                factor[a, b] = total / factor[b, b]
-            elif total > 0.0:
-                factor[a, a] = np.sqrt(total)
-            else:
-                return False
-    return True
+                work.factor[a, b] = work.damped[a, b]
+    return factorise(work.factor)
 
 
 @inlined
 def _solve(factor: np.ndarray, x: np.ndarray) -> None:
     """Solve equations whose matrix has this Cholesky factor."""
-    for a in range(x.size):
-        for b in range(a):
-            x[a] -= factor[a, b] * x[b]
-        x[a] /= factor[a, a]
-    for a in range(x.size - 1, -1, -1):
-        for b in range(a + 1, x.size):
-            x[a] -= factor[b, a] * x[b]
-        x[a] /= factor[a, a]
+    solve_lower(factor, x)
+    solve_upper(factor, x)
 
 
 @inlined
