@@ -140,13 +140,14 @@ def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None 
 
     """
     with optional('control', 'state_space'):
-        import control
+        # A folder of the name `control` on the path is no such module.
+        from control.statesp import StateSpace
     steps = _steps(scene, hold or 1)
     a, b = linearise(steps, at, hold)
     q, p = columns(steps.hamiltonian.coordinates)
     states = [*q, *map(momentum_name, p)]
     time = 0.0 if hold is None else hold * steps.duration / steps.hold
-    return control.StateSpace(a, b, np.eye(len(states)), np.zeros(b.shape), time, inputs=[
+    return StateSpace(a, b, np.eye(len(states)), np.zeros(b.shape), time, inputs=[
         f'force_{name}' for name in steps.inputs], states=states, outputs=states)
 
 
