@@ -75,7 +75,7 @@ class Peer:
             if time.monotonic() >= deadline:
                 return
 
-    def spin_until(self, condition: Callable[[], Any], timeout: float = 120.0) -> None:
+    def spin_until(self, condition: Callable[[], Any], timeout: float = 300.0) -> None:
         """Hear what there is until the condition holds."""
         deadline = time.monotonic() + timeout
         while not condition():
