@@ -15,10 +15,10 @@ from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.gradients.checkpoints import Recorded
 from hnn_vi_ros.gradients.dependences import Dependence
 from hnn_vi_ros.gradients.derivatives import Change
 from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
+from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.families.base import gradient
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
@@ -219,8 +219,8 @@ class _Call:
         The values of tensors that are numbers.
     names : list of str
         The name of each further tensor.
-    samples, every, checkpoints : int
-        Number of samples, steps from one to the next, and most snapshots.
+    samples, every : int
+        Number of samples, and steps from one to the next.
     recorded : list of Recorded
         The record of the run, once it has been made.
 
@@ -231,7 +231,6 @@ class _Call:
     names: list[str]
     samples: int
     every: int
-    checkpoints: int | None
     recorded: list[Recorded] = field(default_factory=list)
 
 
@@ -253,8 +252,7 @@ class _Run(_Function):
         with call.simulation.holding(call.numbers) as held:
             if _STEP in call.names:
                 held.run.on_step_size  # noqa: B018  refused before a step is taken
-            z = held.run.record(_array(z0), call.samples, call.every, rows,
-                                checkpoints=call.checkpoints)
+            z = held.run.record(_array(z0), call.samples, call.every, rows)
             call.recorded.append(held.run.recorded)
         return torch.from_numpy(z)
 
@@ -365,11 +363,11 @@ class Motion(NamedTuple):
 def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
              parameters: Mapping[str, torch.Tensor] | None = None,
              commands: torch.Tensor | None = None, step_size: float | torch.Tensor | None = None,
-             every: int = 1, checkpoints: int | None = None) -> Motion:
+             every: int = 1) -> Motion:
     """
     Simulate a scene, as a function that torch differentiates, once, in reverse or forward mode.
 
-    The states equal those from ``hnn_vi_ros.simulate``, or ``simulate_many``, bit by bit. Their
+    The states of each trajectory equal those from ``hnn_vi_ros.simulate``, bit by bit. Their
     derivatives belong to the compiled steps, exact to round-off: torch records no steps. Memory
     grows with the square root of the number of steps.
 
@@ -394,10 +392,6 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         of steps, and so are the times.
     every : int, optional
         Steps from one sample to the next.
-    checkpoints : int, optional
-        Most snapshots that are kept for the gradient, of each block of trajectories: fewer take
-        less memory, and steps are taken more often. By default the square root of the number of
-        steps, up to a thousand.
 
     Returns
     -------
@@ -422,7 +416,7 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         scene, step_size = scene.with_overrides(step_size), None
     return DifferentiableSimulation(scene, tuple(parameters or ()))(
         q0, p0, duration=duration, parameters=parameters, commands=commands, step_size=step_size,
-        every=every, checkpoints=checkpoints)
+        every=every)
 
 
 class DifferentiableSimulation:
@@ -465,14 +459,13 @@ class DifferentiableSimulation:
     def __call__(self, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
                  parameters: Mapping[str, torch.Tensor] | None = None,
                  commands: torch.Tensor | None = None,
-                 step_size: float | torch.Tensor | None = None, every: int = 1,
-                 checkpoints: int | None = None) -> Motion:
+                 step_size: float | torch.Tensor | None = None, every: int = 1) -> Motion:
         """
         Simulate, with tensors for all the names that the simulation was made for.
 
         Parameters
         ----------
-        q0, p0, duration, parameters, commands, step_size, every, checkpoints
+        q0, p0, duration, parameters, commands, step_size, every
             See ``simulate``.
 
         Returns
@@ -493,8 +486,6 @@ class DifferentiableSimulation:
         _check_tensors(given)
         _check_tensors(parameters)
         check_count('every', every)
-        if checkpoints is not None:
-            check_count('checkpoints', checkpoints)
         check_seconds('duration', duration)
         names, tensors = self._arranged(parameters, step_size)
         h = self._scene.known_step_size if step_size is None else self._step(step_size)
@@ -515,7 +506,7 @@ class DifferentiableSimulation:
             learned = with_weights(self._parts.hamiltonian, {
                 _in_file(name): _array(parameters[name]).copy() for name in self._weights})
         values = {name: float(parameters[name].detach()) for name in self._names}
-        call = _Call(self, Numbers(values, h, learned), names, samples, every, checkpoints)
+        call = _Call(self, Numbers(values, h, learned), names, samples, every)
         # Copies are saved for the derivatives: callers may change their own tensors meanwhile.
         z = _Run.apply(call, z0.reshape(-1, 2 * d), *(
             None if tensor is None else tensor.clone() for tensor in (commands, *tensors)))

@@ -212,15 +212,6 @@ def test_memory_grows_with_the_square_root_of_the_steps(pendulum):
     assert peak(16 * 2500) - least <= 6 * (peak(2500) - least)
 
 
-def test_snapshots_are_as_few_as_asked_for_and_the_gradient_is_the_same(pendulum):
-    def gradient(checkpoints: int | None) -> torch.Tensor:
-        q0 = torch.ones(1, dtype=torch.float64, requires_grad=True)
-        simulate(pendulum, q0, 0.0 * q0.detach(), duration=5.0, checkpoints=checkpoints
-                 ).q.square().sum().backward()
-        return q0.grad
-    assert torch.equal(gradient(2), gradient(None))
-
-
 @pytest.mark.parametrize('name, build', [
     ('effects.0.rate', lambda: [{'kind': 'damping', 'rate': 0.0}]),
     ('effects.0.friction.angle', lambda: [

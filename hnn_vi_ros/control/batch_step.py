@@ -2,100 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of many states with held commands, by the method and the effects of a scene."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.commands import NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.gradients.derivatives import check_unknowns, differentiable_tableau
-from hnn_vi_ros.gradients.stages import Acting, entry_of, push_each, StageWork
-from hnn_vi_ros.integrators.arithmetic import copy_point, is_finite
-from hnn_vi_ros.integrators.base import NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.blocks import bare
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.assembly import Loop
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.checks import check_count
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation.following import Law
 import numpy as np
 from numpy.typing import ArrayLike
-
-
-class Law(NamedTuple):
-    """
-    Feedback that is added to N commands, which limits then bound.
-
-    Parameters
-    ----------
-    gains : np.ndarray, shape (m, N, c, 2 d)
-        Of what a state deviates, of each of m trajectories; empty for none.
-    about : np.ndarray, shape (m, N, 2 d)
-        From where.
-    low, high : np.ndarray, shape (c,)
-        Least and largest commands.
-
-    """
-
-    gains: np.ndarray
-    about: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-
-def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold: int, count: int,
-                z: Point, z1: Point, memory: Parameters, times: np.ndarray, clock: np.ndarray,
-                command: np.ndarray, places: np.ndarray, law: Law, wanted: np.ndarray,
-                states: np.ndarray) -> int:
-    """Hold commands one after another from each first state; NaN from a step that fails on."""
-    kernel, options, z, z1, memory, times, clock, command, places, law, wanted, states = bare(
-        (kernel, options, z, z1, memory, times, clock, command, places, law, wanted, states))
-    dimension, failed = states.shape[2] // 2, 0
-    for m in range(states.shape[0]):
-        clock[0], clock[1] = times[m], 0.0
-        for k in range(z.q.size):
-            z.q[k] = states[m, 0, k] if k < dimension else 0.0
-            z.p[k] = states[m, 0, dimension + k] if k < dimension else 0.0
-            z.q_carry[k], z.p_carry[k] = 0.0, 0.0
-        # Results must not depend on what stepped before.
-        forget(memory)
-        for n in range(count):
-            _put(law, m, n, states[m, n], places, wanted[m, n], command)
-            # A command changes H' of the point, which methods keep.
-            kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-            outcome = OK
-            for _ in range(hold):
-                outcome, _, _ = step(kernel, h, options, z, z1, memory)
-                if outcome != OK or not is_finite(z1):
-                    outcome = NOT_FINITE
-                    break
-                copy_point(z1, z)
-            if outcome != OK:
-                states[m, n + 1:] = np.nan
-                failed += 1
-                break
-            for k in range(dimension):
-                states[m, n + 1, k], states[m, n + 1, dimension + k] = z.q[k], z.p[k]
-    return failed
-
-
-@inlined
-def _put(law: Law, m: int, n: int, state: np.ndarray, places: np.ndarray, wanted: np.ndarray,
-         command: np.ndarray) -> None:
-    """Add feedback to wanted commands within limits, and write them as forces find them."""
-    command[:] = 0.0
-    # They do not expire.
-    command[command.size - 1] = np.inf
-    for i in range(wanted.size):
-        for k in range(state.size if law.gains.size else 0):
-            wanted[i] += law.gains[m, n, i, k] * (state[k] - law.about[m, n, k])
-        wanted[i] = min(max(wanted[i], law.low[i]), law.high[i])
-        for k in range(places.shape[1]):
-            command[k] += wanted[i] * places[i, k]
 
 
 class BatchStep:
@@ -142,23 +61,20 @@ class BatchStep:
         if parts.hamiltonian.rotations:
             raise UnsupportedSystem(f'{self.scene.name} has coordinates that turn, whose steps '
                                     'under commands have no derivatives yet')
-        self._h, self.hold = self.scene.known_step_size, int(hold)
-        self._system = System(parts.hamiltonian, parts.effects, parts.integrator)
+        self._h, self.hold, self._parts = self.scene.known_step_size, int(hold), parts
+        state = self.scene.initial_state
+        with self.scene.placed('initial_state'):
+            self._simulation = Simulation(parts.hamiltonian, parts.integrator, self._h, state.q,
+                                          state.p, parts.effects, 'stop')
+        self._system = self._simulation.system
         self._acting = ActingEffects(self._system, parts.hamiltonian, parts.effects, self._h)
         self.hamiltonian, self.dimension = self._system.hamiltonian, parts.hamiltonian.dimension
         self.duration = self.hold * self._h
         takes = NUMBERS in self._system.motors.takes
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
-        self._places = self._acting.places if takes else np.zeros((0, self.dimension))
-        n, method = self._system.kernel.dimension, self._system.integrator
-        self._loop = Loop(follow_each, self._system.kernel, method)
-        self._points = Point.empty(n), Point.empty(n)
-        limit, empty = np.full(self.commands, np.inf), np.zeros((0, 0))
-        self._free = Law(empty[None, None], empty[None], -limit, limit)
-        self._memory = method.memory(n)
-        self._derivative: tuple[Any, ...] | None = None
-        self._push: Callable[..., int] | None = None
+        self._places = self._system.places if takes else np.zeros((0, self.dimension))
+        self._run: DifferentiableRun | None = None
 
     @property
     def places(self) -> np.ndarray:
@@ -210,16 +126,15 @@ class BatchStep:
         commands = np.array(u, dtype=np.float64, ndmin=3)
         rows, count, _ = commands.shape
         states, _ = self._checked(np.broadcast_to(z, (rows, 2 * self.dimension)), commands[:, 0])
-        law = self._free
+        law = Law.none(self.commands)
         if gains is not None and about is not None:
             law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),
                                about=_filled(about, (rows, count, 2 * self.dimension)))
         if limits is not None:
             law = law._replace(low=_filled(limits[0], (self.commands,)),
                                high=_filled(limits[1], (self.commands,)))
-        path = np.empty((rows, count + 1, 2 * self.dimension))
-        path[:, 0] = states
-        self._follow(path, commands, time, self.hold, law)
+        path, _ = self._simulation.follow(
+            self._simulation.rows(states, time), commands, self.hold, law)
         return path, commands
 
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
@@ -247,17 +162,11 @@ class BatchStep:
         """
         states, commands = self._checked(z, u)
         path = self._advanced(states, commands, time, self.hold, 1)
-        tableau, work, sources, flow, x, first, unpadded = self._prepared()
-        tangents = np.repeat(first[None], len(states), axis=0)
-        state = self._system.effect_state
-        times = np.broadcast_to(time, len(states))[:, None] + np.arange(self.hold) * self._h
-        acting = Acting(state.clock, state.command, times, self._rows(commands), flow)
-        arguments = (self._h, tableau, acting, self._acting.padded(path), sources, tangents, x,
-                     work)
-        if self._push is None:
-            self._push = entry_of(push_each, self._system.kernel, *arguments)
-        self._push(self._system.kernel, *arguments)
-        by = tangents[:, :, unpadded].swapaxes(1, 2)
+        if self._run is None:
+            self._run = DifferentiableRun(self._parts.hamiltonian, self._parts.integrator,
+                                          self._h, self._parts.effects)
+        times = np.broadcast_to(time, len(states)) + np.arange(self.hold)[:, None] * self._h
+        by = self._run.jacobians(np.ascontiguousarray(path.swapaxes(0, 1)), times, commands)
         shape, n = np.shape(z), 2 * self.dimension
         return (path[:, -1].reshape(shape), by[..., :n].reshape(*shape, n),
                 by[..., n:].reshape(*shape, self.commands))
@@ -285,9 +194,8 @@ class BatchStep:
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Make a command act from a time on; return q and p with the channels of forces."""
         states, commands = self._checked(z, u)
-        state = self._system.effect_state
-        state.clock[:] = time, 0.0
-        state.command[:] = self._rows(commands)[0]
+        acting = self._acting.acting(np.array([[time]]), commands[None])
+        acting.clock[:], acting.command[:] = (time, 0.0), acting.commands[0, 0]
         q, p = np.split(self._acting.padded(states[0]), 2)
         return q, p
 
@@ -303,44 +211,12 @@ class BatchStep:
         rows = np.ascontiguousarray(states).reshape(-1, 2 * self.dimension)
         return rows, np.broadcast_to(commands, expected).reshape(len(rows), self.commands)
 
-    def _rows(self, commands: np.ndarray) -> np.ndarray:
-        """Return commands as forces find them, which do not expire."""
-        rows = np.empty((len(commands), self._system.effect_state.command.size))
-        rows[:, :-1], rows[:, -1] = commands @ self._places, np.inf
-        return rows
-
     def _advanced(self, states: np.ndarray, commands: np.ndarray, time: ArrayLike, count: int,
                   hold: int) -> np.ndarray:
         """Return the states around so many holds of a command, shape (m, count + 1, 2 d)."""
-        path = np.empty((len(states), count + 1, states.shape[1]))
-        path[:, 0] = states
-        self._follow(path, np.repeat(commands[:, None], count, axis=1), time, hold, self._free)
+        path, _ = self._simulation.follow(self._simulation.rows(states, time), np.repeat(
+            commands[:, None], count, axis=1), hold)
         return path
-
-    def _follow(self, path: np.ndarray, commands: np.ndarray, time: ArrayLike, hold: int,
-                law: Law) -> None:
-        """Fill the states after the first ones, and what the law makes of commands."""
-        state, times = self._system.effect_state, np.empty(len(path))
-        times[:] = time
-        self._loop(self._h, hold, commands.shape[1], *self._points, self._memory, times,
-                   state.clock, state.command, self._places, law, commands, path)
-
-    def _prepared(self) -> tuple[Any, ...]:
-        """Return what derivatives need besides states and commands; made once."""
-        if self._derivative is None:
-            tableau = differentiable_tableau(self.hamiltonian, self._system.method)
-            n, d, c = self._system.kernel.dimension, self.dimension, self.commands
-            check_unknowns(self._system.method, tableau, n)
-            s, identity = tableau.stages, self._acting.padded(np.eye(2 * d))
-            sources = np.zeros((2 * d + c, 2, s, n))
-            # A force lessens H_q.
-            sources[2 * d:, 0, :, :d] = -self._places[:, None]
-            flow = self._acting.acting(slice(0, 1), 0, np.zeros(1), 1).flow
-            self._derivative = (
-                tableau, StageWork.empty(s, n), sources.reshape(2 * d + c, -1), flow,
-                np.zeros(2 * s * n), np.vstack([identity, np.zeros((c, 2 * n))]),
-                np.r_[:d, n:n + d])
-        return self._derivative
 
 
 def _filled(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:

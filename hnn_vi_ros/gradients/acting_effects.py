@@ -12,7 +12,6 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.stages import Acting
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 
@@ -24,7 +23,7 @@ class ActingEffects:
     Parameters
     ----------
     system : System
-        Of H with all effects; what its forces find of time and commands is written by ``acting``.
+        Of H with all effects.
     hamiltonian : Hamiltonian
         H of d coordinates.
     effects : sequence of Effect
@@ -52,24 +51,9 @@ class ActingEffects:
         self.any = self._channels > 0 or bool(self.rates.any())
         timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
         self._timeout = min(timeouts, default=np.inf)
-        self._rows = np.zeros((0, system.effect_state.command.size))
-        self.commands: np.ndarray | None = None
 
-    def set_commands(self, commands: np.ndarray | None, every: int) -> None:
-        """
-        Take the commands of a run; each holds for so many steps.
-
-        Parameters
-        ----------
-        commands : np.ndarray, shape (samples, c) or (samples, m, c), or None
-            For all trajectories, or for each.
-        every : int
-            How many steps.
-
-        """
-        self.commands = commands
-        if commands is None:
-            return
+    def check_commands(self, commands: np.ndarray, every: int) -> None:
+        """Raise unless rows of c commands, shape (..., c), can each hold for so many steps."""
         if NUMBERS not in self._system.motors.takes:
             raise UnsupportedSystem('no effect of the scene takes commands; add external_force, '
                                     'with its coordinates')
@@ -80,48 +64,12 @@ class ActingEffects:
             raise ValueError(f'each command holds for {every * self._h:g} s, but external_force '
                              f'for timeout = {self._timeout:g} s; give a longer one')
 
-    @property
-    def places(self) -> np.ndarray:
-        """Return how each number of a command acts on each coordinate, shape (c, d)."""
-        return np.array([self._row(unit)[:-1] for unit in np.eye(self._system.motors.size)])
-
-    def _row(self, command: np.ndarray) -> np.ndarray:
-        """Return a command as forces find it."""
+    def acting(self, times: np.ndarray, commands: np.ndarray) -> Acting:
+        """Return what effects do in steps at times, (K, m), under commands, (K, m, c)."""
         state = self._system.effect_state
-        state.command[:] = 0.0
-        state.clock[:] = 0.0
-        self._system.motors.command(command, np.zeros(len(self.rates)))
-        row = state.command.copy()
-        row[-1] = np.inf
-        return row
-
-    def advance(self, simulation: Simulation, block: slice, first: int, count: int, every: int
-                ) -> np.ndarray:
-        """Take steps of a block of trajectories; return the states, shape (count, m, 2 d)."""
-        if self.commands is None:
-            return np.concatenate(simulation.record(count, 1), axis=2)
-        parts, step = [], first
-        while step < first + count:
-            following = min(first + count, (step // every + 1) * every)
-            if step % every == 0:
-                simulation.set_command(self._command(block, step // every))
-            parts.append(np.concatenate(simulation.record(following - step, 1), axis=2))
-            step = following
-        return np.concatenate(parts)
-
-    def _command(self, block: slice, sample: int) -> np.ndarray:
-        assert self.commands is not None
-        command = self.commands[sample]
-        return command if command.ndim == 1 else command[block.start]
-
-    def acting(self, block: slice, first: int, times: np.ndarray, every: int) -> Acting:
-        """Return what effects do in steps of a block of trajectories, from the first of them."""
-        state, count = self._system.effect_state, len(times)
-        rows = np.zeros((count, state.command.size))
-        if self.commands is not None:
-            samples = (first + np.arange(count)) // every
-            known = {k: self._row(self._command(block, k)) for k in np.unique(samples)}
-            rows = np.array([known[k] for k in samples])
+        rows = np.zeros((*times.shape, state.command.size))
+        if commands.shape[-1]:
+            rows[..., :-1], rows[..., -1] = commands @ self._system.places, np.inf
         return Acting(state.clock, state.command, times, rows, self._flow)
 
     def padded(self, states: np.ndarray) -> np.ndarray:

@@ -2,15 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.gradients.checkpoints import Block, Checkpoints, Recorded, Segment, segments_of
 from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, OnNumber
-from hnn_vi_ros.gradients.stages import entry_of, find_stages, pull_back, push_forward, StageWork
+from hnn_vi_ros.gradients.segments import Recorded, Segment, segments_of
+from hnn_vi_ros.gradients.stages import (
+    Acting, entry_of, find_stages, pull_back, push_forward, StageWork)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
@@ -43,10 +44,6 @@ def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) 
             'method of fewer stages')
 
 
-# Most snapshots that are kept, unless fewer are asked for.
-_SNAPSHOTS = 1000
-
-
 class Change(NamedTuple):
     """
     A direction in which all that a run of m trajectories depends on changes at once.
@@ -71,13 +68,11 @@ class DifferentiableRun:
     """
     A run of some trajectories, and products of its derivatives with vectors.
 
-    Its states equal a Simulation's bit by bit, and with several trajectories they equal the blocks
-    of ``simulate_many``. Each step is differentiated as taken, by the implicit function
+    The states of each trajectory equal a Simulation's bit by bit. Each step is differentiated as taken, by the implicit function
     theorem (see stages): what comes out is the derivative of the discrete trajectory, to
     round-off, not an approximation of that of the flow.
 
-    Of N steps only sqrt(N) snapshots are kept, or as few as ``record`` is asked for, and the
-    states between the last one and the end. A product takes the other steps between two of them
+    Of N steps only sqrt(N) snapshots are kept, and the states between the last one and the end. A product takes the other steps between two of them
     once more, bit by bit.
 
     Parameters
@@ -144,8 +139,7 @@ class DifferentiableRun:
             self._simulation.step_size = self._h
 
     def record(self, z: np.ndarray, samples: int, every: int = 1,
-               commands: np.ndarray | None = None, first: np.ndarray | None = None,
-               checkpoints: int | None = None) -> np.ndarray:
+               commands: np.ndarray | None = None, first: np.ndarray | None = None) -> np.ndarray:
         """
         Take samples every so many steps, from initial states on.
 
@@ -157,14 +151,9 @@ class DifferentiableRun:
             How many, and steps from one to the next.
         commands : np.ndarray, shape (samples, c) or (samples, m, c), optional
             Of an effect that takes them, each held until the next sample; for all trajectories,
-            or for each, which then step alone.
+            or for each.
         first : np.ndarray of int, shape (m,), optional
-            The step at which each trajectory begins, for forces that depend on time; those next to
-            each other that begin together step together.
-        checkpoints : int, optional
-            Most snapshots that are kept of a block of trajectories: with few of them the way back
-            takes steps more often (see Checkpoints). By default the square root of the number of
-            steps, up to a thousand.
+            The step at which each trajectory begins, for forces that depend on time.
 
         Returns
         -------
@@ -179,26 +168,27 @@ class DifferentiableRun:
             The states are not usable.
 
         """
-        segments = segments_of(samples * every)
+        if commands is not None:
+            self._acting.check_commands(commands, every)
+            # A copy, with which the way back goes whatever becomes of the caller's.
+            commands = commands.copy()
+        q, p = np.split(z, 2, axis=1)
+        self._system.check_state(q, p)
+        if self._simulation is None:
+            self._simulation = Simulation(
+                self._hamiltonian, self._integrator, self._h, q[0], p[0], self._effects, 'stop')
         begin = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
-        # Copies, with which the way back goes whatever becomes of the caller's.
-        commands = None if commands is None else commands.copy()
-        recorded = Recorded(z.copy(), every, begin, commands, segments, [])
-        self.go_back_to(recorded)
-        # In the last segment the states themselves are kept.
-        before = max(len(segments) - 1, 0)
-        most = min(_SNAPSHOTS, max(before, 1)) if checkpoints is None else checkpoints
+        recorded = Recorded(z.copy(), every, begin, commands, segments_of(samples * every), [],
+                            z[None])
+        rows = self._simulation.rows(z, step=begin)
         sampled = np.empty((samples + 1, *z.shape))
-        sampled[0] = z
-        for rows in recorded.together():
-            simulation, kept = self._start(rows), Checkpoints(before, most)
-            states = sampled[:1, rows]
-            for k, segment in enumerate(segments):
-                kept.pass_by(k, simulation.snapshot)
-                states = self._advance(simulation, rows, segment)
-                inside, at = recorded.samples_in(segment)
-                sampled[at, rows] = states[inside]
-            recorded.blocks.append(Block(rows, kept, states))
+        sampled[0], states = z, recorded.last
+        for segment in recorded.segments:
+            recorded.starts.append(rows.copy())
+            states = self._advance(recorded, rows, segment)
+            inside, at = recorded.samples_in(segment)
+            sampled[at] = states[inside]
+        self._recorded = recorded._replace(last=states)
         return sampled
 
     @property
@@ -209,7 +199,6 @@ class DifferentiableRun:
     def go_back_to(self, recorded: Recorded) -> None:
         """Make an earlier run, of the same numbers, the last one."""
         self._recorded = recorded
-        self._acting.set_commands(recorded.commands, recorded.every)
 
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -231,31 +220,31 @@ class DifferentiableRun:
             The gradient by the initial states, shape (m, 2 d), and by each of those.
 
         """
-        gradient, others = cotangents[0].copy(), [np.zeros(()) for _ in dependences]
+        others = [np.zeros(()) for _ in dependences]
         if by_commands is not None:
             by_commands[...] = 0.0
         recorded = self._recorded
-        for block in recorded.blocks:
-            following = self._acting.padded(np.zeros_like(gradient[block.rows]))
-            for segment, states in self._backwards(block):
-                stages, states = self._stages(segment, block.rows, states)
-                local = np.zeros((segment.length + 1, *following.shape))
-                inside, at = recorded.samples_in(segment)
-                local[inside] = self._acting.padded(cotangents[at, block.rows])
-                local[-1] += following
-                directions = np.empty_like(stages)
-                felt = np.empty((segment.length, 2, *local.shape[1:]))
-                self._call(pull_back, segment, block.rows, stages, local, directions, felt)
-                following = local[0]
-                at_stages = self._timed(stages, segment, block.rows)
-                weights = self._halves(directions)
-                others = [total + dependence.contracted(*at_stages, weights)
-                          + self._by_rates(dependence, states, felt)
-                          for total, dependence in zip(others, dependences, strict=True)]
-                if by_commands is not None:
-                    self._add_by_commands(by_commands, directions, segment, block.rows)
-            gradient[block.rows] += self._acting.cut(following)
-        return gradient, [np.asarray(total) for total in others]
+        following = self._acting.padded(np.zeros_like(cotangents[0]))
+        for segment in reversed(recorded.segments):
+            states = self._states(segment)
+            acting, stages, states = self._stages(segment, states)
+            local = np.zeros((segment.length + 1, *following.shape))
+            inside, at = recorded.samples_in(segment)
+            local[inside] = self._acting.padded(cotangents[at])
+            local[-1] += following
+            directions = np.empty_like(stages)
+            felt = np.empty((segment.length, 2, *local.shape[1:]))
+            self._call(pull_back, acting, stages, local, directions, felt)
+            following = local[0]
+            at_stages = self._timed(stages, acting.times)
+            weights = self._halves(directions)
+            others = [total + dependence.contracted(*at_stages, weights)
+                      + self._by_rates(dependence, states, felt)
+                      for total, dependence in zip(others, dependences, strict=True)]
+            if by_commands is not None:
+                self._add_by_commands(by_commands, directions, segment)
+        return (cotangents[0] + self._acting.cut(following),
+                [np.asarray(total) for total in others])
 
     def push_forward(self, changes: Sequence[Change]) -> np.ndarray:
         """
@@ -269,61 +258,83 @@ class DifferentiableRun:
         """
         recorded = self._recorded
         sampled = np.empty((len(changes), recorded.samples + 1, *recorded.z.shape))
-        for block in recorded.blocks:
-            rows = block.rows
-            tangents = np.stack([change.tangents[rows] for change in changes])
-            sampled[:, 0, rows], before = tangents, self._acting.padded(tangents)
-            for segment, states in self._forwards(block):
-                stages, states = self._stages(segment, rows, states)
-                local = np.empty((segment.length + 1, *before.shape))
-                local[0] = before
-                sources = np.zeros((segment.length, *before.shape[:2], stages.shape[2]))
-                added = np.zeros((segment.length, 2, *before.shape))
-                for r, change in enumerate(changes):
-                    self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
-                                      segment, rows)
-                self._call(push_forward, segment, rows, stages, sources, added, local)
-                inside, at = recorded.samples_in(segment)
-                sampled[:, at, rows] = self._acting.cut(local[inside]).swapaxes(0, 1)
-                before = local[-1]
+        sampled[:, 0] = np.stack([change.tangents for change in changes])
+        before = self._acting.padded(sampled[:, 0])
+        for segment in recorded.segments:
+            acting, stages, states = self._stages(segment, self._states(segment))
+            local = np.empty((segment.length + 1, *before.shape))
+            local[0] = before
+            sources = np.zeros((segment.length, *before.shape[:2], stages.shape[2]))
+            added = np.zeros((segment.length, 2, *before.shape))
+            for r, change in enumerate(changes):
+                self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
+                                  acting.times)
+                if change.commands is not None:
+                    self._add_commands(sources[:, r], recorded._replace(
+                        commands=change.commands).commands_in(segment))
+            self._call(push_forward, acting, stages, sources, added, local)
+            inside, at = recorded.samples_in(segment)
+            sampled[:, at] = self._acting.cut(local[inside]).swapaxes(0, 1)
+            before = local[-1]
         return sampled
 
-    def _backwards(self, block: Block) -> Iterator[tuple[Segment, np.ndarray]]:
-        """Yield the segments from the last one on, each with its states; see _advance."""
-        segments, rows = self._recorded.segments, block.rows
-        if segments:
-            yield segments[-1], block.last
-        if len(segments) > 1:
-            simulation = self._start(rows)
-            for k in block.kept.backwards(
-                    simulation.restore, lambda k: self._advance(simulation, rows, segments[k]),
-                    simulation.snapshot):
-                yield segments[k], self._advance(simulation, rows, segments[k])
+    def jacobians(self, states: np.ndarray, times: np.ndarray, commands: np.ndarray
+                  ) -> np.ndarray:
+        """
+        Return the derivatives of the last states by the first ones and by held commands.
 
-    def _forwards(self, block: Block) -> Iterator[tuple[Segment, np.ndarray]]:
-        """Yield the segments from the first one on, each with its states; see _advance."""
-        *segments, last = self._recorded.segments or [Segment(0, 0)]
-        if segments:
-            simulation = self._start(block.rows)
-            for segment in segments:
-                yield segment, self._advance(simulation, block.rows, segment)
-        if last.length:
-            yield last, block.last
+        Parameters
+        ----------
+        states : np.ndarray, shape (K + 1, m, 2 d)
+            Before and after each step of m trajectories.
+        times : np.ndarray, shape (K, m)
+            At which the steps begin [s].
+        commands : np.ndarray, shape (m, c)
+            In all of them.
+
+        Returns
+        -------
+        np.ndarray, shape (m, 2 d, 2 d + c)
+            NaN where a step has none.
+
+        """
+        m, n, c = *states.shape[1:], commands.shape[1]
+        acting = self._acting.acting(times, np.broadcast_to(commands, (len(times), m, c)))
+        stages = self._found(acting, self._acting.padded(states))[0]
+        sources = np.zeros((len(times), n + c, m, stages.shape[2]))
+        for k, unit in enumerate(np.eye(c)):
+            self._add_commands(sources[:, n + k], np.broadcast_to(unit, (len(times), m, c)))
+        local = np.zeros((len(times) + 1, n + c, m, 2 * self._d))
+        local[0, :n] = self._acting.padded(np.eye(n))[:, None]
+        self._run(push_forward, acting, stages, sources, np.zeros((len(times), 2, *local.shape[1:])
+                                                                  ), local)
+        return self._acting.cut(local[-1]).transpose(1, 2, 0)
+
+    def _states(self, segment: Segment) -> np.ndarray:
+        """Return the states around a segment's steps, shape (K + 1, m, 2 d)."""
+        recorded = self._recorded
+        if segment is recorded.segments[-1]:
+            return recorded.last
+        start = recorded.starts[recorded.segments.index(segment)]
+        return self._advance(recorded, start.copy(), segment)
+
+    def _advance(self, recorded: Recorded, rows: np.ndarray, segment: Segment) -> np.ndarray:
+        """Take a segment's steps from rows on; return the states, shape (K + 1, m, 2 d)."""
+        assert self._simulation is not None, 'record() has made it'
+        commands = recorded.commands_in(segment).swapaxes(0, 1)
+        path = self._simulation.follow_on(rows, np.ascontiguousarray(commands))
+        return np.ascontiguousarray(path.swapaxes(0, 1))
 
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
-                     stages: np.ndarray, states: np.ndarray, segment: Segment, block: slice
-                     ) -> None:
+                     stages: np.ndarray, states: np.ndarray, times: np.ndarray) -> None:
         """Add what changes of all but states do in a segment; see stages.push_forward."""
-        halves = sources.reshape(*sources.shape[:2], 2, -1)
         for dependence, much in change.others:
-            both = dependence.changed(*self._timed(stages, segment, block), much)
-            halves += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3)
+            both = dependence.changed(*self._timed(stages, times), much)
+            sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3).reshape(
+                sources.shape)
             rates = getattr(dependence, 'rates', None)
             if rates is not None:
                 added += much * self._acting.flowed(states) * self._acting.per_momentum(rates)
-        if change.commands is not None:
-            self._add_commands(halves, change.commands, segment, block)
-        sources[...] = halves.reshape(sources.shape)
 
     @property
     def on_step_size(self) -> Dependence:
@@ -334,28 +345,21 @@ class DifferentiableRun:
         # In a step h occurs only as a factor of H'.
         return OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
 
-    def _start(self, block: slice) -> Simulation:
-        """Return the simulation with its trajectories at the initial states of a block."""
-        q, p = np.split(self._recorded.z[block], 2, axis=1)
-        if self._simulation is None:
-            self._simulation = Simulation(
-                self._hamiltonian, self._integrator, self._h, q, p, self._effects, 'stop')
-        self._simulation.restart(q, p, step=int(self._recorded.first[block.start]))
-        return self._simulation
-
-    def _advance(self, simulation: Simulation, block: slice, segment: Segment) -> np.ndarray:
-        """Take a segment's steps; return the states before and after, shape (K + 1, m, 2 d)."""
-        before = np.concatenate([simulation.q, simulation.p], axis=1)[None]
-        return np.concatenate([before, self._acting.advance(
-            simulation, block, *segment, self._recorded.every)])
-
-    def _stages(self, segment: Segment, block: slice, states: np.ndarray
-                ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stages of a segment's steps, (K, m, 2 s d), and the states as kernels do."""
+    def _stages(self, segment: Segment, states: np.ndarray
+                ) -> tuple[Acting, np.ndarray, np.ndarray]:
+        """Return what acts, the stages of steps, (K, m, 2 s d), and states as kernels do."""
+        recorded = self._recorded
+        times = (recorded.first + segment.steps[:, None]) * self._h
+        acting = self._acting.acting(times, recorded.commands_in(segment))
         states = self._acting.padded(states)
+        stages, failed = self._found(acting, states)
+        self._check(failed, times, 'its stages are not found again to round-off')
+        return acting, stages, states
+
+    def _found(self, acting: Acting, states: np.ndarray) -> tuple[np.ndarray, int]:
+        """Return the stages of steps, and which step has none; see ``find_stages``."""
         stages = np.empty((*states[1:].shape[:2], 2 * self._tableau.stages * self._d))
-        self._call(find_stages, segment, block, states, stages)
-        return stages, states
+        return stages, self._run(find_stages, acting, states, stages)
 
     def _by_rates(self, dependence: Dependence, states: np.ndarray, felt: np.ndarray
                   ) -> np.ndarray:
@@ -364,57 +368,49 @@ class DifferentiableRun:
         return np.zeros(()) if rates is None else np.array(float(
             (felt * self._acting.flowed(states) * self._acting.per_momentum(rates)).sum()))
 
-    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: Segment,
-                         block: slice) -> None:
+    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: Segment
+                         ) -> None:
         """Add the gradient by the commands that hold in a segment: a force lessens H_q."""
-        places = self._acting.places
+        places = self._system.places
         d, s = places.shape[1], self._tableau.stages
         on_q = directions[..., :s * self._d].reshape(*directions.shape[:2], s, self._d)
         felt = -on_q[..., :d].sum(axis=2) @ places.T
-        rows = segment.steps // self._recorded.every
-        if gradient.ndim == 2:
-            np.add.at(gradient, rows, felt.sum(axis=1))
-        else:
-            np.add.at(gradient[:, block], rows, felt)
+        np.add.at(gradient, segment.steps // self._recorded.every,
+                  felt.sum(axis=1) if gradient.ndim == 2 else felt)
 
-    def _add_commands(self, sources: np.ndarray, commands: np.ndarray, segment: Segment,
-                      block: slice) -> None:
-        """Add to the sources what commands that change make of H_q at the stages."""
-        places = self._acting.places
+    def _add_commands(self, sources: np.ndarray, change: np.ndarray) -> None:
+        """Add to sources, (K, m, 2 s d), what changes of commands, (K, m, c), make of H_q."""
+        places = self._system.places
         d, s = places.shape[1], self._tableau.stages
-        rows = segment.steps // self._recorded.every
-        change = commands[rows][:, None] if commands.ndim == 2 else commands[rows, block]
-        view = sources[:, :, 0].reshape(*sources.shape[:2], s, self._d)
+        view = sources[..., :s * self._d].reshape(*sources.shape[:2], s, self._d)
         view[..., :d] -= (change @ places)[:, :, None]
 
-    def _call(self, loop: Callable[..., int], segment: Segment, block: slice,
-              *arrays: np.ndarray) -> None:
-        """Run a loop of the module stages over the steps of a segment, or raise."""
-        times = self._times(segment, block)
-        acting = self._acting.acting(block, segment.first, times, self._recorded.every)
+    def _call(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray) -> None:
+        """Run a loop of the module stages over steps, or raise."""
+        self._check(self._run(loop, acting, *arrays), acting.times,
+                    'the matrix of its equation is singular')
+
+    def _run(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray) -> int:
         arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
             self._entries[loop] = entry_of(loop, self._kernel, *arguments)
-        failed = self._entries[loop](self._kernel, *arguments)
+        return self._entries[loop](self._kernel, *arguments)
+
+    @staticmethod
+    def _check(failed: int, times: np.ndarray, problem: str) -> None:
+        """Raise HnnViRosError if a step at one of the times has no derivative."""
         if failed >= 0:
-            t = times[failed]
-            problem = 'its stages are not found again to round-off' if loop is find_stages else \
-                'the matrix of its equation is singular'
-            raise HnnViRosError(f'the step at t = {t:.9g} s has no derivative: {problem}; use a '
-                                'smaller step_size or another integrator')
+            raise HnnViRosError(
+                f'the step at t = {times.flat[failed]:.9g} s has no derivative: {problem}; use a '
+                'smaller step_size or another integrator')
 
-    def _times(self, segment: Segment, block: slice) -> np.ndarray:
-        """Return the times at which a segment's steps begin [s], shape (K,)."""
-        return (self._recorded.first[block.start] + segment.steps) * self._h
-
-    def _timed(self, stages: np.ndarray, segment: Segment, block: slice
-               ) -> tuple[np.ndarray, np.ndarray]:
+    def _timed(self, stages: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the stages' halves for a kernel whose clock is at the start of the run."""
         channels = self._kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
-            q[..., self._d - channels:] += self._times(segment, block)[:, None, None, None]
+            q[..., self._d - channels:] += times[:, :, None, None]
         q, p = self._halves(stages)
         return q, p
 

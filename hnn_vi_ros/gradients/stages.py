@@ -85,9 +85,9 @@ class Acting(NamedTuple):
     ----------
     clock, command : np.ndarray
         Arrays of the kernel's EffectState, restored for each step.
-    times : np.ndarray, shape (K,)
-        At the starts of the steps [s].
-    commands : np.ndarray, shape (K, size of command)
+    times : np.ndarray, shape (K, m)
+        At the starts of the steps of m trajectories [s].
+    commands : np.ndarray, shape (K, m, size of command)
         In the steps.
     flow : np.ndarray, shape (2 d,)
         Factors of friction on a state before a step, and after it; 0 for channels, which start
@@ -152,21 +152,23 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
     Returns
     -------
     int
-        -1, or the first step whose stages are not found.
+        -1, or the first step whose stages are not found, K m in all; they are NaN.
 
     """
     kernel, tableau, acting, states, stages, work = bare(
         (kernel, tableau, acting, states, stages, work))
     start, end, flow = work.start, work.end, acting.flow
+    failed = -1
     for n in range(stages.shape[0]):
-        _enter(acting, n)
         for m in range(stages.shape[1]):
+            _enter(acting, n, m)
             for k in range(flow.size):
                 start[k] = flow[k] * states[n, m, k]
                 end[k] = states[n + 1, m, k] / flow[k] if flow[k] != 0.0 else 0.0
             if not _find(kernel, h, tableau, start, end, stages[n, m], work):
-                return n
-    return -1
+                stages[n, m] = np.nan
+                failed = n * stages.shape[1] + m if failed < 0 else failed
+    return failed
 
 
 def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
@@ -197,13 +199,13 @@ def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Act
     start, end, flow = work.start, work.end, acting.flow
     for k in range(stages.shape[0]):
         n = stages.shape[0] - 1 - k
-        _enter(acting, n)
         for m in range(stages.shape[1]):
+            _enter(acting, n, m)
             for i in range(flow.size):
                 felt[n, 1, m, i] = cotangents[n + 1, m, i]
                 start[i], end[i] = 0.0, flow[i] * cotangents[n + 1, m, i]
             if not _pull(kernel, h, tableau, stages[n, m], start, end, directions[n, m], work):
-                return n
+                return n * stages.shape[1] + m
             for i in range(flow.size):
                 felt[n, 0, m, i] = start[i]
                 cotangents[n, m, i] += flow[i] * start[i]
@@ -230,89 +232,36 @@ def push_forward(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: 
     Returns
     -------
     int
-        -1, or a step whose matrix is singular.
+        -1, or the first step whose matrix is singular; tangents after such are NaN.
 
     """
     kernel, tableau, acting, stages, sources, added, tangents, work = bare(
         (kernel, tableau, acting, stages, sources, added, tangents, work))
-    start, end, flow = work.start, work.end, acting.flow
+    start, end, flow, failed = work.start, work.end, acting.flow, -1
     explicit = _is_explicit(tableau)
     for n in range(stages.shape[0]):
-        _enter(acting, n)
         for m in range(stages.shape[1]):
+            _enter(acting, n, m)
             _fill_slopes(kernel, stages[n, m], work)
             if not (explicit or _factorise(h, tableau, work)):
-                return n
+                tangents[n + 1, :, m] = np.nan
+                failed = n * stages.shape[1] + m if failed < 0 else failed
+                continue
             for r in range(tangents.shape[1]):
                 for k in range(flow.size):
                     start[k] = flow[k] * tangents[n, r, m, k] + added[n, 0, r, m, k]
                 _push(kernel, h, tableau, sources[n, r, m], start, end, explicit, work)
                 for k in range(flow.size):
                     tangents[n + 1, r, m, k] = flow[k] * end[k] + added[n, 1, r, m, k]
-    return -1
-
-
-def push_each(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
-              states: np.ndarray, sources: np.ndarray, tangents: np.ndarray, x: np.ndarray,
-              work: StageWork) -> int:
-    """
-    Take tangents through the steps of trajectories that begin together, each with its command.
-
-    Parameters
-    ----------
-    kernel, h, tableau, work
-        See ``find_stages``.
-    acting : Acting
-        What effects do: times, shape (m, K), and a command of each of m trajectories.
-    states : np.ndarray, shape (m, K + 1, 2 d)
-        Before and after each step.
-    sources : np.ndarray, shape (r, 2 s d)
-        As of ``push_forward``, the same in all steps.
-    tangents : np.ndarray, shape (m, r, 2 d)
-        Of the first states; of the last ones afterwards, NaN where there are none.
-    x : np.ndarray, shape (2 s d,)
-        Filled again.
-
-    Returns
-    -------
-    int
-        How many trajectories have none.
-
-    """
-    kernel, tableau, acting, states, sources, tangents, x, work = bare(
-        (kernel, tableau, acting, states, sources, tangents, x, work))
-    start, end, flow, failed = work.start, work.end, acting.flow, 0
-    explicit = _is_explicit(tableau)
-    for m in range(states.shape[0]):
-        for n in range(states.shape[1] - 1):
-            acting.clock[0], acting.clock[1] = acting.times[m, n], 0.0
-            for i in range(acting.command.size):
-                acting.command[i] = acting.commands[m, i]
-            for k in range(flow.size):
-                start[k] = flow[k] * states[m, n, k]
-                end[k] = states[m, n + 1, k] / flow[k] if flow[k] != 0.0 else 0.0
-            found = _find(kernel, h, tableau, start, end, x, work)
-            if found:
-                _fill_slopes(kernel, x, work)
-            if not (found and (explicit or _factorise(h, tableau, work))):
-                tangents[m] = np.nan
-                failed += 1
-                break
-            for r in range(tangents.shape[1]):
-                for k in range(flow.size):
-                    start[k] = flow[k] * tangents[m, r, k]
-                _push(kernel, h, tableau, sources[r], start, end, explicit, work)
-                for k in range(flow.size):
-                    tangents[m, r, k] = flow[k] * end[k]
     return failed
 
 
 @inlined
-def _enter(acting: Acting, n: int) -> None:
+def _enter(acting: Acting, n: int, m: int) -> None:
     """Restore the time and command of a step for the forces."""
-    acting.clock[0], acting.clock[1] = acting.times[n], 0.0
+    acting.clock[0], acting.clock[1] = acting.times[n, m], 0.0
     for i in range(acting.command.size):
-        acting.command[i] = acting.commands[n, i]
+        acting.command[i] = acting.commands[n, m, i]
 
 
 @inlined

@@ -17,7 +17,9 @@ from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, REASONS
 from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.integrators.taylor import TaylorWork
+from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
+from hnn_vi_ros.simulation.following import follow_each, Law
 from hnn_vi_ros.simulation.stepping import Stepping
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -60,6 +62,8 @@ class Simulation(Stepping):
         How many numbers such a command has, and the names of the numbers, if they have names.
     motors : Motors
         The effects that take commands.
+    system : System
+        H with the effects and the method, as they are compiled.
     steps : int
         Steps taken since the initial state.
     q, p : np.ndarray, shape (d,) or (m, d)
@@ -96,11 +100,13 @@ class Simulation(Stepping):
         system = System(hamiltonian, effects, integrator)
         super().__init__(system, float(step_size), on_failure)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
+        self.system = system
         self.effects = tuple(effects)
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
         self.command_names, self.command_size = self.motors.names, self.motors.size
         self.usual_gradients = system.integrator.usual_gradients
+        self._follow: Loop | None = None
         if not self._kernel.compiled:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
@@ -212,6 +218,80 @@ class Simulation(Stepping):
         for name, array in self._arrays().items():
             array[...] = snapshot[name]
         self._update_gradient()
+
+    @property
+    def row(self) -> np.ndarray:
+        """Return a snapshot as numbers one after another, shape (R,); see ``follow``."""
+        return np.concatenate([[self._energy0, self.steps, self._active], *self._flat])
+
+    def put(self, row: np.ndarray) -> None:
+        """Go back to a row of such a simulation: the same steps will follow, bit by bit."""
+        self._energy0, self.steps, self._active = float(row[0]), int(row[1]), max(int(row[2]), 0)
+        for array, part in zip(self._flat, np.split(
+                row[3:], np.cumsum([array.size for array in self._flat])[:-1]), strict=True):
+            array[:] = part
+        if row[2] < 0.0:
+            self._evaluate_gradient()
+        self._update_gradient()
+
+    def rows(self, z: np.ndarray, time: ArrayLike = 0.0, step: ArrayLike = 0) -> np.ndarray:
+        """Return rows, (m, R), of states (q, p), (m, 2 d), before steps at times [s]."""
+        d, n = self.hamiltonian.dimension, self._kernel.dimension
+        rows = np.zeros((len(z), 3 + sum(array.size for array in self._flat)))
+        rows[:] = np.concatenate([[np.nan, 0.0, -1.0], *self._fresh])
+        rows[:, 1], rows[:, 3:3 + d], rows[:, 3 + n:3 + n + d] = step, z[:, :d], z[:, d:]
+        # After the point comes the clock.
+        rows[:, 3 + 6 * n] = np.asarray(time) + rows[:, 1] * self.step_size
+        return rows
+
+    def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
+               law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of many states, each with commands of its own, in one compiled loop.
+
+        What comes of one row depends on no other, and equals the steps of a simulation that was
+        put there, bit by bit. This simulation is elsewhere afterwards.
+
+        Parameters
+        ----------
+        rows : np.ndarray, shape (m, R)
+            See ``row`` and ``rows``; afterwards where each ends, or before a step that fails.
+        commands : np.ndarray, shape (m, N, c) or (m, N, 0)
+            Of plain numbers, that do not expire; with 0 of them what a row holds acts on.
+        hold : int, optional
+            Steps that each command lasts.
+        law : Law, optional
+            Feedback that is added to the commands, which are changed, and their limits.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (m, N + 1, 2 d) and (m,)
+            States (q, p), NaN after a step that fails; and the steps taken.
+
+        """
+        rows_in, count, c = commands.shape
+        path = np.empty((rows_in, count + 1, 2 * self.hamiltonian.dimension))
+        taken = np.empty(rows_in, dtype=np.int64)
+        if self._follow is None:
+            self._follow = Loop(follow_each, self._kernel, self._rescue.methods[0])
+        self._follow(self.step_size, hold, count, self._z, self._z1, self._memories[0],
+                     self._flat, rows, self._system.effect_state.command, self._system.places,
+                     law or Law.none(c), commands, path, taken)
+        return path, taken
+
+    def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1) -> np.ndarray:
+        """Return the path of ``follow``; a step that fails is taken by a fallback, or raises."""
+        before = rows.copy()
+        path, taken = self.follow(rows, commands, hold)
+        for m in np.flatnonzero(taken < hold * commands.shape[1]):
+            self.put(before[m])
+            for n, command in enumerate(commands[m]):
+                if command.size:
+                    self.set_command(command)
+                self.advance(hold)
+                path[m, n + 1, :self.q.size + self.p.size] = np.append(self.q, self.p)
+            rows[m] = self.row
+        return path
 
     def trial(self, snapshot: dict[str, np.ndarray], step_size: float, steps: int = 1
               ) -> tuple[np.ndarray, np.ndarray]:

@@ -64,6 +64,9 @@ class Stepping:
         self._z, self._z1 = Point.empty(n), Point.empty(n)
         self._active, self._memories = 0, self._rescue.memories(n)
         self._own = [*self._arrays().values()]
+        # The same memory in numbers of 64 bits, whatever they are; and as it is before a step.
+        self._flat = tuple(array.reshape(-1).view(np.float64) for array in self._own)
+        self._fresh = [array.copy() for array in self._flat]
         # Not the point's own: what a step finds there must not depend on when it was looked at.
         self._dH_dq, self._dH_dp = np.empty((2, n))
 

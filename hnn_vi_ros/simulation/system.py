@@ -312,6 +312,18 @@ class System:
         self.__dict__ = other.__dict__
         return True
 
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Return how each number of a command acts on each coordinate, shape (c, d)."""
+        held = self.effect_state.command
+        before, rows = held.copy(), []
+        for unit in np.eye(self.motors.size):
+            held[:] = 0.0
+            self.motors.command(unit, held[:-1])
+            rows.append(held[:-1].copy())
+        held[:] = before
+        return np.array(rows).reshape(-1, held.size - 1)
+
     @property
     def lockstep(self) -> bool:
         """Return whether several trajectories can step together."""
