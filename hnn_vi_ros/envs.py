@@ -5,6 +5,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -135,10 +136,19 @@ class SceneEnv(gymnasium.Env):
         size = self._simulation.q.size + self._simulation.p.size
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float64)
 
-    def copy(self) -> 'SceneEnv':
-        """Return the same environment with a simulation of its own, before its first episode."""
+    def copy(self, *, shared: bool = False) -> 'SceneEnv':
+        """
+        Return the same environment before its first episode.
+
+        Parameters
+        ----------
+        shared : bool, optional
+            Use the simulation of this one, in the same thread, in place of one of its own.
+
+        """
         other = copy(self)
-        other._simulation = other._made()
+        if not shared:
+            other._simulation = other._made()
         other.over, other._ahead = True, None
         # A generator of its own, random until reset() gets a seed.
         other.np_random, _ = gymnasium.utils.seeding.np_random()
@@ -168,7 +178,7 @@ class SceneEnv(gymnasium.Env):
         except (StepFailure, EffectError) as problem:
             # gymnasium rebuilds the error of another process from its message alone.
             raise StateError(str(problem)) from problem
-        self.over, self._taken, self._ahead = False, 0, None
+        self.over, self._taken, self._ahead, self._row = False, 0, None, simulation.row
         return np.concatenate([simulation.q, simulation.p]), {}
 
     def step(self, action: ArrayLike) -> Step:
@@ -176,7 +186,7 @@ class SceneEnv(gymnasium.Env):
         if self.over:
             raise gymnasium.error.ResetNeeded(_RESET)
         if self._ahead is None:
-            self.begin(check_action(action, self.action_space))
+            self.begin([self], check_action(action, self.action_space)[None])
         assert self._ahead is not None, 'begin() has taken the steps'
         (transition, info), self._ahead = self._ahead, None
         self._taken += 1
@@ -186,11 +196,40 @@ class SceneEnv(gymnasium.Env):
         return (np.concatenate([transition.q, transition.p]), float(self._reward(transition)),
                 terminated, truncated, info)
 
-    def begin(self, action: np.ndarray) -> None:
-        """Take the steps of an action ahead of ``step``; nothing where the episode has ended."""
-        if self.over:
+    def begin(self, envs: Sequence['SceneEnv'], actions: np.ndarray) -> None:
+        """
+        Take the steps of actions ahead of ``step``, of environments that share its simulation.
+
+        Parameters
+        ----------
+        envs : sequence of SceneEnv
+            Nothing happens in those whose episode has ended.
+        actions : np.ndarray, shape (len(envs), c)
+            Each as from ``check_action``.
+
+        """
+        live = [k for k, env in enumerate(envs) if not env.over]
+        if not live:
             return
+        simulation, taken = self._simulation, np.zeros(len(live))
+        if not isinstance(simulation, WatchedSimulation):
+            rows = np.array([envs[k]._row for k in live])
+            path, taken = simulation.follow(rows, actions[live, None], self._every)
+            q, p = np.split(path[..., :simulation.q.size + simulation.p.size],
+                            [simulation.q.size], axis=2)
+            times = (rows[:, 1] * simulation.step_size).tolist()
+        for i, k in enumerate(live):
+            if taken[i] < self._every:
+                envs[k]._begin_alone(actions[k])
+                continue
+            envs[k]._row = rows[i]
+            envs[k]._ahead = Transition(
+                times[i], q[i, 0], p[i, 0], actions[k], q[i, 1], p[i, 1], None), {}
+
+    def _begin_alone(self, action: np.ndarray) -> None:
+        """Take the steps of an action in which an event may come, or one may fail."""
         simulation = self._simulation
+        simulation.put(self._row)
         before = simulation.q.copy(), simulation.p.copy()
         info: _Info = {}
         ended: str | None = None
@@ -207,7 +246,8 @@ class SceneEnv(gymnasium.Env):
                 str(event) for event in simulation.take_events() if not event.stops]):
             info['events'] = events
         t, q, p = at_event or (simulation.time, simulation.q.copy(), simulation.p.copy())
-        self._ahead = Transition(t, *before, action, q, p, ended), info
+        self._ahead, self._row = (Transition(t, *before, action, q, p, ended), info), \
+            simulation.row
 
     def _made(self) -> Simulation | WatchedSimulation:
         scene, state = self._scene, self._scene.initial_state
@@ -233,11 +273,11 @@ class SceneEnv(gymnasium.Env):
 
 class SceneVectorEnv(SyncVectorEnv):
     """
-    Many environments of one scene, whose steps are taken on several threads.
+    Many environments of one scene, whose steps are taken together.
 
     Actions have the same results, and environments reset at the same times, as in gymnasium's
-    ``SyncVectorEnv`` over ``SceneEnv``, bit by bit. A step of a network takes microseconds
-    outside of Python's lock, so that threads gain where actions last several steps.
+    ``SyncVectorEnv`` over ``SceneEnv``, bit by bit. All that share a thread step in one compiled
+    loop, outside of Python's lock, so that threads gain where actions last several steps.
 
     Parameters
     ----------
@@ -266,9 +306,13 @@ class SceneVectorEnv(SyncVectorEnv):
         if threads is not None:
             check_count('threads', threads)
         first = SceneEnv(scene, reward, **settings)
-        super().__init__([lambda: first, *[first.copy] * (num_envs - 1)],
-                         autoreset_mode=autoreset_mode)
         self._workers = min(threads or usable_processors(), num_envs)
+        shares = np.array_split(np.arange(num_envs), self._workers)
+        leaders = [first, *(first.copy() for _ in shares[1:])]
+        made = iter([env for leader, share in zip(leaders, shares, strict=True)
+                     for env in (leader, *(leader.copy(shared=True) for _ in share[1:]))])
+        super().__init__([partial(next, made)] * num_envs, autoreset_mode=autoreset_mode)
+        self._shares = [slice(int(share[0]), int(share[-1]) + 1) for share in shares]
         self._pool = ThreadPoolExecutor(self._workers)
 
     def step(self, actions: ArrayLike) -> tuple[np.ndarray, ...]:
@@ -278,7 +322,7 @@ class SceneVectorEnv(SyncVectorEnv):
         if self.autoreset_mode is AutoresetMode.DISABLED and any(env.over for env in self.envs):
             raise gymnasium.error.ResetNeeded(_RESET)
         # Taken from the iterator, so that a failure of one thread is raised here.
-        list(self._pool.map(self._begin, range(self._workers), [checked] * self._workers))
+        list(self._pool.map(self._begin, self._shares, [checked[own] for own in self._shares]))
         return super().step(checked)
 
     def close_extras(self, **options: Any) -> None:
@@ -286,10 +330,9 @@ class SceneVectorEnv(SyncVectorEnv):
         super().close_extras(**options)
         self._pool.shutdown()
 
-    def _begin(self, worker: int, actions: np.ndarray) -> None:
-        share = slice(worker, None, self._workers)
-        for env, action in zip(self.envs[share], actions[share], strict=True):
-            env.begin(action)
+    def _begin(self, share: slice, actions: np.ndarray) -> None:
+        envs = self.envs[share]
+        envs[0].begin(envs, actions)
 
 
 def check_action(action: ArrayLike, space: Any) -> np.ndarray:

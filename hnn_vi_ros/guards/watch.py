@@ -267,6 +267,13 @@ def look_at_block(simulation: Simulation) -> Look:
                 math.nan, math.nan)
 
 
+def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.ndarray) -> Look:
+    """Return what ``watch_of_block`` looks at, of rows whose states are q and p, (m, d)."""
+    energy, modified = energies_of(simulation, q, p)
+    return Look(int(rows[0, 1]), q, p, *simulation.hamiltonian.gradient(q, p),
+                float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
+
+
 def record_watched(simulation: Simulation, samples: int, every: int, watch: Watch
                    ) -> tuple[np.ndarray, np.ndarray]:
     """Take samples times every steps, as ``Simulation.record``, and look on meanwhile."""

@@ -244,6 +244,11 @@ class Simulation(Stepping):
         rows[:, 3 + 6 * n] = np.asarray(time) + rows[:, 1] * self.step_size
         return rows
 
+    def work_in(self, rows: np.ndarray) -> float:
+        """Return the work of all effects in rows [J]."""
+        first = 3 + 6 * self._kernel.dimension + 2
+        return float(rows[:, first:first + self._system.effect_state.work.size].sum())
+
     def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
                law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
         """

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import math
@@ -12,13 +12,13 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
-from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.effects.commands import Command, LARGEST
 from hnn_vi_ros.errors import optional, StepFailure, StoppedByEvent
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import (
-    energies_of, look, look_at_block, record_watched, show_many, tell, tell_many, Watch,
-    watch_of_block)
+    energies_of, look, look_at_block, look_at_rows, record_watched, show_many, tell, tell_many,
+    Watch, watch_of_block)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.processors import in_threads, usable_processors
@@ -40,6 +40,8 @@ _MOST_STEPS = 2**63 - 1
 
 # Commands over time: a function of time [s], or values at each sample.
 Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
+# Of m trajectories: to be held from sample to sample, or a function of the time [s].
+ManyCommands = ArrayLike | Callable[[float], ArrayLike]
 # What takes samples: q and p, shape (k, d) each.
 Recorder = Callable[[], tuple[np.ndarray, np.ndarray]]
 
@@ -416,6 +418,47 @@ def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: i
     return t, q_all, p_all, watch.alarms
 
 
+def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
+                commands: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
+    """
+    Take the samples of trajectories each of which has commands of its own.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of one of them; it is restarted.
+    q, p : np.ndarray, shape (m, d)
+        Initial states.
+    stream : int
+        Of the noise of the first; the others have those that follow.
+    commands : iterable of np.ndarray, shape (m, every, c)
+        Before each step, from one sample to the next.
+
+    Returns
+    -------
+    tuple of (np.ndarray, np.ndarray, list of Alarm)
+        q and p, shape (n, m, d), and the alarms about the steps of all.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
+    begun = []
+    for k in range(len(q)):
+        simulation.restart(q[k:k + 1], p[k:k + 1], stream=stream + k)
+        begun.append(simulation.row)
+    rows, watch = np.array(begun), watch_of_block(simulation)
+    states, width = [np.hstack([q, p])], q.shape[1]
+    watch.update(look_at_rows(simulation, rows, q, p))
+    for held in commands:
+        states.append(simulation.follow_on(rows, held)[:, -1, :width + p.shape[1]])
+        watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))
+    path = np.array(states)
+    return path[..., :width], path[..., width:], watch.alarms
+
+
 def _scene(scene: Scene | str | Path) -> Scene:
     """Return the scene of a name."""
     if isinstance(scene, str | Path):
@@ -460,9 +503,39 @@ def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     return list(effects) if isinstance(effects, tuple) else effects
 
 
+def _check_many(commands: ManyCommands, share: float, device: str | None, one: Simulation,
+                shape: tuple[int, int]) -> None:
+    """Raise ValueError for commands, of an array of shape (m, samples, c), that do not fit."""
+    if not one.takes_commands:
+        raise ValueError('no effect of the scene takes commands: add external_force, with its '
+                         'coordinates')
+    if share or device is not None:
+        raise ValueError('with commands samples lie whole steps apart, and no device takes the '
+                         'steps; take another duration or samples, and leave device out')
+    if not callable(commands):
+        _checked_numbers('commands', commands, [(*shape, one.command_size)])
+
+
+def _numbers(commands: Any, time: float, sample: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return the commands of all trajectories, (m, c), at a time after a sample."""
+    if not callable(commands):
+        return np.asarray(commands[:, sample])
+    return np.broadcast_to(_checked_numbers(
+        f'commands({time:g})', commands(time), [shape, shape[1:]]), shape)
+
+
+def _checked_numbers(name: str, values: Any, shapes: list[tuple[int, ...]]) -> np.ndarray:
+    """Return numbers of one of the shapes, or raise ValueError."""
+    found = check_numbers(name, values)
+    if found.shape not in shapes or not (np.abs(found) <= LARGEST).all():
+        raise ValueError(f'{name} has shape {found.shape}, expected '
+                         f'{" or ".join(map(str, shapes))}: finite numbers <= {LARGEST:g}')
+    return found
+
+
 def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duration: float, *,
-                  samples: int = 1, threads: int | None = None, device: str | None = None
-                  ) -> Trajectory:
+                  samples: int = 1, commands: ManyCommands | None = None,
+                  threads: int | None = None, device: str | None = None) -> Trajectory:
     """
     Simulate one scene from many initial states.
 
@@ -481,6 +554,11 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         Simulated time [s].
     samples : int, optional
         Samples after the initial one, evenly spaced; see DenseStep for times between steps.
+    commands : array or callable, optional
+        Of external_force, plain numbers: an array of shape (m, samples, c), which each trajectory
+        holds from sample to sample, or a function of the time [s] that returns (m, c) or (c,)
+        before each step. Each trajectory then steps alone, bit by bit as in ``simulate``, and
+        samples lie whole steps apart.
     threads : int, optional
         By default as many as there are processors; of no meaning on a GPU.
     device : str, optional
@@ -537,15 +615,31 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
         return build_at(parts, q0[block], p0[block])
 
     def work(firsts: range) -> None:
-        simulation = start(slice(firsts[0], firsts[0] + size))
+        simulation = start(slice(firsts[0], firsts[0] + (size if commands is None else 1)))
         for first in firsts:
             block = slice(first, first + size)
-            _, q_all[:, block], p_all[:, block], told = record_block(
-                simulation, q0[block], p0[block], first, float(t[-1]), max(every, 1),
-                t if share else None)
+            if commands is None:
+                _, q_all[:, block], p_all[:, block], told = record_block(
+                    simulation, q0[block], p0[block], first, float(t[-1]), max(every, 1),
+                    t if share else None)
+            else:
+                q_all[:, block], p_all[:, block], told = record_rows(
+                    simulation, q0[block], p0[block], first,
+                    (part[block] for part in held(commands, simulation.command_size)))
             for own in alarms[block]:
                 own += told
 
+    def held(commands: ManyCommands, c: int) -> Iterator[np.ndarray]:
+        """Yield the commands before each step from one sample to the next, (m, every, c)."""
+        for sample in range(samples):
+            yield np.stack([_numbers(commands, k * h, sample, (len(q0), c)) for k in range(
+                sample * every, sample * every + every)], axis=1)
+
+    if commands is not None:
+        size = BLOCK
+        _check_many(commands, share, device, start(slice(0, 1)), (len(q0), samples))
+        commands, threads = (commands, 1) if callable(commands) else (
+            np.asarray(commands, dtype=np.float64), threads)
     alarms: list[list[Alarm]] = [[] for _ in q0]
     if device is None:
         workers = min(threads or usable_processors(), -(-len(q0) // size))

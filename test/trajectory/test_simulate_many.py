@@ -272,3 +272,57 @@ def test_trajectories_that_step_together_raise_no_slow_step_that_none_raises_alo
     q, p = np.random.default_rng(0).uniform(-0.8, 0.8, (2, BLOCK, 2))
     many = simulate_many(path, q, p, 2.0, samples=4)
     assert 'slow step' not in {alarm.kind for alarm in many.alarms[0]}
+
+
+FORCE = {'kind': 'external_force', 'coordinates': ['angle2'], 'timeout': 0.06}
+
+
+@pytest.mark.parametrize('method', ['rk4', 'variational_euler', 'implicit_midpoint'])
+@pytest.mark.parametrize('threads', [1, 2])
+def test_commanded_rows_are_those_of_simulate_bit_by_bit(method, threads):
+    # A command lasts a sample, beyond its time-out.
+    scene = load_scene('exact_double_pendulum').with_overrides(0.02, method, effects=[
+        {'kind': 'damping', 'rate': 0.2}, FORCE])
+    rng = np.random.default_rng(2)
+    q, p, commands = (*rng.uniform(-0.8, 0.8, (2, BLOCK + 2, 2)),
+                      rng.normal(size=(BLOCK + 2, 3, 1)))
+    many = simulate_many(scene, q, p, 0.3, samples=3, commands=commands, threads=threads)
+    by_time = simulate_many(scene, q, p, 0.3, samples=3, commands=lambda t: commands[
+        :, min(int((t + 1e-9) / 0.1), 2)])
+    for k in (0, 1, BLOCK, BLOCK + 1):
+        alone = simulate(scene, 0.3, every=5, initial_state=(q[k], p[k]), commands=commands[k])
+        assert np.array_equal(many.q[:, k], alone.q) and np.array_equal(many.p[:, k], alone.p)
+    assert np.array_equal(many.q, by_time.q) and np.array_equal(many.p, by_time.p)
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_a_commanded_step_that_fails_is_taken_as_simulate_takes_it():
+    # Its equation has no solution where the arm is so fast, and steps are taken in parts.
+    scene = load_scene('exact_double_pendulum').with_overrides(
+        0.2, 'variational_euler', effects=[{**FORCE, 'timeout': 1.0}])
+    q, p = np.array([[1.0, 1.0], [0.1, 0.2]]), np.array([[20.0, -10.0], [0.0, 0.0]])
+    simulation = build(scene)
+    simulation.restart(q[0], p[0])
+    simulation.advance(10)
+    assert simulation.rescued
+    commands = np.full((2, 10, 1), 3.0)
+    many = simulate_many(scene, q, p, 2.0, samples=10, commands=commands)
+    for k in range(2):
+        alone = simulate(scene, 2.0, initial_state=(q[k], p[k]), commands=commands[k])
+        assert np.array_equal(many.q[:, k], alone.q)
+
+
+@pytest.mark.parametrize('changes, message', [
+    ({'commands': np.zeros((2, 3, 1))}, r'commands has shape \(2, 3, 1\), expected \(2, 5, 1\)'),
+    ({'commands': np.full((2, 5, 1), np.nan)}, 'finite numbers <= 1e'),
+    ({'commands': lambda t: [0.0, 0.0]}, r'commands\(0\) has shape \(2,\), expected \(2, 1\) or'),
+    ({'commands': np.zeros((2, 5, 1)), 'duration': 0.33}, 'samples lie whole steps apart'),
+    ({'commands': np.zeros((2, 5, 1)), 'device': 'cpu'}, 'no device takes the steps'),
+    ({'commands': np.zeros((2, 5, 1)), 'scene': 'exact_pendulum', 'q': [[1.0]], 'p': [[0.0]]},
+     'no effect of the scene takes commands: add external_force')])
+def test_commands_that_do_not_fit_are_refused(changes, message):
+    scene = load_scene('exact_double_pendulum').with_overrides(0.02, 'rk4', effects=[FORCE])
+    arguments = {'scene': scene, 'q': np.zeros((2, 2)), 'p': np.zeros((2, 2)), 'duration': 0.5,
+                 'samples': 5} | changes
+    with pytest.raises(ValueError, match=message):
+        simulate_many(**arguments)
