@@ -69,6 +69,11 @@ class Planner(ABC):
         self._last: Plan | None = None
         self._time = 0.0
 
+    @property
+    def interval(self) -> float:
+        """Return the time from one state of a plan to the next [s]."""
+        return self._steps.duration
+
     @abstractmethod
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
         """

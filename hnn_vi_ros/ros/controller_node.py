@@ -10,6 +10,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.cdr import MOMENTUM
+from hnn_vi_ros.control.planning import Planner
 from hnn_vi_ros.control.task import assign, Assignment
 from hnn_vi_ros.effects.commands import select
 from hnn_vi_ros.errors import ParameterError
@@ -27,14 +28,17 @@ from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
 from rclpy.timer import Timer
 from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # Commands whose plans' times count for the figures of diagnostics, which come so often [s].
 _RECENT, _REPORT = 1000, 1.0
@@ -110,7 +114,8 @@ class ControllerNode(ManagedNode):
         self._topic = f'{name}/{self.settings.commands}'
         refuse_unknown(self, CONTROLLER_PARAMETERS, [
             Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
-            Endpoint(self._topic, 'publisher'), Endpoint(DIAGNOSTICS.topic, 'publisher')],
+            Endpoint(self._topic, 'publisher'), Endpoint(DIAGNOSTICS.topic, 'publisher'),
+            Endpoint('~/plan', 'publisher')],
             arguments)
         self._assignment: Assignment | None = None
         self._publishers: list[Publisher] = []
@@ -128,7 +133,8 @@ class ControllerNode(ManagedNode):
             self, JointState if settings.commands == 'joint_commands' else Float64MultiArray,
             self._topic, NEWEST)
         diagnostics = create_publisher(self, DiagnosticArray, DIAGNOSTICS.topic, DIAGNOSTICS.qos)
-        self._publishers = [self._commands, diagnostics]
+        self._plans = create_publisher(self, JointTrajectory, '~/plan', NEWEST)
+        self._publishers = [self._commands, self._plans, diagnostics]
         self._diagnostics = DiagnosticsPublisher(
             self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
         self._hearing = Hearing(self)
@@ -225,6 +231,22 @@ class ControllerNode(ManagedNode):
         self._times.append(spent)
         self._sent += 1
         self._late += spent > self._time
+        if self._plans.get_subscription_count():
+            self._send_plan(t + assigned.prediction.delay)
+
+    def _send_plan(self, begin: float) -> None:
+        """Publish the states of the last plan, which begins at a time [s]; none without one."""
+        hamiltonian, controller = self._assigned.hamiltonian, self._assigned.controller
+        message = JointTrajectory(joint_names=columns(hamiltonian.coordinates)[0])
+        message.header.stamp = Time(nanoseconds=max(0, round(begin * 1e9))).to_msg()
+        if isinstance(controller, Planner) and controller.plan is not None \
+                and np.isfinite(controller.plan).all():
+            q, p = np.split(controller.plan, 2, axis=1)
+            message.points = [JointTrajectoryPoint(
+                positions=one, velocities=v,
+                time_from_start=Duration(seconds=k * controller.interval).to_msg())
+                for k, (one, v) in enumerate(zip(q, hamiltonian.gradient(q, p)[1], strict=True))]
+        self._plans.publish(message)
 
     def _send(self, u: np.ndarray) -> None:
         """Publish a command; its stamp is that of the state that it answers."""

@@ -11,8 +11,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.cdr import decode_state, State
+from hnn_vi_ros.effects.commands import printable
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files.resources import expand_user
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments
@@ -43,6 +45,7 @@ from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 # The picture leaves room for this much simulated time [s].
 _SEEN = 30.0
@@ -135,6 +138,21 @@ class BridgePicture:
                     'microseconds_per_step_median', 'microseconds_per_step_p99',
                     'real_time_factor'))
                 self._sink.timing((median, p99), pace)
+
+    def plan(self, message: JointTrajectory) -> None:
+        """Show a controller's plan; ValueError if it is not one of this scene."""
+        names = [coordinate.name for coordinate in self._hamiltonian.coordinates]
+        if sorted(message.joint_names) != sorted(names):
+            raise ValueError(f'joint_names are {printable(message.joint_names)}, expected '
+                             f'{", ".join(names)}')
+        order, d = [list(message.joint_names).index(name) for name in names], len(names)
+        points = [(point.positions, point.velocities) for point in message.points]
+        if any(len(half) != d for point in points for half in point):
+            raise ValueError(f'a point has no {d} positions and velocities')
+        q, v = np.array(points, dtype=np.float64).reshape(-1, 2, d)[:, :, order].swapaxes(0, 1)
+        stamp = message.header.stamp
+        self._sink.plan(stamp.sec * 10**9 + stamp.nanosec, q, momentum(
+            self._hamiltonian, q, v, np.zeros_like(v)) if len(q) else v)
 
     def close(self) -> None:
         """Send what is left; RecordingError if it is not taken."""
@@ -239,11 +257,12 @@ class RerunBridge(RobustNode):
     def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""
         simulator = self._settings.simulator
-        try:
-            validate_topic_name(simulator)
-        except InvalidTopicNameException as problem:
-            raise ParameterError(f'parameter simulator = {simulator!r}: expected the full name '
-                                 'of a node, such as /hnn_simulator') from problem
+        for role, name in (('simulator', simulator), ('controller', self._settings.controller)):
+            try:
+                validate_topic_name(name)
+            except InvalidTopicNameException as problem:
+                raise ParameterError(f'parameter {role} = {name!r}: expected the full name of a '
+                                     f'node, such as /hnn_{role}') from problem
 
         def tell(message: DiagnosticArray) -> None:
             self._show(BridgePicture.tell, message, simulator)
@@ -253,6 +272,7 @@ class RerunBridge(RobustNode):
             f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
             **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
                for last, topic in _TICK.items()},
+            f'{self._settings.controller}/plan': (JointTrajectory, self._on_plan, _QUEUE, False),
             DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
             EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
 
@@ -345,6 +365,15 @@ class RerunBridge(RobustNode):
         except ValueError as problem:
             self.get_logger().error(
                 f'~/state is no state: {problem}', throttle_duration_sec=1.0)
+
+    def _on_plan(self, message: JointTrajectory) -> None:
+        """Show a controller's plan, or say why that is none."""
+        try:
+            self._show(BridgePicture.plan, message)
+        except ValueError as problem:
+            self.get_logger().error(
+                f'{self._settings.controller}/plan: message ignored: {problem}',
+                throttle_duration_sec=1.0)
 
     def _keeper(self, name: str) -> Callable[..., None]:
         """Return the callback for messages of a topic when ~/state is missing."""

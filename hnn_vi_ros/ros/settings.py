@@ -159,6 +159,8 @@ class BridgeSettings:
     """The parameters of the rerun bridge."""
 
     simulator: str = parameter('/hnn_simulator', 'full name of the simulator node')
+    controller: str = parameter(
+        '/hnn_controller', 'full name of the controller node, whose plans are shown')
     rerun_sink: str = parameter(
         'connect', 'where the picture goes: to a file, to a running viewer, to viewers that '
         'connect', choices=('file', 'connect', 'serve'))

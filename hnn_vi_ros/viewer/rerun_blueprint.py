@@ -38,6 +38,11 @@ def phase_path(coordinate: Coordinate) -> str:
     return f'/phase/{rr.escape_entity_path_part(coordinate.name)}'
 
 
+def plan_path(coordinate: Coordinate) -> str:
+    """Return the entity that holds a controller's plan in a phase portrait."""
+    return f'{phase_path(coordinate)}/plan'
+
+
 def part_path(name: str) -> str:
     """Return the entity that holds a part of the mechanism."""
     return f'/world/{rr.escape_entity_path_part(name)}'
@@ -136,6 +141,8 @@ def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, fra
         '/labels': _frame_labels(frame, coordinate, side),
         '/trail': rr.LineStrips2D.from_fields(colors=[PALETTE[1]], draw_order=30.0,
                                               radii=rr.Radius.ui_points(1.25)),
+        '/plan': rr.LineStrips2D.from_fields(colors=[PALETTE[2]], draw_order=35.0,
+                                             radii=rr.Radius.ui_points(1.25)),
         '/state': rr.Points2D.from_fields(colors=[WHITE], radii=rr.Radius.ui_points(5.0),
                                           draw_order=40.0),
     }
@@ -183,6 +190,16 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
                 centers=None if part.moves else [part.center], half_sizes=[half_size],
                 colors=[part.color], fill_mode=rr.components.FillMode.Solid)
         stream.log(part_path(name), still, static=True, strict=True)
+
+
+# Where a controller means to take the last body of the mechanism.
+PLAN = '/world/plan'
+
+
+def log_plan_style(stream: rr.RecordingStream, radius: float) -> None:
+    """Set how a plan looks in the view of the mechanism, as in the phase portraits."""
+    stream.log(PLAN, rr.LineStrips3D.from_fields(colors=[PALETTE[2]], radii=[radius]),
+               static=True, strict=True)
 
 
 TRAIL_SAMPLES = 300

@@ -398,6 +398,13 @@ class Portraits:
                     ('state', rr.Points2D.columns(positions=own[1:]))):
                 self._recording.send_columns(f'{path}/{child}', times, columns, strict=True)
 
+    def plan(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
+        """Draw a path, of shape (n, d) each, on which a controller means to go on."""
+        for frame in self._frames:
+            path = layout.plan_path(self._hamiltonian.coordinates[frame.axis])
+            self._recording.send_columns(path, times, rr.LineStrips2D.columns(
+                strips=np.stack([q[:, frame.axis], p[:, frame.axis]], axis=-1)[None]), strict=True)
+
     def fit(self) -> None:
         """Draw the still parts again, in frames that hold the paths."""
         self._frames = [

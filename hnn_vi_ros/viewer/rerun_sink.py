@@ -32,6 +32,8 @@ MOST_PORTRAITS = 8
 # closed, for its index, and a send takes 0.2 MB for each second: 2.4 MB an hour and 6 MB once.
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
 GATHER_SHARE, GATHER_MOST = 0.1, 30.0
+# Of the line of a plan, over the reach of the mechanism.
+_PLAN_RADIUS = 0.006
 # More samples than this are sent at once: a run that no clock holds back hands out many.
 MOST_PENDING = 1024
 
@@ -113,6 +115,7 @@ class RerunSink:
         self._effects, self._step_size = effects, step_size
         self._forces: ForceArrows | None = None
         self._arrows: set[str] = set()
+        self._planned = False
         # Where trails end, by name.
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
@@ -155,6 +158,31 @@ class RerunSink:
             self._send_events()
         else:
             self._send_if_due()
+
+    def plan(self, stamp: int, q: np.ndarray, p: np.ndarray) -> None:
+        """
+        Show where a controller means to go, next to the motion, until its next plan.
+
+        Parameters
+        ----------
+        stamp : int
+            At which the plan begins [ns].
+        q, p : np.ndarray, shape (n, d)
+            Its states; none, where nothing is planned any more.
+
+        """
+        times = self._times([stamp], [round(stamp * 1e-9 / self._step_size)])
+        self._portraits.plan(times, q, p)
+        if self._mechanism is None:
+            return
+        tips = [part.center for part in self._mechanism(q, self._reach).values()
+                if isinstance(part, Ball | Box) and part.moves] if len(q) else []
+        if tips and not self._planned:
+            self._planned = True
+            layout.log_plan_style(self._stream.recording, _PLAN_RADIUS * self._reach)
+        if self._planned:
+            path: np.ndarray = tips[-1] if tips else np.zeros((0, 3))
+            self._columns(layout.PLAN, times, rr.LineStrips3D.columns(strips=path[None]))
 
     def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
                ) -> None:
