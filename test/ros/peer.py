@@ -120,9 +120,9 @@ class Peer:
         """Return the label of the simulator's state."""
         return self.call(GetState, 'get_state').current_state.label
 
-    def topics_of_simulator(self) -> tuple[set[str], set[str]]:
-        """Return what the simulator publishes and what it hears."""
-        name = SIMULATOR[1:], '/'
+    def topics_of(self, node: str = SIMULATOR) -> tuple[set[str], set[str]]:
+        """Return what a node publishes and what it hears."""
+        name = node[1:], '/'
         self.spin_until(lambda: name in self.node.get_node_names_and_namespaces())
         return tuple({topic for topic, _ in find(*name)} for find in (
             self.node.get_publisher_names_and_types_by_node,

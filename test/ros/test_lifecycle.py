@@ -62,7 +62,7 @@ def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
                         0, 8, 10, 30, 50, 60, 99, 255):
             assert not other.change_state(illegal)
         # Nothing is there before it is configured.
-        assert f'{SIMULATOR}/q' not in other.topics_of_simulator()[0]
+        assert f'{SIMULATOR}/q' not in other.topics_of()[0]
         assert not other.trigger('step').success and not other.trigger('reset').success
         assert 'not configured' in other.trigger('start_recording').message
         for cycle in (1, 2):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The SROS2 policy allows the simulator what it does in the graph, and nothing else."""
+"""The SROS2 policies allow the nodes what they do in the graph, and nothing else."""
 
 from itertools import count
 from pathlib import Path
@@ -12,7 +12,7 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.services import ACTION, INTERFACES, service_name
 from hnn_vi_ros.ros.topics.messages import clock_message
 from peer import Peer, peer, SIMULATOR
-from processes import finish, start
+from processes import finish, standard_error, start, start_executable, wait_until
 import pytest
 from rosgraph_msgs.msg import Clock
 
@@ -40,16 +40,16 @@ uncertainty: {limit: 1.0}
 """
 
 
-def relative(names) -> list[str]:
+def relative(names, node: str = SIMULATOR) -> list[str]:
     """Return names as they are with a remapped node or namespace, sorted."""
-    return sorted(name.replace(f'{SIMULATOR}/', '~/') if name.startswith(f'{SIMULATOR}/')
+    return sorted(name.replace(f'{node}/', '~/') if name.startswith(f'{node}/')
                   else name.removeprefix('/') if name in ('/joint_states', '/robot_description')
                   else name for name in names)
 
 
 def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
     """Return what the running simulator publishes, hears and answers."""
-    published, heard = other.topics_of_simulator()
+    published, heard = other.topics_of()
     services = {name for name, _ in other.node.get_service_names_and_types_by_node(
         SIMULATOR[1:], '/')}
     optional = {f'{SIMULATOR}/{service_name(name)}' for name in INTERFACES if name != ACTION}
@@ -60,13 +60,13 @@ def rights_in_the_graph(other: Peer) -> dict[str, list[str]]:
             'execute': [f'~/{service_name(ACTION)}']}
 
 
-def describe(rights: dict[str, list[str]]) -> str:
+def describe(rights: dict[str, list[str]], node: str = SIMULATOR) -> str:
     """Return a policy in the format of SROS2, version 0.2.0."""
     policy = ElementTree.Element('policy', version='0.2.0')
     enclave = ElementTree.SubElement(
-        ElementTree.SubElement(policy, 'enclaves'), 'enclave', path=SIMULATOR)
+        ElementTree.SubElement(policy, 'enclaves'), 'enclave', path=node)
     profile = ElementTree.SubElement(ElementTree.SubElement(enclave, 'profiles'), 'profile',
-                                     ns='/', node=SIMULATOR[1:])
+                                     ns='/', node=node[1:])
     kinds = {'reply': 'service', 'execute': 'action'}
     for right, names in rights.items():
         kind = kinds.get(right, 'topic')
@@ -104,6 +104,29 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         POLICY.write_text(found, encoding='utf-8')
     assert POLICY.read_text(encoding='utf-8') == found, (
         "make test ARGS='test/ros/test_security.py --policy' renews the policy")
+
+
+def test_policy_allows_exactly_what_the_controller_does_in_the_graph(
+        request: pytest.FixtureRequest):
+    node, policy = '/hnn_controller', POLICY.with_name('controller.policy.xml')
+    rights: dict[str, set[str]] = {'publish': set(), 'subscribe': set(), 'reply': set()}
+    for task, commands in (('swing_up', 'joint_commands'), ('hover', 'commands')):
+        process = start_executable('controller', '--ros-args', '-p', f'task:={task}', '-p',
+                                   f'commands:={commands}', '-p', 'use_sim_time:=true')
+        with peer() as other:
+            wait_until(lambda process=process: 'answers ' in standard_error(process))
+            other.spin(1.0)
+            published, heard = other.topics_of(node)
+            services = {name for name, _ in other.node.get_service_names_and_types_by_node(
+                node[1:], '/')}
+            for right, names in zip(rights, (published, heard, services), strict=True):
+                rights[right] |= names
+            process.send_signal(signal.SIGINT)
+            assert finish(process)[0] == 0
+    found = describe({right: relative(names, node) for right, names in rights.items()}, node)
+    if request.config.getoption('--policy'):
+        policy.write_text(found, encoding='utf-8')
+    assert policy.read_text(encoding='utf-8') == found
 
 
 def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():

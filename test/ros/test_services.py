@@ -337,7 +337,7 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
             publisher.get_subscription_count() for publisher in publishers.values()))
         clients = {name: other.client(kind, name) for name, kind in services.items()}
         # There is nothing else to send nonsense to.
-        heard = other.topics_of_simulator()[1] - {'/parameter_events'}
+        heard = other.topics_of()[1] - {'/parameter_events'}
         assert heard <= {f'{SIMULATOR}/{name}' for name in kinds} | {'/clock'}
         sent, until = 0, time.monotonic() + FUZZ_SECONDS
         while time.monotonic() < until:
