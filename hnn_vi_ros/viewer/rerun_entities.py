@@ -385,11 +385,7 @@ class Portraits:
         new = np.stack([q[:, :count], p[:, :count]], axis=-1)
         points = np.concatenate([new[:1] if self._last is None else self._last[None], new])
         self._last = points[-1]
-        finite = np.isfinite(new)
-        self._path[..., 0] = np.minimum(
-            self._path[..., 0], np.where(finite, new, np.inf).min(axis=0))
-        self._path[..., 1] = np.maximum(
-            self._path[..., 1], np.where(finite, new, -np.inf).max(axis=0))
+        self._note(new)
         for frame in self._frames:
             path = layout.phase_path(self._hamiltonian.coordinates[frame.axis])
             own = points[:, frame.axis]
@@ -400,10 +396,20 @@ class Portraits:
 
     def plan(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
         """Draw a path, of shape (n, d) each, on which a controller means to go on."""
+        count = len(self._frames)
+        self._note(np.stack([q[:, :count], p[:, :count]], axis=-1))
         for frame in self._frames:
             path = layout.plan_path(self._hamiltonian.coordinates[frame.axis])
             self._recording.send_columns(path, times, rr.LineStrips2D.columns(
                 strips=np.stack([q[:, frame.axis], p[:, frame.axis]], axis=-1)[None]), strict=True)
+
+    def _note(self, points: np.ndarray) -> None:
+        """Widen the known lowest and highest (q, p) by points, shape (n, count, 2)."""
+        finite = np.isfinite(points)
+        self._path[..., 0] = np.minimum(self._path[..., 0], np.where(
+            finite, points, np.inf).min(axis=0, initial=np.inf))
+        self._path[..., 1] = np.maximum(self._path[..., 1], np.where(
+            finite, points, -np.inf).max(axis=0, initial=-np.inf))
 
     def fit(self) -> None:
         """Draw the still parts again, in frames that hold the paths."""

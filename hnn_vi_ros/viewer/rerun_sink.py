@@ -33,7 +33,7 @@ MOST_PORTRAITS = 8
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
 GATHER_SHARE, GATHER_MOST = 0.1, 30.0
 # Of the line of a plan, over the reach of the mechanism.
-_PLAN_RADIUS = 0.006
+_PLAN_RADIUS = 0.003
 # More samples than this are sent at once: a run that no clock holds back hands out many.
 MOST_PENDING = 1024
 
