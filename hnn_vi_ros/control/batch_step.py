@@ -131,8 +131,11 @@ class BatchStep:
             law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),
                                about=_filled(about, (rows, count, 2 * self.dimension)))
         if limits is not None:
-            law = law._replace(low=_filled(limits[0], (self.commands,)),
-                               high=_filled(limits[1], (self.commands,)))
+            low, high = (_filled(limit, (self.commands,)) for limit in limits)
+            if not (low <= high).all():
+                raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the least commands '
+                                 'must not be above the largest')
+            law = law._replace(low=low, high=high)
         path, _ = self._simulation.follow(
             self._simulation.rows(states, time), commands, self.hold, law)
         return path, commands

@@ -527,9 +527,11 @@ def _numbers(commands: Any, time: float, sample: int, shape: tuple[int, int]) ->
 def _checked_numbers(name: str, values: Any, shapes: list[tuple[int, ...]]) -> np.ndarray:
     """Return numbers of one of the shapes, or raise ValueError."""
     found = check_numbers(name, values)
-    if found.shape not in shapes or not (np.abs(found) <= LARGEST).all():
+    if found.shape not in shapes:
         raise ValueError(f'{name} has shape {found.shape}, expected '
-                         f'{" or ".join(map(str, shapes))}: finite numbers <= {LARGEST:g}')
+                         f'{" or ".join(map(str, shapes))}')
+    if not (np.abs(found) <= LARGEST).all():
+        raise ValueError(f'{name} must hold finite numbers, at most {LARGEST:g} in size')
     return found
 
 

@@ -96,3 +96,10 @@ def test_what_is_not_a_function_of_state_and_command_is_refused():
     servo = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 1.0, 'damping': 0.1}
     with pytest.raises(UnsupportedSystem, match='servo'):
         BatchStep(load_scene('exact_pendulum').with_overrides(effects=[servo]))
+
+
+def test_limits_that_leave_no_command_are_refused():
+    steps = BatchStep(driven('exact_pendulum', 'rk4', 'angle'))
+    for limits in (([1.0], [-1.0]), ([np.nan], [1.0])):
+        with pytest.raises(ValueError, match='the least commands must not be above the largest'):
+            steps.rollout(np.zeros(2), np.zeros((1, 3, 1)), limits=limits)

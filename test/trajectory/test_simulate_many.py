@@ -314,7 +314,7 @@ def test_a_commanded_step_that_fails_is_taken_as_simulate_takes_it():
 
 @pytest.mark.parametrize('changes, message', [
     ({'commands': np.zeros((2, 3, 1))}, r'commands has shape \(2, 3, 1\), expected \(2, 5, 1\)'),
-    ({'commands': np.full((2, 5, 1), np.nan)}, 'finite numbers <= 1e'),
+    ({'commands': np.full((2, 5, 1), np.nan)}, 'commands must hold finite numbers, at most 1e'),
     ({'commands': lambda t: [0.0, 0.0]}, r'commands\(0\) has shape \(2,\), expected \(2, 1\) or'),
     ({'commands': np.zeros((2, 5, 1)), 'duration': 0.33}, 'samples lie whole steps apart'),
     ({'commands': np.zeros((2, 5, 1)), 'device': 'cpu'}, 'no device takes the steps'),
