@@ -195,7 +195,7 @@ def _missing(package: str) -> str:
         packages = list(_ROS_WHEELS)
     if package in _TRAINING:
         packages = [*_TRAINING, 'rerun']
-        text += 'what training takes (1 GB, or 5 GB with CUDA) '
+        text += 'what training needs (1 GB, or 5 GB with CUDA) '
         # It marks an environment made by `make`: requirements/make_venv wrote it.
         made = Path(sys.prefix) / '.installed'
         if made.is_file():

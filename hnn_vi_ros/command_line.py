@@ -72,15 +72,19 @@ class Parser(argparse.ArgumentParser):
         Command lines that show it.
     details : str, optional
         Further text of its help, before the examples.
+    parameters : sequence of str, optional
+        ROS parameters, which users mistake for options.
 
     """
 
-    def __init__(self, name: str, description: str, examples: Sequence[str], details: str = ''):
+    def __init__(self, name: str, description: str, examples: Sequence[str], details: str = '',
+                 parameters: Sequence[str] = ()):
         shown = '\n'.join(f'  {example.replace(_BY_ROS, _called.get())}' for example in examples)
         super().__init__(
             prog=called(name), description=fill(description, _WIDTH), allow_abbrev=False,
             epilog=f'{details}\n\nexamples:\n{shown}'.strip(),
             formatter_class=argparse.RawDescriptionHelpFormatter)
+        self._parameters = parameters
         self.add_argument('--version', action='version', version=f'hnn_vi_ros {__version__}')
 
     @property
@@ -101,6 +105,10 @@ class Parser(argparse.ArgumentParser):
         for word in args:
             option = word.partition('=')[0]
             if option.startswith('--') and option not in options and option != '--':
+                name = option.removeprefix('--').replace('-', '_')
+                if name in self._parameters:
+                    self.error(f'unknown option {option}; {name} is a parameter: --ros-args '
+                               f'-p {name}:=VALUE')
                 self.error(f'unknown option {option}{did_you_mean(option, options)}')
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:

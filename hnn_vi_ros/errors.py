@@ -314,5 +314,5 @@ def optional(package: str, what: str) -> Iterator[None]:
         # One that the package itself lacks is another matter.
         if problem.name is None or problem.name.partition('.')[0] != package:
             raise
-        raise MissingPackage(f'{what} takes the Python package {package}; install it with: '
+        raise MissingPackage(f'{what} needs the Python package {package}; install it with: '
                              f'{pip_command(package)}') from problem

@@ -15,6 +15,7 @@ from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.commands.table import ALIASES
 from hnn_vi_ros.learning import arguments as learning
 from hnn_vi_ros.networks.activations import ACTIVATIONS
+from hnn_vi_ros.ros import arguments as parsers
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.version import __version__
 import pytest
@@ -152,7 +153,7 @@ def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):
     assert result.returncode == 1
     assert 'Traceback' not in result.stderr
     line = result.stderr.splitlines()[-1]
-    assert 'rerun_sink = file (none does without) takes the Python package rerun' in line
+    assert 'rerun_sink = file (none does without) needs the Python package rerun' in line
     assert line.endswith(f'-m pip install "{RERUN}"')
     # Nor is a bag begun.
     assert list(tmp_path.iterdir()) == []
@@ -254,6 +255,13 @@ def test_misspelt_option_is_one_line_with_the_nearest(executable, capsys):
         error = capsys.readouterr().err
         assert error.startswith(f'{executable}: unknown option ') and error.count('\n') == 1
         assert 'did you mean' in error and f'see {executable} --help' in error
+
+
+def test_parameter_given_as_an_option_is_one_line_that_says_how_to_give_it(capsys):
+    with pytest.raises(SystemExit):
+        parsers.simulator().parse_args(['--scene', 'pendulum'])
+    assert ('unknown option --scene; scene is a parameter: --ros-args -p scene:=VALUE'
+            in capsys.readouterr().err)
 
 
 @pytest.mark.parametrize('words, what', [

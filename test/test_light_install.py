@@ -66,7 +66,7 @@ trajectory.plot().savefig({str(tmp_path / 'a.png')!r})
 try:
     trajectory.to_rerun({str(tmp_path / 'a.rrd')!r})
 except MissingPackage as problem:
-    assert str(problem).startswith('to_rerun takes the Python package rerun; install it with: ')
+    assert str(problem).startswith('to_rerun needs the Python package rerun; install it with: ')
     assert str(problem).endswith(' -m pip install "rerun-sdk>=0.41,<0.42"')
 else:
     raise AssertionError('it is hidden')
@@ -79,7 +79,7 @@ from hnn_vi_ros.errors import MissingPackage
 try:
     from hnn_vi_ros import sweep
 except MissingPackage as problem:
-    assert str(problem).startswith('a sweep takes the Python package pyarrow; install it with: ')
+    assert str(problem).startswith('a sweep needs the Python package pyarrow; install it with: ')
 else:
     raise AssertionError('it is hidden')
 """, RECORDING) == 0

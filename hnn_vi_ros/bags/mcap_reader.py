@@ -172,7 +172,7 @@ class BagReader:
                 if size > _HELD:
                     raise RecordingError(
                         f'{self.path}: its messages are too many in one place or too far out of '
-                        f'order: to sort them takes more than {_HELD >> 20} MiB; sort it with '
+                        f'order: to sort them needs more than {_HELD >> 20} MiB; sort it with '
                         '`mcap sort`')
             held.sort(key=lambda message: message.time)
             # Messages that a later piece may precede are kept.

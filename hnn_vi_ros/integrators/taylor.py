@@ -252,11 +252,11 @@ class Taylor(Integrator):
             _rates(hamiltonian.kernel)
         except (TypeError, ValueError):
             joined = getattr(hamiltonian, 'base', hamiltonian)
-            return (f'takes a formula, with potentials at most, which {type(joined).__name__}'
+            return (f'needs a formula, with potentials at most, which {type(joined).__name__}'
                     f'{"" if joined is hamiltonian else " with these effects"} is not: no '
                     'network, no robot of more than three joints, no field, no abs')
         if find_spec('heyoka') is None:
-            return ('takes the Python package heyoka; install it with: '
+            return ('needs the Python package heyoka; install it with: '
                     f'{pip_command("heyoka>=7.13,<8")}')
         return ''
 

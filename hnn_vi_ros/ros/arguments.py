@@ -41,7 +41,7 @@ def simulator() -> Parser:
             'ros2 run hnn_vi_ros simulator --ros-args --params-file my.yaml -r __ns:=/arm',
             'ros2 run hnn_vi_ros simulator --ros-args '
             '-p qos_overrides./hnn_simulator/q.publisher.reliability:=best_effort'],
-        _details(_SIMULATOR, PARAMETERS))
+        _details(_SIMULATOR, PARAMETERS), [item.name for item in PARAMETERS])
 
 
 def replay() -> Parser:
@@ -76,7 +76,7 @@ def rerun_bridge() -> Parser:
             'ros2 run hnn_vi_ros rerun_bridge',
             'ros2 run hnn_vi_ros rerun_bridge BAG --ros-args -p rerun_sink:=file '
             '-p rerun_path:=bag.rrd'],
-        _details(_BRIDGE, BRIDGE_PARAMETERS))
+        _details(_BRIDGE, BRIDGE_PARAMETERS), [item.name for item in BRIDGE_PARAMETERS])
     parser.add_argument('bag', type=Path, nargs='?', metavar='BAG', help=(
         'folder of a bag, or its .mcap file, to show in place of a running simulator'))
     parser.add_argument('--trust-code', action='store_true', help=(
@@ -91,7 +91,8 @@ def controller() -> Parser:
         'ros2 run hnn_vi_ros controller --ros-args -p task:=my.yaml -p scene:=my_scene.yaml',
         'ros2 run hnn_vi_ros controller --ros-args -r joint_states:=/robot/joint_states '
         '-p simulator:=/robot'],
-        _details(_CONTROLLER, CONTROLLER_PARAMETERS))
+        _details(_CONTROLLER, CONTROLLER_PARAMETERS),
+        [item.name for item in CONTROLLER_PARAMETERS])
 
 
 def listener() -> Parser:

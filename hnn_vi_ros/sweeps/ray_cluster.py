@@ -50,7 +50,7 @@ def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], addre
         except (ConnectionError, ValueError, RuntimeError) as problem:
             raise HnnViRosError(
                 f'--ray {address}: {one_line(problem)}; begin a cluster with: ray start --head, '
-                'or take --ray local; with an address, a cluster that asks for a token takes '
+                'or take --ray local; with an address, a cluster that asks for a token needs '
                 'RAY_AUTH_MODE=token') from problem
     try:
         yield from _spread(job, folder, shards, address)

@@ -155,7 +155,7 @@ def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
     unpack_message, unpacked = mcap_reader._unpacked, []
     monkeypatch.setattr(mcap_reader, '_unpacked',
                         lambda data: unpacked.append(data) or unpack_message(data))
-    with pytest.raises(RecordingError, match='takes more than 4 MiB'):
+    with pytest.raises(RecordingError, match='needs more than 4 MiB'):
         list(BagReader(path).messages())
     assert len(unpacked) == 4
 

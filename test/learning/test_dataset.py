@@ -178,6 +178,8 @@ def test_log_is_read_with_every_delimiter_its_header_and_comments(
     log = read_measured_log(path, measured(delimiter=delimiter, comment='%'))
     # Nine rows of window: four are left out at each end.
     assert len(log.q) == len(T) - 8
+    found = read_measured_log(path, measured(comment='%'))
+    assert np.array_equal(found.q, log.q), 'without one, the header shows the delimiter'
     assert 'log.txt (200 rows, sha256 ' in log.description
 
 

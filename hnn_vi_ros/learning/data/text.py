@@ -27,8 +27,10 @@ _MOST_COLUMNS = 1000
 BLOCKS = 20
 
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
-_SEPARATORS = {'whitespace': None, 'comma': ',', 'semicolon': ';', 'tab': '\t'}
+# Whitespace last: it also splits at the space after a comma.
+_SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
 Delimiter = Literal['whitespace', 'comma', 'semicolon', 'tab']
+DELIMITER = 'default: the one that splits the first line into the columns'
 COLUMNS = 'names of all columns, in order; default: those in the first line of the log'
 
 
@@ -39,7 +41,7 @@ class MeasuredData(StrictModel):
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
     source: str = Field('', max_length=1000, description=(
         'where the log comes from, for those who lack it'))
-    delimiter: Delimiter = 'whitespace'
+    delimiter: Delimiter | None = Field(None, description=DELIMITER)
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
     columns: Names | None = Field(None, min_length=3, description=COLUMNS)
     trial: str | None = Field(None, description='column that numbers separate recordings')
@@ -74,7 +76,7 @@ class LogMotions(RunData):
 
     kind: Literal['log'] = 'log'
     path: str = Field('', description='the log; or given by --data')
-    delimiter: Delimiter = 'whitespace'
+    delimiter: Delimiter | None = Field(None, description=DELIMITER)
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
     columns: Names | None = Field(None, min_length=2, description=COLUMNS)
     trial: str | None = Field(None, description='column that numbers separate runs')
@@ -236,6 +238,7 @@ def read_log(path: Path, data: Columns, lacking: bool = False
         for number, line in text_lines(path, MAX_BYTES):
             if not line.strip() or line.lstrip().startswith(data.comment):
                 continue
+            data = _delimited(line, data)
             if names is None:
                 names = _header(f'{path}:{number}', line, data)
             elif row := _row(f'{path}:{number}', line, data, names, lacking, not lines):
@@ -254,21 +257,34 @@ def read_log(path: Path, data: Columns, lacking: bool = False
 
 def _fields(line: str, data: Columns, most: int) -> list[str]:
     # No further than needed: a line may be as long as the file.
-    return [field.strip().strip('"') for field in line.split(_SEPARATORS[data.delimiter], most)]
+    mark = _SEPARATORS[data.delimiter or 'whitespace']
+    return [field.strip().strip('"') for field in line.split(mark, most)]
+
+
+def _delimited(line: str, data: Columns, given: bool = True) -> Columns:
+    """Return data with the delimiter that they name, or else the one that fits a first line."""
+    if data.delimiter and given:
+        return data
+    ways = [data.model_copy(update={'delimiter': delimiter}) for delimiter in _SEPARATORS]
+    fields = [_fields(line, way, _MOST_COLUMNS) for way in ways]
+    fits = [len(found) == len(data.columns) if data.columns else {*_used(data)} <= {*found}
+            for found in fields]
+    # Where none fits, the most columns are most likely the names.
+    return ways[fits.index(True) if any(fits) else int(np.argmax([*map(len, fields)]))]
 
 
 def _header(place: str, line: str, data: Columns) -> Names:
     """Return the names in the first line of a log, which must have those that are used."""
     names = _fields(line, data, _MOST_COLUMNS)
+    other = _delimited(line, data, given=False)
     for name in _used(data):
         if names.count(name) != 1:
-            other = next((other for other, mark in _SEPARATORS.items() if {*_used(data)} <= {
-                field.strip().strip('"') for field in line.split(mark, _MOST_COLUMNS)}), None)
+            problem = 'more than one column' if name in names else 'no column'
             raise DataError(
-                f'{place}: no column {name!r}{did_you_mean(name, names)}, or more than one, in '
-                f'the header: {listed(names)}; ' + (
-                    f'set data.delimiter: {other}' if other else
-                    'name the columns in data.columns, or set data.delimiter'))
+                f'{place}: {problem} {name!r}{did_you_mean(name, names)} in the header: '
+                f'{listed(names)}; ' + (
+                    f'set data.delimiter: {other.delimiter}' if other.delimiter != data.delimiter
+                    else 'name the columns in data.columns, or set data.delimiter'))
     return names
 
 

@@ -75,7 +75,7 @@ def plain_ros_errors(what: str) -> Iterator[None]:
         if 'logging' in text:
             text += '; set ROS_LOG_DIR to a folder that can be written'
         if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
-            text += ('; security is on, which takes a middleware that was built with it and a '
+            text += ('; security is on, which needs a middleware that was built with it and a '
                      'keystore: see docs/how-to/security.md, or set '
                      'ROS_SECURITY_ENABLE=false')
         raise ParameterError(f'{what}: {text}') from problem

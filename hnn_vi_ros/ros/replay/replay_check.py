@@ -188,7 +188,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
         step = run.step_of(stamp)
         if step - run.first_step > _MOST_BEFORE + number * _MOST_STEPS:
             raise RecordingError(
-                f'{run.reader.path}: to verify its sample {number} takes {step - run.first_step} '
+                f'{run.reader.path}: to verify its sample {number} needs {step - run.first_step} '
                 f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
                 f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
         # A step publishes its state before it hears commands, which act on the steps after it.
