@@ -28,8 +28,8 @@ def random_lie_group(name: str, inputs: int = 2, seed: int = 0) -> Checkpoint:
     size = 3 if CARDS[name]['kind'] == 'rotation' else 6
     card = LieGroupCard(**CARDS[name], mass_scale=rng.uniform(0.8, 1.2, size).tolist(), floor=0.3)
     networks = {}
-    for network, (first, last) in card.networks.items():
-        widths = [first, 9, 6, last or inputs * size]
+    for network, ends in card.networks.items():
+        widths = [ends.inputs, 9, 6, ends.outputs(1, inputs * size)]
         networks[network] = Layers(
             tuple(0.7 * rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths)),
             tuple(0.3 * rng.normal(size=b) for b in widths[1:]))

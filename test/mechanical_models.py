@@ -60,8 +60,8 @@ def random_mechanical(shape: str, **changes) -> Checkpoint:
         **settings, mass_scale=rng.uniform(0.5, 1.5, d).tolist(),
         friction=random_friction(d))
     networks = {}
-    for name, (features, outputs) in mechanical.networks.items():
-        widths = [mechanical.inputs(features), 9, 6, outputs]
+    for name, ends in mechanical.networks.items():
+        widths = [ends.inputs, 9, 6, ends.outputs(1, 0)]
         networks[name] = Layers(
             tuple(rng.normal(size=(b, a)) / np.sqrt(a) for a, b in pairwise(widths)),
             tuple(0.3 * rng.normal(size=b) for b in widths[1:]))

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Card of a model of the family lie_group, without its networks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.models.families import Network
 from pydantic import Field, model_validator
 
 Seen = Literal['position', 'attitude']
@@ -51,19 +52,16 @@ class LieGroupCard(StrictModel):
         return 3 if self.kind == 'rotation' else 6
 
     @property
-    def networks(self) -> dict[str, tuple[int, int]]:
-        """Return the inputs and the outputs of each network; 0 outputs for any number times k."""
-        entries = len(self.entries)
-        found: dict[str, tuple[Sequence[str], int]] = {
-            'mass': (self.mass_depends_on, entries),
-            'potential': (self.potential_depends_on, 1)}
-        if self.dissipation_depends_on is not None:
-            found['dissipation'] = self.dissipation_depends_on, entries
-        if self.input_map_depends_on is not None:
-            found['input_map'] = self.input_map_depends_on, 0
+    def networks(self) -> dict[str, Network]:
+        """Return the ends of each network; an input map has a column of k for each input."""
+        outputs: dict[str, Callable[[int, int], int]] = {
+            'mass': lambda d, _: len(self.entries), 'potential': lambda d, _: 1,
+            'dissipation': lambda d, _: len(self.entries),
+            'input_map': lambda d, found: -(-found // self.size) * self.size}
+        seen = {name: getattr(self, f'{name}_depends_on') for name in outputs}
         # One that sees nothing has one input, 0.
-        return {name: (max(1, len(self.columns(seen))), outputs)
-                for name, (seen, outputs) in found.items()}
+        return {name: Network(max(1, len(self.columns(columns))), outputs[name])
+                for name, columns in seen.items() if columns is not None}
 
     def columns(self, seen: Sequence[str]) -> list[int]:
         """Return the places of a network's inputs in (x, R row by row, pi)."""

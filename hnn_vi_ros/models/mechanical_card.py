@@ -10,6 +10,7 @@ from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.models.exact_prior import create
+from hnn_vi_ros.models.families import Network
 from hnn_vi_ros.models.planar_chain import (
     CHAINS, couplings, is_chain, parameter_names, PLANAR_CHAIN)
 from hnn_vi_ros.models.rigid_body_card import (
@@ -245,12 +246,14 @@ class MechanicalCard(StrictModel):
             self.prior.angles
 
     @property
-    def networks(self) -> dict[str, tuple[list[list[float]], int]]:
-        """Return what each of the networks sees, and how many outputs it has."""
-        found = {'mass': (self.mass_features, len(self.entries)), 'potential': (self.features, 1)}
+    def networks(self) -> dict[str, Network]:
+        """Return the ends of each of the networks."""
+        found = {'mass': Network(self.inputs(self.mass_features), lambda d, _: len(self.entries)),
+                 'potential': Network(self.inputs(self.features))}
         if self.friction_features is not None:
-            d = len(self.kinds)
-            found['friction'] = self.friction_features, d * (d + 1) // 2
+            k = len(self.kinds)
+            found['friction'] = Network(
+                self.inputs(self.friction_features), lambda d, _: k * (k + 1) // 2)
         return found
 
     def inputs(self, features: list[list[float]]) -> int:

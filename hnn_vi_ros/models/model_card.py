@@ -172,48 +172,22 @@ class ModelCard(StrictModel):
                              f'{2 * len(self.coordinates)}, of q and p')
 
     def _check_networks(self, d: int) -> None:
-        expected = FAMILIES[self.family].networks
         own = self.mechanical or self.lie_group
-        names = expected.keys() if own is None else own.networks.keys()
-        if len(names) == 1:
+        expected, units, why = (own.networks, 1, 'by what the networks see') if own else (
+            FAMILIES[self.family].networks, d, f'for {d} coordinates')
+        if len(expected) == 1:
             if self.widths is None or self.networks is not None:
                 raise ValueError(f'widths, and no networks, must describe a model of the family '
                                  f'{self.family}')
-        elif self.widths is not None or (self.networks or {}).keys() != names:
-            raise ValueError(f'networks, and no widths, must describe {", ".join(names)} for '
+        elif self.widths is not None or (self.networks or {}).keys() != expected.keys():
+            raise ValueError(f'networks, and no widths, must describe {", ".join(expected)} for '
                              f'the family {self.family}')
-        if self.mechanical is not None:
-            self._check_mechanical(self.mechanical, d)
-            return
-        if self.lie_group is not None:
-            self._check_lie_group(self.lie_group, d)
-            return
         for name, widths in self.layout.items():
             network = expected[name]
-            ends = network.inputs * d, network.outputs(d, widths[-1])
+            ends = network.inputs * units, network.outputs(units, widths[-1])
             if (widths[0], widths[-1]) != ends:
                 raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} '
-                                 f'and end with {ends[1]}, for {d} coordinates')
-
-    def _check_mechanical(self, card: MechanicalCard, d: int) -> None:
-        if len(card.kinds) != d:
-            raise ValueError(f'mechanical: {len(card.kinds)} kinds, expected {d}')
-        for name, widths in self.layout.items():
-            features, outputs = card.networks[name]
-            ends = card.inputs(features), outputs
-            if (widths[0], widths[-1]) != ends:
-                raise ValueError(f'widths {widths} of {name} must begin with {ends[0]} and end '
-                                 f'with {ends[1]}, by what the networks see')
-
-    def _check_lie_group(self, card: LieGroupCard, d: int) -> None:
-        if d != 1:
-            raise ValueError(f'lie_group: {d} coordinates, expected 1, a body')
-        for name, widths in self.layout.items():
-            inputs, outputs = card.networks[name]
-            fits = widths[-1] == outputs or (not outputs and widths[-1] % card.size == 0)
-            if widths[0] != inputs or not fits:
-                raise ValueError(f'widths {widths} of {name} must begin with {inputs} and end '
-                                 f'with {outputs or f"a multiple of {card.size}"}')
+                                 f'and end with {ends[1]}, {why}')
 
     def _check_constants(self, d: int) -> None:
         for name in ('friction', 'mass', 'velocities', 'mechanical', 'lie_group'):
@@ -221,8 +195,9 @@ class ModelCard(StrictModel):
             if (value is not None) != needed:
                 raise ValueError(f'{name} must {"" if needed else "not "}be given for the family '
                                  f'{self.family}')
-            if needed and name not in ('mechanical', 'lie_group') and len(value) != d:
-                raise ValueError(f'{name} has {len(value)} entries, expected {d}')
+            count = 1 if name == 'lie_group' else len(getattr(value, 'kinds', value or ()))
+            if needed and count != d:
+                raise ValueError(f'{name} is of {count} coordinates, the card of {d}')
         if self.mass is not None:
             mass = np.array([row for row in self.mass if len(row) == d])
             if mass.shape != (d, d) or not (np.linalg.eigvalsh(mass) > 0.0).all():
