@@ -14,7 +14,7 @@ from hnn_vi_ros import cli
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.commands.table import ALIASES
 from hnn_vi_ros.learning import arguments as learning
-from hnn_vi_ros.networks.activations import ACTIVATIONS
+from hnn_vi_ros.networks.activations import SMOOTH
 from hnn_vi_ros.ros import arguments as parsers
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.version import __version__
@@ -276,7 +276,7 @@ def test_error_of_the_command_line_is_one_line_with_the_name(words, what, capsys
 
 
 def test_activations_of_the_command_line_are_those_that_can_be_imported():
-    assert set(learning.ACTIVATIONS) == set(ACTIVATIONS)
+    assert set(learning.ACTIVATIONS) == set(SMOOTH)
 
 
 def test_warning_is_one_line_and_stands_once(tmp_path):

@@ -93,10 +93,10 @@ def long_runs(model: Checkpoint, step_size: float, end: float) -> dict[str, Long
                      [0.0, 0.0, 0.0])
     states = []
     for _ in range(count + 1):
-        states.append(np.concatenate([turn_matrices(run.q[None])[0].ravel(), run.p]))
+        states.append(np.concatenate([turn_matrices(run.q[None]).ravel(), run.p]))
         run.advance(round(_EVERY / step_size))
     rates, energy = matrix_field(model)
-    z0 = np.concatenate([turn_matrices(q[None])[0].ravel(), np.zeros(3)])
+    z0 = np.concatenate([turn_matrices(q[None]).ravel(), np.zeros(3)])
     found = {'lie_leapfrog': np.array(states),
              'RK4 on matrices': _rk4(rates, z0, count),
              'dopri5 on matrices': solve_ivp(

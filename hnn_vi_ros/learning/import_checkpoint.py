@@ -50,7 +50,7 @@ from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint, widths_of
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.networks.activations import ACTIVATIONS
+from hnn_vi_ros.networks.activations import SMOOTH
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError
@@ -383,7 +383,7 @@ def main(argv: Sequence[str]) -> None:
     card = _energy_card(arguments, names, layers, command)
     save_checkpoint(out, Checkpoint(card, {'energy': layers}))
     print(f'model: {out}')
-    if not ACTIVATIONS[arguments.activation].smooth:
+    if not SMOOTH[arguments.activation]:
         print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
               'its order there')
 

@@ -31,16 +31,12 @@ def widened(model: Checkpoint, network: str) -> Layers:
     return Layers((wide, *others), biases)
 
 
-def turn_matrices(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return R, shape (m, 3, 3), of quaternions, (m, 4), and its derivatives, (m, 3, 3, 4)."""
-    unit = np.eye(4, dtype=q.dtype)
-    columns = [np.empty((len(q), 9), q.dtype) for _ in range(5)]
-    for row in range(len(q)):
-        for j in range(4):
-            fill_turn_change(q[row], unit[j], 0, columns[j][row], 0)
-        fill_turn_change(q[row], 0.5 * q[row], 0, columns[4][row], 0)
-    return (columns[4].reshape(-1, 3, 3),
-            np.stack(columns[:4], axis=-1).reshape(-1, 3, 3, 4))
+def turn_matrices(q: np.ndarray) -> np.ndarray:
+    """Return R, shape (m, 3, 3), of quaternions, shape (m, 4)."""
+    R = np.empty((len(q), 9))
+    for one, row in zip(q, R, strict=True):
+        fill_turn_change(one, 0.5 * one, 0, row, 0)
+    return R.reshape(-1, 3, 3)
 
 
 @called

@@ -5,7 +5,7 @@
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.outputs import pack_outputs, root_of
+from hnn_vi_ros.models.outputs import pack_outputs
 from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
 import numpy as np
 
@@ -40,15 +40,6 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
             pack_outputs(self.checkpoint, 'mass_inverse'), self._packed('potential', 'q'),
             places, np.ones(d), 0.0, False, RootWork.empty(2 * d, len(places), d))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        q, p = np.split(z.astype(np.longdouble), 2, axis=1)
-        A, A_q = root_of(*self._evaluated('mass_inverse', q),
-                         np.argwhere(np.tri(self.dimension)).tolist(), False)
-        u = (A * p[:, :, None]).sum(axis=1)
-        H_q = (A_q * p[:, :, None, None] * u[:, None, :, None]).sum(axis=(1, 2))
-        V_q = self._evaluated('potential', q)[1][:, 0]
-        return np.hstack([H_q + V_q, (A * u[:, None, :]).sum(axis=2)])
 
 
 @kept(error_model='numpy')

@@ -91,10 +91,6 @@ class EnsembleHamiltonian(MeanHamiltonian):
         return composed(kernels[0], _mean(*functions_of(kernels[0])), (EnsembleHamiltonian,),
                         parameters)
 
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        parts = [member._extended_gradient(z) for member in self.members]
-        return np.mean(np.stack(parts), axis=0)
-
 
 def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonian:
     """

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Functions, Kernel
+from hnn_vi_ros.kernels.kernel import Functions
 import numpy as np
 
 # Random states at which a system is looked at, and by how much p . M^-1 p may seem not to be one.
@@ -126,27 +126,3 @@ def _is_mechanical(hamiltonian: Hamiltonian) -> bool:
         if not np.abs(error).max() <= _ROUNDING * np.abs(both).max():
             return False
     return True
-
-
-def exact_gradient(kernel: Kernel, q: np.ndarray, v: np.ndarray
-                   ) -> tuple[np.ndarray, np.ndarray]:
-    """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
-    _, gradient, _ = functions_of(kernel)
-    m, d = q.shape
-    masses, slopes = np.empty((m, d, d), np.longdouble), np.empty((m, d), np.longdouble)
-    space, unit = np.empty((2, d), np.longdouble), np.eye(d, dtype=np.longdouble)
-    for i, at in enumerate(q.astype(np.longdouble)):
-        inverse = np.empty((d, d), np.longdouble)
-        for j in range(d):
-            gradient(kernel.parameters, at, unit[j], *space)
-            inverse[:, j] = space[1]
-        masses[i] = _inverted(inverse)
-        gradient(kernel.parameters, at, masses[i] @ v[i], *space)
-        slopes[i] = space[0]
-    return masses, slopes
-
-
-def _inverted(matrix: np.ndarray) -> np.ndarray:
-    """Return the inverse in extended precision, which numpy's has not: by a step of Newton's."""
-    inverse = np.linalg.inv(matrix.astype(np.float64)).astype(np.longdouble)
-    return inverse @ (2.0 * np.eye(len(matrix)) - matrix @ inverse)

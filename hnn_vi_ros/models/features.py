@@ -58,26 +58,6 @@ def _even(n: int) -> int:
     return n + n % 2
 
 
-def inputs_of(card: MechanicalCard, features: list[list[float]], q: np.ndarray
-              ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inputs (m, n) and their derivatives (m, n, d) at q of shape (m, d)."""
-    q = q.astype(np.longdouble)
-    n = card.inputs(features)
-    x, slope = np.zeros((len(q), n), q.dtype), np.zeros((len(q), n, q.shape[1]), q.dtype)
-    at = 0
-    for row in features:
-        y, direction = q @ np.array(row), np.array(row)
-        if is_periodic(card.kinds, row):
-            x[:, at], x[:, at + 1] = np.sin(y), np.cos(y)
-            slope[:, at] = np.cos(y)[:, None] * direction
-            slope[:, at + 1] = -np.sin(y)[:, None] * direction
-            at += 2
-        else:
-            x[:, at], slope[:, at] = y, direction
-            at += 1
-    return x, slope
-
-
 @part(error_model='numpy')
 def see(seen: Features, q: np.ndarray) -> None:
     """Fill the inputs at one state."""

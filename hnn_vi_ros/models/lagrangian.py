@@ -129,31 +129,17 @@ class LagrangianHamiltonian(LearnedHamiltonian):
         masses = np.stack(columns, axis=2) + self._mass
         return 0.5 * (masses + masses.transpose(0, 2, 1))
 
-    def _slope(self, x: np.ndarray) -> np.ndarray:
-        """Return (L_q, L_v) at points (q, v) of shape (m, 2 d), in extended precision."""
-        _, v = np.split(x.astype(np.longdouble), 2, axis=1)
-        slope = self._evaluated('lagrangian', x)[1][:, 0]
-        return slope + np.hstack([np.zeros_like(v), v @ self._mass])
-
     def _kernel(self) -> Kernel:
         d = self.dimension
         inverse = np.linalg.inv(self._masses(self._centre)[0])
-        momentum = self._slope(self._centre)[0, d:].astype(np.float64)
         # A copy has a network of its own: it is where the loops work.
+        network, (q, v), slope = self._packed('lagrangian'), np.split(self._centre[0], 2), \
+            np.empty((2, d))
+        perceptron.gradient(network, q, v, *slope)
         parameters = LagrangianParameters(
-            self._packed('lagrangian'), self._mass, self._centre[0, d:] - inverse @ momentum,
+            network, self._mass, v - inverse @ (slope[1] + self._mass @ v),
             inverse, *np.zeros((8, d)), *np.zeros((2, d, d)))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        q, p = np.split(z.astype(np.longdouble), 2, axis=1)
-        v = np.tile(self._centre[:, self.dimension:], (len(z), 1)).astype(np.longdouble)
-        for _ in range(_ITERATIONS):
-            x = np.hstack([q, v])
-            inverses = np.linalg.inv(self._masses(x.astype(np.float64)))
-            missing = p - np.split(self._slope(x), 2, axis=1)[1]
-            v = v + (inverses * missing[:, None, :]).sum(axis=2)
-        return np.hstack([-np.split(self._slope(np.hstack([q, v])), 2, axis=1)[0], v])
 
 
 def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:

@@ -3,14 +3,15 @@
 """Common part of all trained models, as Hamiltonians."""
 
 from abc import abstractmethod
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Energy, Gradient, HessianVector, Kernel, Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.networks.activations import ACTIVATIONS
+from hnn_vi_ros.networks.activations import SMOOTH
 from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -18,14 +19,15 @@ import numpy as np
 # States of the box at which rounding is measured.
 _SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
+# How far apart these and those that they are compared with are, relative to the largest.
+_AWAY = 1e3 * _EPS
 
 
 class LearnedHamiltonian(Hamiltonian):
     """
     A Hamiltonian made of the trained networks of a model.
 
-    A subclass gives the functions of its kernel, and its gradient in extended precision, by which
-    their rounding is measured.
+    A subclass gives the functions of its kernel; their rounding is measured.
 
     Parameters
     ----------
@@ -48,7 +50,7 @@ class LearnedHamiltonian(Hamiltonian):
     @property
     def smooth(self) -> bool:
         """Return whether the gradient of H is continuous."""
-        return ACTIVATIONS[self.checkpoint.card.activation].smooth
+        return SMOOTH[self.checkpoint.card.activation]
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -67,8 +69,10 @@ class LearnedHamiltonian(Hamiltonian):
         kernel = self._kernel()
         if self._scales is None:
             # Simulations call by address too, so that they share the functions compiled here.
-            called = by_address(kernel)
-            self._scales = self._gradient_scale(called), self._energy_scale(called)
+            called, z, d = by_address(kernel), self._samples(), self.dimension
+            slopes = rounding(partial(_gradient, called), z)
+            (values,) = rounding(partial(_energies, called), z)
+            self._scales = (float(slopes[:d].max()), float(slopes[d:].max())), float(values)
         gradient, energy = self._scales
         return kernel._replace(gradient_scale=gradient, energy_scale=energy)
 
@@ -80,20 +84,6 @@ class LearnedHamiltonian(Hamiltonian):
         return pack(*padded(self.checkpoint.networks[network], part),
                     self.checkpoint.card.activation)
 
-    def _evaluated(self, network: str, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return outputs (m, k) and their derivatives (m, k, inputs) in extended precision."""
-        value, slope, _ = ACTIVATIONS[self.checkpoint.card.activation]
-        weights, biases = self.checkpoint.networks[network]
-        a, slopes = x.astype(np.longdouble), []
-        for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-            z = a @ weight.T.astype(np.longdouble) + bias
-            a = value(z)
-            slopes.append(slope(z))
-        derivative = np.tile(weights[-1].astype(np.longdouble), (len(x), 1, 1))
-        for weight, slope_l in zip(weights[-2::-1], slopes[::-1], strict=True):
-            derivative = (derivative * slope_l[:, None, :]) @ weight
-        return a @ weights[-1].T.astype(np.longdouble) + biases[-1], derivative
-
     @abstractmethod
     def _kernel(self) -> Kernel:
         """Return the functions, with working memory of their own."""
@@ -104,35 +94,45 @@ class LearnedHamiltonian(Hamiltonian):
         return Kernel(energy, gradient, hessian_vector, parameters, self.dimension, (0.0, 0.0),
                       compiled=True, rotations=self.rotations)
 
-    @abstractmethod
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        """Return (H_q, H_p) at states of shape (m, 2 d), in extended precision."""
-
-    def _gradient_scale(self, kernel: Kernel) -> tuple[float, float]:
-        """
-        Return the rounding error of H_q and of H_p, in units of the unit round-off.
-
-        It is measured against extended precision at random states of the box; a bound from the
-        weights alone would grow exponentially with the depth.
-        """
-        d, z = self.dimension, self._samples()
-        errors = np.abs(_gradient(kernel, z) - self._extended_gradient(z))
-        return (4.0 * float(errors[:, :d].max()) / _EPS, 4.0 * float(errors[:, d:].max()) / _EPS)
-
-    def _energy_scale(self, kernel: Kernel) -> float:
-        """Return the rounding error of H: its jumps between states too close to differ else."""
-        d, z = self.dimension, self._samples()
-        near = z + 1e3 * _EPS * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
-        before, after = (np.array([
-            kernel.energy(kernel.parameters, state[:d], state[d:]) for state in states])
-            for states in (z, near))
-        jumps = after - before - ((near - z) * _gradient(kernel, z)).sum(axis=1)
-        return 4.0 * float(np.abs(jumps).max()) / _EPS
-
     def _samples(self) -> np.ndarray:
         """Return states of the box, shape (m, 2 d)."""
         low, high = np.concatenate(self.box).T
         return np.random.default_rng(0).uniform(low, high, (_SAMPLES, low.size))
+
+
+def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
+    """
+    Return a bound on the rounding errors of a function, in units of the unit round-off.
+
+    That is twice the largest f(z + e) - 2 f(z) + f(z - e), for e so small that the second
+    difference of the exact f is far below its rounding. Its standard deviation is 6^(1/2) that of
+    one rounding error. A bound by the weights would grow exponentially with their layers.
+
+    Parameters
+    ----------
+    function : callable
+        Returns k values at each of m states, shape (m, k).
+    z : np.ndarray, shape (m, 2 d)
+        The states.
+
+    Returns
+    -------
+    np.ndarray, shape (k,)
+        Of each value, over all states.
+
+    """
+    e = _AWAY * np.abs(z).max(axis=0) * np.random.default_rng(1).uniform(-1.0, 1.0, z.shape)
+    ahead = z + e
+    # 2 z - ahead is exact: the three states are evenly spaced.
+    bend = function(ahead) - 2.0 * function(z) + function(2.0 * z - ahead)
+    found: np.ndarray = 2.0 / _EPS * np.abs(bend).max(axis=0)
+    return found
+
+
+def _energies(kernel: Kernel, z: np.ndarray) -> np.ndarray:
+    """Return H, shape (m, 1), at states of shape (m, 2 d)."""
+    d = z.shape[1] // 2
+    return np.array([[kernel.energy(kernel.parameters, one[:d], one[d:])] for one in z])
 
 
 def _gradient(kernel: Kernel, z: np.ndarray) -> np.ndarray:

@@ -6,11 +6,11 @@ from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.attitude_features import (
-    add_turn_slope, group_of, see, see_change, turn_matrices, widened)
+    add_turn_slope, group_of, see, see_change, widened)
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.outputs import pack_layers, root_of
+from hnn_vi_ros.models.outputs import pack_layers
 from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
 from hnn_vi_ros.networks.perceptron_memory import pack
 from hnn_vi_ros.phase_space import Coordinate
@@ -78,42 +78,6 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         attitudes = rng.normal(size=(_SAMPLES, 4))
         q[:, -4:] = attitudes / np.linalg.norm(attitudes, axis=1, keepdims=True)
         return np.hstack([q, p, np.zeros((_SAMPLES, 1))])
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        card, places, k = self._group, self._group.size - 3, self._group.size
-        q, p = np.split(z.astype(np.longdouble), 2, axis=1)
-        p = p[:, :k]
-        R, R_q = turn_matrices(q[:, -4:])
-        pi = p.copy()
-        if places:
-            pi[:, :3] = (R * p[:, :3, None]).sum(axis=1)
-        seen = np.hstack([q[:, :places], R.reshape(-1, 9), pi])
-        L, L_z = self._roots(seen)
-        S = np.array(card.mass_scale)
-        u = S * pi
-        w = (L * u[:, :, None]).sum(axis=1)
-        c = np.zeros_like(seen)
-        at = card.columns(card.potential_depends_on)
-        c[:, at] = self._evaluated('potential', seen[:, at])[1][:, 0]
-        v = S * ((L * w[:, None, :]).sum(axis=2) + card.floor * u) + c[:, places + 9:]
-        c[:, :places + 9] += (L_z * (u[:, :, None] * w[:, None, :])[..., None]).sum(
-            axis=(1, 2))[:, :places + 9]
-        slopes, rates = c[:, places:places + 9].reshape(-1, 3, 3), v.copy()
-        if places:
-            slopes = slopes + p[:, :3, None] * v[:, None, :3]
-            rates[:, :3] = (R * v[:, None, :3]).sum(axis=2)
-        H_q = (R_q * slopes[..., None]).sum(axis=(1, 2))
-        return np.hstack([c[:, :places], H_q, rates, np.zeros((len(z), 1))])
-
-    def _roots(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return L, shape (m, k, k), and its derivatives by what can be seen."""
-        card = self._group
-        at = card.columns(card.mass_depends_on)
-        y, y_x = self._evaluated('mass', seen[:, at] if at else np.zeros((len(seen), 1)))
-        y_z = np.zeros((*y.shape, seen.shape[1]), y.dtype)
-        if at:
-            y_z[:, :, at] = y_x
-        return root_of(y, y_z, card.entries, card.diagonal == 'softplus')
 
 
 @kept(error_model='numpy')

@@ -4,15 +4,14 @@
 
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
-from hnn_vi_ros.models.features import even_layers, inputs_of, pack_features
+from hnn_vi_ros.models.features import even_layers, pack_features
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.mechanical_kernel import (
     energy, gradient, hessian_vector, MassNetwork, MechanicalParameters, MechanicalWork,
     PotentialNetwork)
-from hnn_vi_ros.models.outputs import pack_layers, root_of
-from hnn_vi_ros.models.priors import added, prior_of
+from hnn_vi_ros.models.outputs import pack_layers
+from hnn_vi_ros.models.priors import prior_of
 from hnn_vi_ros.networks.perceptron_memory import pack
 import numpy as np
 
@@ -69,33 +68,3 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         return MechanicalParameters(
             mass, potential, prior_of(mechanical),
             MechanicalWork.empty(len(mechanical.entries), self.dimension))
-
-    def masses(self, q: np.ndarray) -> np.ndarray:
-        """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""
-        return self._roots(q)[0] + added(self._mechanical, q, np.zeros(q.shape))[0]
-
-    def _roots(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return M without the prior's, L, and the derivatives of L, shape (m, d, d, d)."""
-        card, d = self._mechanical, self.dimension
-        x, x_q = inputs_of(card, card.mass_features, q)
-        y, y_x = self._evaluated('mass', x)
-        L, L_q = root_of(y, y_x @ x_q, card.entries, True)
-        S = np.array(card.mass_scale)
-        gram = (L[:, :, None, :] * L[:, None, :, :]).sum(axis=3)
-        return S[:, None] * (gram + card.floor * np.eye(d)) * S, L, L_q
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        card, (q, p) = self._mechanical, np.split(z, 2, axis=1)
-        L, L_q = self._roots(q)[1:]
-        masses = self.masses(q)
-        v = p.astype(np.longdouble)
-        for mass, right in zip(masses, v, strict=True):
-            factorise(mass)
-            solve_lower(mass, right)
-            solve_upper(mass, right)
-        u = v * np.array(card.mass_scale)
-        w = (L * u[:, :, None]).sum(axis=1)
-        x, x_q = inputs_of(card, card.features, q)
-        slope = (self._evaluated('potential', x)[1] @ x_q)[:, 0]
-        kinetic = (L_q * (u[:, :, None] * w[:, None, :])[..., None]).sum(axis=(1, 2))
-        return np.hstack([slope - kinetic + added(card, q, v)[1], v])

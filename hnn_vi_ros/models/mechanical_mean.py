@@ -83,23 +83,6 @@ class MeanMechanism(MeanHamiltonian):
             *np.zeros((2, d * d)))
         return self._kernel_of(energy, gradient, hessian_vector, parameters)
 
-    def masses(self, q: np.ndarray) -> np.ndarray:
-        """Return M(q), shape (m, d, d), at q of shape (m, d), in extended precision."""
-        return np.mean(np.stack([member.masses(q) for member in self.members]), axis=0)
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        q, p = np.split(z, 2, axis=1)
-        masses = np.stack([member.masses(q) for member in self.members])
-        v = p.astype(np.longdouble)
-        for mass, right in zip(masses.mean(axis=0), v, strict=True):
-            factorise(mass)
-            solve_lower(mass, right)
-            solve_upper(mass, right)
-        momenta = (masses * v[:, None, :]).sum(axis=3)
-        slopes = [member._extended_gradient(np.hstack([q, own]))[:, :self.dimension]
-                  for member, own in zip(self.members, momenta, strict=True)]
-        return np.hstack([np.mean(np.stack(slopes), axis=0), v])
-
 
 @kept(error_model='numpy')
 def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:

@@ -6,7 +6,6 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.networks import perceptron
-import numpy as np
 
 
 class NeuralHamiltonian(LearnedHamiltonian):
@@ -38,6 +37,3 @@ class NeuralHamiltonian(LearnedHamiltonian):
     def _kernel(self) -> Kernel:
         return self._kernel_of(perceptron.energy, perceptron.gradient, perceptron.hessian_vector,
                                self._packed(self._network))
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        return self._evaluated(self._network, z)[1][:, 0]

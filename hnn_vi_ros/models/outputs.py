@@ -7,7 +7,6 @@ A network y = Y a_K + b of k outputs is packed as the network w . a_K of one, wh
 are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradient included.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.linking import part
@@ -62,31 +61,6 @@ def pack_layers(layers: Layers, activation: str) -> PackedOutputs:
     packed = pack((*weights[:-1], one), (*biases[:-1], np.zeros(1)), activation)
     return PackedOutputs(packed, np.ascontiguousarray(weights[-1]),
                          np.ascontiguousarray(biases[-1]))
-
-
-def root_of(y: np.ndarray, y_x: np.ndarray, entries: Sequence[Sequence[int]], positive: bool
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the lower triangular L, shape (m, d, d), of outputs, and its derivatives (m, d, d, n).
-
-    Parameters
-    ----------
-    y, y_x : np.ndarray, shapes (m, k) and (m, k, n)
-        The outputs and their derivatives.
-    entries : sequence of pairs of int
-        The place in L of each.
-    positive : bool
-        Whether the diagonal of L is log(1 + exp(y)), not y.
-
-    """
-    d = entries[-1][0] + 1
-    L, L_x = (np.zeros((len(y), d, d, *part.shape[2:]), y.dtype) for part in (y, y_x))
-    for k, (i, j) in enumerate(entries):
-        L[:, i, j], L_x[:, i, j] = y[:, k], y_x[:, k]
-        if i == j and positive:
-            L[:, i, j] = np.logaddexp(0.0, y[:, k])
-            L_x[:, i, j] /= 1.0 + np.exp(-y[:, k])[:, None]
-    return L, L_x
 
 
 @part(error_model='numpy')

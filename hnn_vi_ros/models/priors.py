@@ -4,15 +4,13 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
-from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
-from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient, tree_kernel
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy, gradient, hessian_vector, Target)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.models.exact_prior import create, exact_gradient
+from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.mechanical_card import MechanicalCard, PriorCard
 from hnn_vi_ros.models.planar_chain import chain_kernel, CHAINS
 import numpy as np
@@ -65,22 +63,6 @@ def _kernel(prior: PriorCard, angles: list[list[float]]) -> Kernel:
         return tree_kernel(prior.bodies)
     return chain_kernel(angles, prior.values) if prior.kind in CHAINS else \
         create(prior.kind, prior.values).kernel
-
-
-def added(card: MechanicalCard, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return M, shape (m, d, d), and V_q - (v . M v)_q / 2 of (m, d), in extended precision."""
-    if card.prior is None:
-        m, d = q.shape
-        return np.zeros((m, d, d), np.longdouble), np.zeros((m, d), np.longdouble)
-    if card.prior.tree is not None:
-        return _tree_gradient(card.prior.bodies, q, v)
-    return exact_gradient(_kernel(card.prior, card.angles), q, v)
-
-
-def _tree_gradient(bodies: Bodies, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    masses = np.stack([mass_matrix(bodies, one) for one in q.astype(np.longdouble)])
-    momenta = (masses @ v[:, :, None])[:, :, 0]
-    return masses, extended_gradient(bodies, q, momenta)[0]
 
 
 @part(error_model='numpy')

@@ -44,11 +44,6 @@ class SeparableHamiltonian(LearnedHamiltonian):
             np.zeros(MAX_STATES * self.dimension))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        q, p = np.split(z, 2, axis=1)
-        return np.hstack([self._evaluated('potential', q)[1][:, 0],
-                          self._evaluated('kinetic', p)[1][:, 0]])
-
 
 @kept(error_model='numpy')
 def _energy(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray) -> float:

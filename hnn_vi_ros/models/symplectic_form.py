@@ -10,7 +10,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.learned import LearnedHamiltonian, rounding
 from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
@@ -68,44 +68,38 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
         half = 0.5 * np.ptp(np.concatenate(self.box), axis=1)
-        problem = irregularity(self.two_forms(self._states()).astype(np.float64), half)
+        problem = irregularity(self.two_forms(self._states()), half)
         if problem:
             raise ModelError(f'{problem}, so its motions are not defined there; train it anew: '
                              f'{REMEDY}')
 
     def two_forms(self, z: np.ndarray) -> np.ndarray:
-        """Return W, shape (m, 2 d, 2 d), at states of shape (m, 2 d), in extended precision."""
-        d = self.dimension
-        slope = self._evaluated('one_form', z)[1]
-        slope[:, :d, d:] += np.array(self.checkpoint.card.mass)
-        return slope.transpose(0, 2, 1) - slope
+        """Return W, shape (m, 2 d, 2 d), at states of shape (m, 2 d)."""
+        found = np.empty((len(z), 2 * self.dimension, 2 * self.dimension))
+        _fill_forms(self._parameters(), z, found)
+        return found
 
     def _kernel(self) -> Kernel:
-        energy, n = self._packed('energy'), 2 * self.dimension
-        parameters = FormParameters(
-            energy, pack_outputs(self.checkpoint, 'one_form', 'both'),
-            np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
-            np.empty(n), *self._rounding(energy))
-        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
+        parameters, z, d = self._parameters(), self._states(), self.dimension
 
-    def _rounding(self, energy: PackedPerceptron) -> tuple[float, float]:
-        """Return the rounding error of H in units of the unit round-off, and norm(W^-1)."""
-        z, d = self._states(), self.dimension
-        computed = np.array([perceptron.energy(energy, x[:d], x[d:]) for x in z])
-        exact = self._evaluated('energy', z)[0][:, 0]
-        error = max(np.abs(computed).max(), np.abs(computed - exact).max() / _EPS)
-        inverse = np.linalg.inv(self.two_forms(z).astype(np.float64))
-        return float(4.0 * error), float(np.abs(inverse).sum(axis=2).max())
+        def energies(z: np.ndarray) -> np.ndarray:
+            return np.array([[_energy(parameters, x[:d], x[d:])] for x in z])
+        error = max(4.0 * np.abs(energies(z)).max(), rounding(energies, z)[0])
+        norm = np.abs(np.linalg.inv(self.two_forms(z))).sum(axis=2).max()
+        return self._kernel_of(_energy, _gradient, _hessian_vector, parameters._replace(
+            energy_rounding=float(error), inverse_norm=float(norm)))
+
+    def _parameters(self) -> 'FormParameters':
+        """Return the networks, with working memory of their own."""
+        n = 2 * self.dimension
+        return FormParameters(
+            self._packed('energy'), pack_outputs(self.checkpoint, 'one_form', 'both'),
+            np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
+            np.empty(n), 0.0, 0.0)
 
     def _states(self) -> np.ndarray:
         low, high = np.concatenate(self.box).T
         return np.random.default_rng(0).uniform(low, high, (_SAMPLES, 2 * self.dimension))
-
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        d, rates = self.dimension, self._evaluated('energy', z)[1][:, 0]
-        for two_form, rate in zip(self.two_forms(z), rates, strict=True):
-            solve_linear(two_form, rate)
-        return np.hstack([-rates[:, d:], rates[:, :d]])
 
 
 def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
@@ -193,9 +187,8 @@ def slope(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np
 
 
 @part(error_model='numpy')
-def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray
-                ) -> None:
-    """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
+def _fill_form(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill W at one state."""
     form, mass, rows = parameters.form, parameters.mass, parameters.rows
     two_form, unit, d = parameters.two_form, parameters.unit, q.size
     for i in range(2 * d):
@@ -209,7 +202,22 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
     for i in range(2 * d):
         for j in range(2 * d):
             two_form[i, j] = rows[j, i] - rows[i, j]
-    if not solve_linear(two_form, covector):
+
+
+@_compiled
+def _fill_forms(parameters: FormParameters, z: np.ndarray, two_forms: np.ndarray) -> None:
+    d = parameters.mass.shape[0]
+    for k in range(z.shape[0]):
+        _fill_form(parameters, z[k, :d], z[k, d:])
+        two_forms[k] = parameters.two_form
+
+
+@part(error_model='numpy')
+def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covector: np.ndarray
+                ) -> None:
+    """Turn a covector c, shape (2 d,), into W(u)^-1 c at one state; NaN if W is singular."""
+    _fill_form(parameters, q, p)
+    if not solve_linear(parameters.two_form, covector):
         covector[:] = np.nan
 
 

@@ -51,11 +51,6 @@ class VariationalHamiltonian(LearnedHamiltonian):
         parameters = VariationalParameters(self.mass_inverse, self._packed('potential', 'q'))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
-    def _extended_gradient(self, z: np.ndarray) -> np.ndarray:
-        q, p = np.split(z, 2, axis=1)
-        return np.hstack([self._evaluated('potential', q)[1][:, 0],
-                          p.astype(np.longdouble) @ self.mass_inverse])
-
 
 @kept(error_model='numpy')
 def _energy(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray) -> float:

@@ -9,8 +9,7 @@ its own: its slope is 1 - a^2. The others keep their slope in a fifth group of r
 ``nodes``, and in a sixth its derivative along a_0' = v.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
@@ -165,22 +164,8 @@ _OPTIONS: dict[str, Any] = {'fastmath': FASTMATH, 'error_model': 'numpy', 'force
 _inlined = part(**_OPTIONS)
 
 
-class NumpyActivation(NamedTuple):
-    """An activation in numpy, for any precision: value and slope of z."""
-
-    value: Callable[[np.ndarray], np.ndarray]
-    slope: Callable[[np.ndarray], np.ndarray]
-    smooth: bool = True
-
-
-ACTIVATIONS = {
-    'tanh': NumpyActivation(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2),
-    'sine': NumpyActivation(np.sin, np.cos),
-    'relu': NumpyActivation(lambda z: np.maximum(z, 0.0),
-                            lambda z: np.where(z > 0.0, 1.0, 0.0 * z), smooth=False),
-    'softplus': NumpyActivation(lambda z: np.logaddexp(z, 0.0),
-                                lambda z: 1.0 / (1.0 + np.exp(-z))),
-}
+# Whether the slope of an activation is continuous.
+SMOOTH = {'tanh': True, 'sine': True, 'relu': False, 'softplus': True}
 
 
 @_inlined

@@ -108,7 +108,7 @@ def learned_loss(source: str, data: Path, model: Path | None = None) -> float:
 
 def test_windows_of_one_array_are_the_motions_of_its_runs(tmp_path, data: Path):
     with np.load(data) as archive:
-        rows = [np.hstack([turn_matrices(archive[f'r{run}/q'])[0].reshape(-1, 9),
+        rows = [np.hstack([turn_matrices(archive[f'r{run}/q']).reshape(-1, 9),
                            archive[f'r{run}/dq']]) for run in range(4)]
     path = tmp_path / 'windows.npz'
     np.savez(path, train=np.stack(rows[:3], axis=1)[None], test=np.stack(rows[3:], axis=1)[None])

@@ -8,7 +8,7 @@ from pathlib import Path
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix
-from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import extended_gradient
+from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.priors import RigidTree
@@ -72,7 +72,9 @@ def test_tree_in_torch_is_that_of_the_compiled_kernel(robots):
             columns = tree.columns(at, moving, faster)
         expected = np.stack([mass_matrix(bodies, one) for one in q])
         assert np.abs(M.numpy() - expected).max() < 1e-12 * np.abs(expected).max()
-        dH_dq, dH_dp = extended_gradient(bodies, q, (expected @ v[:, :, None])[:, :, 0])
+        kernel, (dH_dq, dH_dp) = tree_kernel(bodies), np.empty((2, *q.shape))
+        kernel.gradient(kernel.parameters, q.ravel(), (expected @ v[:, :, None]).ravel(),
+                        dH_dq.reshape(-1), dH_dp.reshape(-1))
         assert np.abs(slope + dH_dq).max() < 1e-12 * np.abs(dH_dq).max()
         assert np.abs(dH_dp - v).max() < 1e-12
         # (M v)' along q' = v, by automatic differentiation.

@@ -8,6 +8,7 @@ from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
@@ -57,7 +58,7 @@ def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
     effects = [EFFECTS['learned_friction'](model), EFFECTS['external_force'](model=model)]
     q, v = rng.uniform(-1.0, 1.0, (2, 4, 3))
     u = rng.uniform(-1.0, 1.0, (4, motors))
-    p = (hamiltonian.masses(q).astype(float) @ v[:, :, None])[:, :, 0]
+    p = momentum(hamiltonian, q, v, np.zeros_like(q))
     with torch.no_grad():
         found = network.accelerations(*map(torch.tensor, (q, v, u))).numpy()
         forces = network.forces(*map(torch.tensor, (q, v, found))).numpy()

@@ -8,6 +8,7 @@ from pathlib import Path
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
@@ -85,7 +86,7 @@ def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structu
     parameters = effect.resolve(hamiltonian.coordinates, None)
     rng = np.random.default_rng(2)
     q, v, tau = rng.uniform(-1.0, 1.0, (3, 4, d))
-    p = (hamiltonian.masses(q).astype(float) @ v[:, :, None])[:, :, 0]
+    p = momentum(hamiltonian, q, v, np.zeros_like(q))
     with torch.no_grad():
         at, moving, driven = map(torch.tensor, (q, v, tau))
         found = network.accelerations(at, moving, driven).numpy()

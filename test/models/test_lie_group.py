@@ -76,11 +76,11 @@ def test_torch_step_on_a_group_is_the_compiled_step_to_round_off(tmp_path, name:
         simulation.set_command(u[0].numpy())
     simulation.advance(3)
     step = LieSteps(LieGroupNetwork.of(model), method, retraction, h)
-    node = Node(torch.tensor(q[:, :places]), torch.tensor(turn_matrices(q[:, -4:])[0]),
+    node = Node(torch.tensor(q[:, :places]), torch.tensor(turn_matrices(q[:, -4:])),
                 torch.tensor(p))
     for _ in range(3):
         node = step(node, u)
-    R = turn_matrices(simulation.q[None, -4:])[0]
+    R = turn_matrices(simulation.q[None, -4:])
     for ours, theirs in ((node.x[0], simulation.q[:places]), (node.R[0], R[0]),
                          (node.p[0], simulation.p)):
         assert np.abs(ours.detach().numpy() - theirs).max(initial=0.0) <= ROUND_OFF
@@ -88,7 +88,7 @@ def test_torch_step_on_a_group_is_the_compiled_step_to_round_off(tmp_path, name:
 
 def test_torch_step_has_the_derivatives_of_its_solution():
     network, (q, p) = LieGroupNetwork.of(random_lie_group('pose')), random_states(6, 2)
-    R, u = torch.tensor(turn_matrices(q[:, -4:])[0]), torch.tensor(np.array([[0.4, -0.7]] * 2))
+    R, u = torch.tensor(turn_matrices(q[:, -4:])), torch.tensor(np.array([[0.4, -0.7]] * 2))
     x, p = torch.tensor(q[:, :3]), torch.tensor(p)
 
     def end(change: float) -> torch.Tensor:
@@ -110,7 +110,7 @@ def test_torch_step_has_the_derivatives_of_its_solution():
 def test_momenta_of_velocities_have_these_velocities(name: str):
     network, (q, v) = LieGroupNetwork.of(random_lie_group(name)), random_states(
         len(random_lie_group(name).card.box.q) - 1, 3)
-    x, R, v = (torch.tensor(part) for part in (q[:, :-4], turn_matrices(q[:, -4:])[0], v))
+    x, R, v = (torch.tensor(part) for part in (q[:, :-4], turn_matrices(q[:, -4:]), v))
     p = network.momenta(x, R, v)
     found = network.held(x, R, v[:, :0]).of_body(p)
     assert (found - v).abs().max() <= 10.0 * ROUND_OFF

@@ -10,6 +10,7 @@ from hnn_vi_ros import load_scene, simulate_spread
 from hnn_vi_ros.companions.members import Accompanied, Members
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectState
+from hnn_vi_ros.effects.masses import inverse_mass
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
@@ -57,7 +58,7 @@ def test_force_that_the_mean_needs_is_the_mean_of_what_members_need(tmp_path: Pa
     q, v, a = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 2))
     for member in (None, 1, 2, 3):
         hamiltonian = load_learned(Path(file), member=member)
-        M = hamiltonian.masses(q[None])[0].astype(float)
+        M = np.linalg.inv(inverse_mass(hamiltonian, q))
         p = M @ v
         force, zero = np.zeros((2, 2))
         effect = EFFECTS['learned_friction'](file, member)
@@ -128,7 +129,7 @@ def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     for k, one in enumerate(found.members, start=1):
         own = load_learned(Path(scene.hamiltonian.model), member=k)
         v = own.gradient(one.q[-1], one.p[-1])[1]
-        momenta.append(mean.masses(one.q[-1:])[0].astype(float) @ v)
+        momenta.append(np.linalg.solve(inverse_mass(mean, one.q[-1]), v))
     np.testing.assert_allclose(found.spread_p[-1], 2.0 * np.std(momenta, axis=0, ddof=1),
                                rtol=1e-9)
     # The mean of equal numbers is rounded.

@@ -68,7 +68,11 @@ def field(model: SymplecticFormHamiltonian, z: np.ndarray) -> np.ndarray:
 
 def one_form(model: SymplecticFormHamiltonian, z: np.ndarray) -> np.ndarray:
     """Return theta at states of shape (m, 2 d)."""
-    d, theta = model.dimension, model._evaluated('one_form', z)[0].astype(np.float64)
+    d, ((*weights, last), (*biases, end)) = model.dimension, model.checkpoint.networks['one_form']
+    theta = z
+    for weight, bias in zip(weights, biases, strict=True):
+        theta = np.tanh(theta @ weight.T + bias)
+    theta = theta @ last.T + end
     theta[:, :d] += z[:, d:] @ np.array(model.checkpoint.card.mass).T
     return theta
 

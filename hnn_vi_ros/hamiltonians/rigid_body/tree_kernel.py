@@ -27,17 +27,6 @@ def tree_kernel(bodies: Bodies) -> Kernel:
     return kernel._replace(gradient_scale=(scale, 0.0), energy_scale=scale)
 
 
-def extended_gradient(bodies: Bodies, q: np.ndarray, p: np.ndarray
-                      ) -> tuple[np.ndarray, np.ndarray]:
-    """Return H_q and H_p, of q and p of shape (m, d), in extended precision."""
-    d = q.shape[1]
-    parameters = TreeParameters(bodies, Work.empty(d, np.longdouble))
-    slopes = np.empty((2, q.size), np.longdouble)
-    _gradient(parameters, q.astype(np.longdouble).ravel(), p.astype(np.longdouble).ravel(),
-              *slopes)
-    return slopes[0].reshape(-1, d), slopes[1].reshape(-1, d)
-
-
 @inlined
 def _arrange(parameters: TreeParameters, q: np.ndarray, p: np.ndarray, start: int) -> None:
     """Fill the work for the state that starts there, up to the rates of the joints."""

@@ -354,7 +354,7 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     if not all(np.isfinite(part).all() for part in parts):
         raise DataError(f'{name}: holds something else than finite numbers, here or beside it')
     if attitude.shape[-1] == 4:
-        R = turn_matrices(attitude.reshape(-1, 4))[0]
+        R = turn_matrices(attitude.reshape(-1, 4))
     else:
         R = attitude.reshape(-1, 3, 3).copy()
     gram = R.transpose(0, 2, 1) @ R
