@@ -5,18 +5,13 @@
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
+from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
 from hnn_vi_ros.hamiltonians.turning_body import check_inertia, spatial_momentum
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
-
-# Mass [kg], weight [N], moments of inertia I1, I2, I3 [kg m^2].
-_Parameters = tuple[float, float, float, float, float]
-# Columns of a pose, in q and in p.
-_COLUMNS = 7
 
 
 class Quadrotor(Hamiltonian):
@@ -69,8 +64,12 @@ class Quadrotor(Hamiltonian):
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
-        return compiled_kernel((_energy, _gradient, _hessian_vector),
-                               (self.mass, self.weight, *self.inertia), _COLUMNS, rotations=(3,))
+        I1, I2, I3 = self.inertia
+        # A quaternion (a, b, c, d), whose column of the fourth momentum stays zero.
+        return formula_kernel(
+            ['x', 'y', 'z', 'a', 'b', 'c', 'd'], '(p_x^2 + p_y^2 + p_z^2) / (2 * m)'
+            '+ (p_a^2 / I1 + p_b^2 / I2 + p_c^2 / I3) / 2 + weight * z', m=self.mass,
+            weight=self.weight, I1=I1, I2=I2, I3=I3)._replace(rotations=(3,))
 
 
 def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
@@ -79,34 +78,3 @@ def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
 
 def _spin(i: int, q: np.ndarray, p: np.ndarray) -> float:
     return float(spatial_momentum(q[3:], p[3:])[i])
-
-
-def _energy(parameters: _Parameters, q: np.ndarray, p: np.ndarray) -> float:
-    mass, weight, I1, I2, I3 = parameters
-    return (0.5 * (p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) / mass
-            + 0.5 * (p[3] * p[3] / I1 + p[4] * p[4] / I2 + p[5] * p[5] / I3) + weight * q[2])
-
-
-def _gradient(parameters: _Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-              dH_dp: np.ndarray) -> None:
-    _apply(parameters, p, dH_dq, dH_dp)
-    for i in range(0, q.size, _COLUMNS):
-        dH_dq[i + 2] = parameters[1]
-
-
-def _hessian_vector(parameters: _Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-    _apply(parameters, v_p, product_q, product_p)
-
-
-@inlined
-def _apply(parameters: _Parameters, p: np.ndarray, at_q: np.ndarray, at_p: np.ndarray) -> None:
-    """Apply H'', which is constant and zero but for the momenta."""
-    mass, _, I1, I2, I3 = parameters
-    for i in range(0, p.size, _COLUMNS):
-        for j in range(i, i + _COLUMNS):
-            at_q[j] = 0.0
-        for j in range(i, i + 3):
-            at_p[j] = p[j] / mass
-        at_p[i + 3], at_p[i + 4], at_p[i + 5] = p[i + 3] / I1, p[i + 4] / I2, p[i + 5] / I3
-        at_p[i + 6] = 0.0
