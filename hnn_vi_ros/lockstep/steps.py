@@ -4,12 +4,11 @@
 Steps of variational methods for many trajectories, and the solvers of their equations.
 
 The equations x = G(x) of each trajectory are solved by itself and carried to round-off: by the
-fixed-point iteration, the secant method and Anderson's of ``integrators.solvers``, which has what
-is accepted, and why. A trajectory whose equation is solved, or is not to be solved so, leaves the
+fixed-point iteration or Anderson's method of ``integrators.solvers``, which has what is accepted,
+and why. A trajectory whose equation is solved, or is not to be solved so, leaves the
 iteration: the others go on in arrays that have become as much shorter.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -20,9 +19,8 @@ from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, NO_CONVERGENCE, No
 from hnn_vi_ros.integrators.equations import LEAST_SCALE
 from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.solvers import (
-    BACK, COMMON, fixed_point, GO_ON, OWN, QUICK, secant, SolverOptions)
+    BACK, COMMON, fixed_point, GO_ON, OWN, QUICK, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
 from hnn_vi_ros.lockstep.gradient import dot, Gradient
 import numpy as np
@@ -77,13 +75,26 @@ class Solved(NamedTuple):
     slow_start: torch.Tensor
 
 
-class Iteration(ABC):
-    """Rule that makes the next iterate of the last ones; of the trajectories that are left."""
+class Anderson:
+    """
+    Anderson's method, with a least-squares problem for each trajectory that is left.
 
-    # Whether the iteration may go on where it hardly contracts.
-    patient = False
+    Of one unknown it is the secant method.
 
-    @abstractmethod
+    Parameters
+    ----------
+    depth : int
+        Earlier evaluations that are combined; with 0 it is x = G(x), as the paper does, which may
+        go on where it hardly contracts.
+
+    """
+
+    def __init__(self, depth: int = DEPTH) -> None:
+        self._depth, self.patient = depth, not depth
+        # The last evaluations, the newest first; and from which iteration on they may be combined.
+        self._old: list[tuple[torch.Tensor, torch.Tensor]] = []
+        self._origin: torch.Tensor | None = None
+
     def improved(self, k: int, value: torch.Tensor, defect: torch.Tensor, changed: torch.Tensor
                  ) -> torch.Tensor:
         """
@@ -99,57 +110,6 @@ class Iteration(ABC):
             Where residuals have become relative to something else.
 
         """
-
-    @abstractmethod
-    def keep(self, chosen: torch.Tensor) -> None:
-        """Forget all trajectories but those chosen, by their places."""
-
-
-class Secant(Iteration):
-    """The secant method for each unknown, where none depends on another."""
-
-    def __init__(self) -> None:
-        self._old: tuple[torch.Tensor, torch.Tensor] | None = None
-
-    def improved(self, k: int, value: torch.Tensor, defect: torch.Tensor, changed: torch.Tensor
-                 ) -> torch.Tensor:
-        """See Iteration."""
-        x = value
-        if self._old is not None:
-            old_value, old_defect = self._old
-            change = defect - old_defect
-            moves = change != 0.0
-            x = torch.where(moves, value - defect / torch.where(moves, change, 1.0)
-                            * (value - old_value), value)
-        self._old = value, defect
-        return x
-
-    def keep(self, chosen: torch.Tensor) -> None:
-        """See Iteration."""
-        if self._old is not None:
-            self._old = self._old[0][:, chosen], self._old[1][:, chosen]
-
-
-class Anderson(Iteration):
-    """
-    Anderson's method, with a least-squares problem for each trajectory.
-
-    Parameters
-    ----------
-    depth : int
-        Earlier evaluations that are combined; with 0 it is x = G(x), as the paper does.
-
-    """
-
-    def __init__(self, depth: int = DEPTH) -> None:
-        self._depth, self.patient = depth, not depth
-        # The last evaluations, the newest first; and from which iteration on they may be combined.
-        self._old: list[tuple[torch.Tensor, torch.Tensor]] = []
-        self._origin: torch.Tensor | None = None
-
-    def improved(self, k: int, value: torch.Tensor, defect: torch.Tensor, changed: torch.Tensor
-                 ) -> torch.Tensor:
-        """See Iteration."""
         if self._origin is None:
             self._origin = torch.ones_like(changed, dtype=torch.int64)
         self._origin = torch.where(changed, k, self._origin)
@@ -191,7 +151,7 @@ class Anderson(Iteration):
         return weights, used
 
     def keep(self, chosen: torch.Tensor) -> None:
-        """See Iteration."""
+        """Forget all trajectories but those chosen, by their places."""
         self._old = [(value[:, chosen], defect[:, chosen]) for value, defect in self._old]
         if self._origin is not None:
             self._origin = self._origin[chosen]
@@ -208,14 +168,14 @@ class _Judged(NamedTuple):
     accepted: torch.Tensor
 
 
-def solve(iteration: Iteration, equation: Equation, known: Known, x: torch.Tensor,
+def solve(iteration: Anderson, equation: Equation, known: Known, x: torch.Tensor,
           scales: Scales, max_iterations: int) -> Solved:
     """
     Solve x = G(x) for each of m trajectories.
 
     Parameters
     ----------
-    iteration : Iteration
+    iteration : Anderson
         How.
     equation : callable
         Returns G(x), shape (N, m), and what it found on the way, shape (..., m).
@@ -379,18 +339,10 @@ class System(NamedTuple):
     h: float
     options: SolverOptions
 
-    def iteration(self) -> Iteration:
-        """Return the method's solver, before its first iteration."""
-        if self.options.solve is secant:
-            return Secant()
-        return Anderson(0) if self.options.solve is fixed_point else Anderson()
-
     def solve(self, equation: Equation, known: Known, x: torch.Tensor, scales: Scales) -> Solved:
         """Solve an equation; one that may have another solution is in doubt."""
-        by_secant = self.options.solve is secant
-        solved = solve(self.iteration(), equation, known, x,
-                       Scales(scales.own, scales.own) if by_secant else scales,
-                       self.options.max_iterations)
+        solved = solve(Anderson(0) if self.options.solve is fixed_point else Anderson(), equation,
+                       known, x, scales, self.options.max_iterations)
         if not self.options.connected or self.d > FAST_MATRIX:
             return solved
         quick = solved.iterations <= QUICK + min(self.d - 1, DEPTH)
@@ -431,11 +383,28 @@ def remembered(counts: torch.Tensor, earlier: torch.Tensor, increment: torch.Ten
     return (counts + 1).clamp_max(3), torch.cat([increment[None], earlier[:2]])
 
 
-def _half_step(system: System, h: float, which: int, held: torch.Tensor, base: torch.Tensor,
-               carry: torch.Tensor, slope: torch.Tensor, history: _Pair
-               ) -> tuple[Solved, torch.Tensor, _Pair]:
+def _turned(gradient: torch.Tensor, dim: int = 0) -> torch.Tensor:
+    """Return (H_p, -H_q) of (H_q, H_p)."""
+    H_q, H_p = gradient.chunk(2, dim=dim)
+    return torch.cat([H_p, -H_q], dim=dim)
+
+
+def _halves(z: torch.Tensor, own: Sequence[int]) -> torch.Tensor:
+    """Return q, p or both of (q, p), for own = [0], [1] or [0, 1]."""
+    return torch.cat([z.chunk(2)[half] for half in own])
+
+
+def _scales(system: System, h: float, state: State, own: Sequence[int]) -> Scales:
+    rates = _turned(state.slope)
+    found = (system.scales(_halves(state.z, [half]), _halves(rates, [half]), h, 1 - half)
+             for half in own)
+    return Scales(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+
+
+def _solve_node(system: System, h: float, own: Sequence[int], state: State, history: _Pair
+                ) -> tuple[Solved, torch.Tensor, _Pair]:
     """
-    Solve p1 = p - h H_q(q, p1), or q1 = q + h H_p(q1, p), for which = 0 or 1.
+    Solve p1 = p - h H_q(q, p1), q1 = q + h H_p(q1, p), or both at once, for own as in ``_halves``.
 
     Returns
     -------
@@ -443,80 +412,51 @@ def _half_step(system: System, h: float, which: int, held: torch.Tensor, base: t
         The solution, with the gradient there; its carry; and its history.
 
     """
-    factor = (-h, h)[which]
     counts, earlier = history
-    x = base + factor * slope
+    base, carry = _halves(state.z, own), _halves(state.carry, own)
+    x = base + h * _halves(_turned(state.slope), own)
     if system.options.extrapolate:
         x = extrapolated(counts, earlier, base, x)
 
     def equation(known: Known, x: torch.Tensor) -> _Pair:
-        held, base, carry = known
-        found = system.gradient(torch.cat((held, x) if which == 0 else (x, held)))
-        return plus(base, carry, factor * found.chunk(2)[which])[0], found
+        z, carry = known
+        found = system.gradient(_with_halves(z, own, x))
+        return plus(_halves(z, own), carry, h * _halves(_turned(found), own))[0], found
 
-    solved = system.solve(equation, (held, base, carry), x,
-                          system.scales(base, slope, h, which))
-    total, rest = plus(base, carry, factor * solved.found.chunk(2)[which])
+    solved = system.solve(equation, (state.z, carry), x, _scales(system, h, state, own))
+    total, rest = plus(base, carry, h * _halves(_turned(solved.found), own))
     return (solved, rest + (total - solved.x),
             remembered(counts, earlier, solved.x - base))
 
 
+def _with_halves(z: torch.Tensor, own: Sequence[int], x: torch.Tensor) -> torch.Tensor:
+    """Return (q, p) with other ones in the place of some."""
+    halves = dict(zip(own, x.chunk(len(own)), strict=True))
+    return torch.cat([halves.get(half, part) for half, part in enumerate(z.chunk(2))])
+
+
 def _one_by_one(system: System, state: State, nodes: Sequence[Node]) -> Stepped:
-    """Take a step of a method whose nodes are implicit in q or p alone, one after another."""
-    x, carry, gradient = [*state.z.chunk(2)], [*state.carry.chunk(2)], state.slope
-    kept: list[_Pair] = []
+    """Take a step of a method whose nodes are solved one after another."""
+    now, kept = state, list[_Pair]()
     outcome, iterations = torch.full_like(state.counts[0], OK), torch.zeros_like(state.counts[0])
     for a, b, u, w in nodes:
-        moves = u, w
         if a or b:
-            # Implicit in p, which = 0, or in q, which = 1; the other one is held.
-            which, k = int(bool(a)), len(kept)
-            own, other = (1, 0) if which == 0 else (0, 1)
-            solved, carry[own], history = _half_step(
-                system, (a or b) * system.h, which, x[other], x[own], carry[own],
-                gradient.chunk(2)[which], (state.counts[k], state.earlier[k]))
-            x[own], gradient = solved.x, solved.found
+            own, k = [half for half, part in enumerate((a, b)) if part], len(kept)
+            solved, carry, history = _solve_node(
+                system, (a or b) * system.h, own, now, (state.counts[k], state.earlier[k]))
+            now = now._replace(z=_with_halves(now.z, own, solved.x), slope=solved.found,
+                               carry=_with_halves(now.carry, own, carry))
             kept.append(history)
             outcome = torch.where(outcome == OK, solved.outcome, outcome)
             iterations = iterations + solved.iterations
-            moves = u - a, w - b
-        H_q, H_p = gradient.chunk(2)
-        for own, move, rate in ((0, moves[0], H_p), (1, -moves[1], H_q)):
+        for half, move in enumerate((u - a, w - b)):
             if move:
-                x[own], carry[own] = plus(x[own], carry[own], move * system.h * rate)
+                one, rest = plus(_halves(now.z, [half]), _halves(now.carry, [half]),
+                                 move * system.h * _halves(_turned(now.slope), [half]))
+                now = now._replace(z=_with_halves(now.z, [half], one),
+                                   carry=_with_halves(now.carry, [half], rest))
     counts, earlier = zip(*kept, strict=True)
-    return Stepped(State(torch.cat(x), torch.cat(carry), gradient, torch.stack(counts), earlier),
-                   outcome, iterations)
-
-
-def _turned(gradient: torch.Tensor, dim: int = 0) -> torch.Tensor:
-    """Return (H_p, -H_q) of (H_q, H_p)."""
-    H_q, H_p = gradient.chunk(2, dim=dim)
-    return torch.cat([H_p, -H_q], dim=dim)
-
-
-def _both_scales(system: System, state: State) -> Scales:
-    (q, p), (H_q, H_p) = state.z.chunk(2), state.slope.chunk(2)
-    of_q, of_p = system.scales(q, H_p, system.h, 1), system.scales(p, H_q, system.h, 0)
-    return Scales(*(torch.cat(pair) for pair in zip(of_q, of_p, strict=True)))
-
-
-def _implicit_midpoint(system: System, state: State) -> Stepped:
-    half, counts, earlier = 0.5 * system.h, state.counts[0], state.earlier[0]
-    y = state.z + half * _turned(state.slope)
-    if system.options.extrapolate:
-        y = extrapolated(counts, earlier, state.z, y)
-
-    def equation(known: Known, x: torch.Tensor) -> _Pair:
-        z, carry = known
-        found = system.gradient(x)
-        return z + (carry + half * _turned(found)), found
-
-    solved = system.solve(equation, (state.z, state.carry), y, _both_scales(system, state))
-    z1, carry = plus(state.z, state.carry, system.h * _turned(solved.found))
-    counts, earlier = remembered(counts, earlier, solved.x - state.z)
-    return Stepped(State(z1, carry, solved.found, counts[None], (earlier,)), solved.outcome,
-                   solved.iterations)
+    return Stepped(now._replace(counts=torch.stack(counts), earlier=earlier), outcome, iterations)
 
 
 def _gauss(system: System, state: State, stages: int) -> Stepped:
@@ -536,7 +476,7 @@ def _gauss(system: System, state: State, stages: int) -> Stepped:
         value = z + (carry + h * dot(matrix, flow))
         return value.reshape(stages * n, -1), flow
 
-    scales = Scales(*(scale.repeat(stages, 1) for scale in _both_scales(system, state)))
+    scales = Scales(*(scale.repeat(stages, 1) for scale in _scales(system, h, state, [0, 1])))
     solved = system.solve(equation, (state.z, state.carry), x.reshape(stages * n, m), scales)
     flow = dot(weights, solved.found)
     z1, carry = plus(state.z, state.carry, h * flow)
@@ -546,8 +486,8 @@ def _gauss(system: System, state: State, stages: int) -> Stepped:
                    solved.outcome, stages * solved.iterations)
 
 
-# The methods whose nodes are implicit in q or p alone.
-_ONE_BY_ONE = 'variational_euler', 'generalized_leapfrog'
+# The methods whose nodes are solved one after another.
+_ONE_BY_ONE = 'variational_euler', 'generalized_leapfrog', 'implicit_midpoint'
 
 
 def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
@@ -563,11 +503,9 @@ def step_of(integrator: Integrator, hamiltonian: Hamiltonian) -> Step:
     if isinstance(integrator, Gauss):
         stages = integrator.stages
         return lambda system, state: _gauss(system, state, stages)
-    if isinstance(integrator, ImplicitMidpoint):
-        return _implicit_midpoint
     name, tableau = method_name(integrator), integrator.partitioned
     if name not in _ONE_BY_ONE or tableau is None:
-        able = methods_that(lambda method: isinstance(method, Gauss | ImplicitMidpoint) or
+        able = methods_that(lambda method: isinstance(method, Gauss) or
                             method_name(method) in _ONE_BY_ONE, hamiltonian)
         raise UnsupportedSystem(f'{name} has no step for many trajectories on a device; leave '
                                 f'device out; methods that have: {able}')
