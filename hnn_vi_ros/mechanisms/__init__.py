@@ -349,7 +349,10 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     """
     q = np.asarray(q, dtype=np.float64)
-    turns, flies = _matrices(q[..., -4:]), q.shape[-1] == 7
+    from scipy.spatial.transform import Rotation  # slow to import, and only bodies need it
+    turns = Rotation.from_quat(q[..., -4:].reshape(-1, 4)).as_matrix().reshape(
+        *q.shape[:-1], 3, 3)
+    flies = q.shape[-1] == 7
     center = q[..., :3] if flies else np.zeros_like(q[..., :3])
     length = (0.2 if flies else 0.8) * reach
     corners = 0.5 * length * np.array([[x, y, 0.25 * z] for x in (-1.0, 1.0) for y in (-1.0, 1.0)
@@ -368,15 +371,6 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
                                SILVER)
     parts['path'] = Trail(center if flies else ends[..., 2], 0.01 * length, AMBER)
     return parts
-
-
-def _matrices(quaternions: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices of unit quaternions of shape (..., 4)."""
-    x, y, z, w = np.moveaxis(quaternions, -1, 0)
-    rows = [[w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 # Each mechanism, and the numbers of columns of q that it draws.

@@ -24,7 +24,7 @@ import numpy as np
 # cube of their number, and so does the time to compile it.
 MOST_STRAIGHT = 3
 # Entries of rotations closer to -1, 0 and 1 than this are these numbers.
-_ROUNDING = 1e-15
+_ROUNDING = 1e-14
 
 
 def small_tree_kernel(bodies: Bodies) -> Kernel:

@@ -82,7 +82,7 @@ def tree_of(robot: Robot, joints: Sequence[str] | None, locked: Mapping[str, flo
 def mass_matrix(bodies: Bodies, q: np.ndarray) -> np.ndarray:
     """Return M(q), shape (d, d), for q of shape (d,), in the arithmetic of q."""
     d = q.size
-    work = Work.empty(d, q.dtype)
+    work = Work.empty(d)
     place(bodies, work, q, 0)
     compose(bodies, work)
     lower = work.mass + np.tril(work.mass, -1).T
@@ -238,7 +238,8 @@ class _Builder:
             if joint.kind == SLIDING:
                 origin = origin + value * (rotation @ joint.axis)
             else:
-                rotation = rotation @ _turn(joint.axis, value)
+                from scipy.spatial.transform import Rotation  # slow to import
+                rotation = rotation @ Rotation.from_rotvec(value * joint.axis).as_matrix()
             self._reach(joint.child, row, rotation, origin)
         elif joint.mimics is not None:
             self._mimics.append(joint)
@@ -271,11 +272,3 @@ def frame_of(axis: np.ndarray) -> np.ndarray:
     first = np.cross(other, axis)
     first /= math.sqrt(first @ first)
     return np.stack([first, np.cross(axis, first), axis], axis=1)
-
-
-def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
-    """Return the rotation about a unit vector, by Rodrigues' formula."""
-    x, y, z = axis
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    half = math.sin(0.5 * angle)
-    return np.eye(3) + math.sin(angle) * across + 2.0 * half * half * across @ across

@@ -245,32 +245,21 @@ def _inertial(link: Element, where: str) -> Inertial | None:
 
 def _frame(element: Element, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the origin and the rotation, about fixed axes x, y, z in turn, of its <origin>."""
+    # Imported here, since it is slow to import and scenes without robots do not need it.
+    from scipy.spatial.transform import Rotation
     origin = _only(element, 'origin', place)
     xyz = _vector(origin, 'xyz', place, (0.0, 0.0, 0.0))
-    if origin is not None and 'quat_xyzw' in origin.attributes:
-        return xyz, _turned(origin, place)
-    (cr, cp, cy), (sr, sp, sy) = (
-        f(_vector(origin, 'rpy', place, (0.0, 0.0, 0.0))) for f in (np.cos, np.sin))
-    rotation = np.array([
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr]])
-    return xyz, rotation
-
-
-def _turned(origin: Element, place: str) -> np.ndarray:
-    """Return the rotation by a quaternion, which need not be of length one, as in urdfdom."""
+    if origin is None or 'quat_xyzw' not in origin.attributes:
+        turn = Rotation.from_euler('xyz', _vector(origin, 'rpy', place, (0.0, 0.0, 0.0)))
+        return xyz, turn.as_matrix()
     if 'rpy' in origin.attributes:
         raise ModelError(f'{place}: origin has rpy and quat_xyzw; leave one of them out')
+    # It need not be of length one, as in urdfdom.
     quaternion = _vector(origin, 'quat_xyzw', place, (0.0, 0.0, 0.0, 1.0))
     size = np.abs(quaternion).max()
     if not size > 0.0:
         raise ModelError(f'{place}: origin quat_xyzw = 0 0 0 0 is no rotation; none is 0 0 0 1')
-    x, y, z, w = quaternion / size / np.linalg.norm(quaternion / size)
-    return np.array([
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)]])
+    return xyz, Rotation.from_quat(quaternion / size).as_matrix()
 
 
 def _vector(element: Element | None, key: str, place: str, default: tuple[float, ...]
