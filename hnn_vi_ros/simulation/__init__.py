@@ -284,18 +284,30 @@ class Simulation(Stepping):
                      law or Law.none(c), commands, path, taken)
         return path, taken
 
-    def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1) -> np.ndarray:
-        """Return the path of ``follow``; a step that fails is taken by a fallback, or raises."""
+    def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
+                  strict: bool = True) -> np.ndarray:
+        """
+        Return the path of ``follow``, where steps that fail are taken by fallbacks.
+
+        One that none can take raises StepFailure, or if that is not strict the row is lost: it is
+        NaN, and so is its path from there on.
+        """
         before = rows.copy()
         path, taken = self.follow(rows, commands, hold)
-        for m in np.flatnonzero(taken < hold * commands.shape[1]):
+        for m in np.flatnonzero((taken < hold * commands.shape[1]) & ~np.isnan(before[:, 2])):
             self.put(before[m])
-            for n, command in enumerate(commands[m]):
-                if command.size:
-                    self.set_command(command)
-                self.advance(hold)
-                path[m, n + 1, :self.q.size + self.p.size] = np.append(self.q, self.p)
-            rows[m] = self.row
+            path[m, 1:] = np.nan
+            try:
+                for n, command in enumerate(commands[m]):
+                    if command.size:
+                        self.set_command(command)
+                    self.advance(hold)
+                    path[m, n + 1, :self.q.size + self.p.size] = np.append(self.q, self.p)
+                rows[m] = self.row
+            except StepFailure:
+                if strict:
+                    raise
+                rows[m] = np.nan
         return path
 
     def trial(self, snapshot: dict[str, np.ndarray], step_size: float, steps: int = 1

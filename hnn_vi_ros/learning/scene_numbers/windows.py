@@ -2,96 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measured motions in windows, and what a scene with given numbers predicts in each."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 import math
-from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import coordinate_index, Effect, EffectState, Force, Place
+from hnn_vi_ros.effects.base import Effect, Place
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
-from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import flow_rates
 from hnn_vi_ros.gradients.dependences import Dependence, difference, OnNumber, sum_of
 from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.learning.data.runs import Motion, steps_between
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.trajectory.simulate import BLOCK
 import numpy as np
-
-
-class MeasuredParameters(NamedTuple):
-    """The clock, when a force ends, the places of the coordinates, and what it is given."""
-
-    clock: np.ndarray
-    until: np.ndarray
-    places: np.ndarray
-    table: np.ndarray
-    times: np.ndarray
-
-
-class MeasuredForce(Force):
-    """
-    A force on some coordinates that holds for a while, and then another one, by the clock.
-
-    It is no effect of scenes: there commands come one by one, by ``external_force``, and each
-    takes a call. This one knows all of them when the first step is taken.
-
-    Parameters
-    ----------
-    names : sequence of str
-        m coordinates.
-    most : int
-        Most forces of a run.
-
-    """
-
-    depends_on_momentum, depends_on_state = False, False
-    single, turns = True, False
-
-    def __init__(self, names: Sequence[str], most: int):
-        self.names = tuple(names)
-        self._table, self._times = np.zeros((most, len(self.names))), np.zeros(3)
-
-    def take(self, forces: np.ndarray, begin: float, duration: float) -> None:
-        """
-        Take the forces of a run, before it starts.
-
-        Parameters
-        ----------
-        forces : np.ndarray, shape (n, m)
-            One after another [N], [N m]; the first one acts before, too, and the last one after.
-        begin, duration : float
-            Time at which the first one begins, and how long each holds [s].
-
-        """
-        self._table[:len(forces)] = forces
-        self._times[:] = begin, 1.0 / duration, len(forces) - 1
-
-    def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> MeasuredParameters:
-        """Return the clock, the coordinates' places, and the table."""
-        places = np.array([coordinate_index(coordinates, name) for name in self.names])
-        return MeasuredParameters(
-            state.clock, state.command[-1:], places, self._table, self._times)
-
-    @staticmethod
-    @inlined
-    def add_force(own: MeasuredParameters, t: float, q: np.ndarray, p: np.ndarray,
-                  velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add the force of the step that is being taken, by the time at its start."""
-        # Steps begin where a force does, or well after: by rounding also a little before.
-        row = int(max(0.0, min((own.clock[0] - own.times[0]) * own.times[1] + 1e-9, own.times[2])))
-        # A gradient that a method keeps for its next step is taken again where this force ends.
-        own.until[0] = own.times[0] + (row + 1 - 1e-9) / own.times[1]
-        for k in range(own.places.size):
-            f_p[own.places[k]] += own.table[row, k]
 
 
 # Share of a step: times of samples further from whole steps shift the phase of a drive.
@@ -143,6 +73,10 @@ def check_times(effects: Sequence[Effect], motions: Sequence[Motion], h: float) 
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
 # Share of a step: where forces jump no further from one of its ends, it is not taken in two.
 _ALIGNED = 1e-9
+# Time-out of forces, which are given for each step [s].
+_FOREVER = 1e9
+# Windows that are differentiated together.
+_TOGETHER = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,31 +176,29 @@ class Prediction:
         self._per_sample = steps_between(windows.spacing, scene.known_step_size)
         self._h = windows.spacing / self._per_sample
         self._samples = windows.measured.shape[1] - 1
-        self._force = self._take_force()
+        self._driven = self._take_force()
         self._parts = self._parts_of_samples()
         self._on_failure = scene.on_failure
         # Time, and what was measured, are others in each window.
-        self._timed = any(isinstance(effect, MeasuredForce | PeriodicDrive)
-                          for effect in self._effects)
+        self._timed = self._driven or any(
+            isinstance(effect, PeriodicDrive) for effect in self._effects)
         # The step of its run's clock with which each begins.
         self._first = np.rint(windows.times / self._h).astype(int) if self._timed else \
             np.zeros(len(windows.run), dtype=int)
 
-    def _take_force(self) -> MeasuredForce | None:
-        """Put the measured forces in place of the effect that takes commands, and return them."""
-        force = None
+    def _take_force(self) -> bool:
+        """Let the effect that takes commands take what was measured; return whether one does."""
         for i, effect in enumerate(self._effects):
             if isinstance(effect, ExternalForce):
-                names = command_names(effect, self.hamiltonian.coordinates, self._windows.motions)
-                longest = max(len(motion.t) for motion in self._windows.motions)
-                force = MeasuredForce(names, longest * self._per_sample)
-                self._effects[i] = force
-        return force
+                self._effects[i] = ExternalForce([*command_names(
+                    effect, self.hamiltonian.coordinates, self._windows.motions)], _FOREVER)
+                return True
+        return False
 
     def _parts_of_samples(self) -> list[tuple[float, int]]:
         """Return sizes [s] and counts of steps between samples; held forces jump at an end."""
         whole = [(self._h, self._per_sample)]
-        if self._force is None or not any(motion.held for motion in self._windows.motions):
+        if not self._driven or not any(motion.held for motion in self._windows.motions):
             return whole
         before, share = divmod(self._delay / self._h % self._per_sample, 1.0)
         if min(share, 1.0 - share) < _ALIGNED:
@@ -316,56 +248,54 @@ class Prediction:
         """
         found = np.full((*starts.shape[:2], self._samples + 1, starts.shape[2]), np.nan)
         found[:, :, 0] = starts
-        for rows in self._runs(only):
-            for begin in np.unique(self._first[rows]):
-                own = rows[self._first[rows] == begin]
-                flat = starts[own].reshape(-1, starts.shape[2])
-                into = np.full((len(flat), *found.shape[2:]), np.nan)
-                for a in range(0, len(flat), BLOCK):
-                    self._record(flat[a:a + BLOCK], into[a:a + BLOCK], int(begin))
-                found[own, :, 1:] = into.reshape(found[own].shape)[:, :, 1:]
-        return found
-
-    def _runs(self, only: np.ndarray | None = None) -> Iterator[np.ndarray]:
-        """Yield the windows of each run, with its measured forces in effect, or all together."""
-        wanted = np.ones(len(self._first), dtype=bool) if only is None else only
-        if self._force is None:
-            yield np.flatnonzero(wanted)
-            return
-        for run in np.unique(self._windows.run[wanted]):
-            motion, force = self._windows.motions[run], self._force
-            begin = round(float(motion.t[0]) / self._h) * self._h
-            if motion.held:
-                force.take(motion.tau, begin + self._delay, motion.spacing)
-            else:
-                edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1) - self._delay
-                force.take(np.diff(impulse(motion, edges), axis=0) / self._h, begin, self._h)
-            yield np.flatnonzero(wanted & (self._windows.run == run))
-
-    def _record(self, starts: np.ndarray, found: np.ndarray, step: int) -> None:
-        """Fill the states from some starts, one by one if they do not all go well together."""
-        q, p = np.split(starts, 2, axis=1)
-        try:
-            self._simulation.step_size = self._h
-            self._simulation.restart(q, p, step=step)
-            found[:, 1:] = self._recorded().swapaxes(0, 1)
-        except (StepFailure, StateError):
-            if len(starts) > 1:
-                for k in range(len(starts)):
-                    self._record(starts[k:k + 1], found[k:k + 1], step)
-
-    def _recorded(self) -> np.ndarray:
-        """Return states at the samples, shape (T - 1, K, 2 d)."""
-        simulation = self._simulation
-        if len(self._parts) == 1:
-            return np.concatenate(simulation.record(self._samples, self._per_sample), 2)
-        states = []
-        for _ in range(self._samples):
+        own = np.arange(len(starts)) if only is None else np.flatnonzero(only)
+        flat, copies = starts[own].reshape(-1, starts.shape[2]), starts.shape[1]
+        simulation, at = self._simulation, 0
+        simulation.step_size = self._h
+        rows = simulation.rows(flat, step=np.repeat(self._first[own], copies))
+        rows[~self._usable(flat)] = np.nan
+        forces = np.repeat(self._forces[own], copies, axis=0)
+        for sample in range(self._samples):
             for h, steps in self._parts:
                 simulation.step_size = h
-                simulation.advance(steps)
-            states.append(np.concatenate([simulation.q, simulation.p], 1))
-        return np.array(states)
+                path = simulation.follow_on(rows, np.ascontiguousarray(
+                    forces[:, at:at + steps]), strict=False)
+                at += steps
+            found[own, :, sample + 1] = path[:, -1].reshape(len(own), copies, -1)
+        return found
+
+    def _usable(self, states: np.ndarray) -> np.ndarray:
+        """Return at which states a simulation can begin, shape (n,)."""
+        try:
+            self._simulation.check_state(*np.split(states, 2, axis=1))
+        except StateError:
+            return np.zeros(1, bool) if len(states) == 1 else np.concatenate(
+                [self._usable(half) for half in np.array_split(states, 2)])
+        return np.ones(len(states), bool)
+
+    @cached_property
+    def _forces(self) -> np.ndarray:
+        """Return the measured forces in the steps of each window, shape (W, S, m)."""
+        sizes = np.tile(np.concatenate([np.full(steps, h) for h, steps in self._parts]),
+                        self._samples)
+        forces = np.zeros((len(self._first), len(sizes), 0))
+        if not self._driven:
+            return forces
+        since, tables, found = np.cumsum(sizes) - sizes, dict[int, np.ndarray](), []
+        for run, first in zip(self._windows.run.tolist(), self._first, strict=True):
+            motion = self._windows.motions[run]
+            t = since + (first - round(float(motion.t[0]) / self._h)) * self._h
+            if motion.held:
+                table, t, duration = motion.tau, t - self._delay, motion.spacing
+            else:
+                if run not in tables:
+                    edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1)
+                    tables[run] = np.diff(impulse(motion, edges - self._delay), axis=0) / self._h
+                table, duration = tables[run], self._h
+            # Steps begin where a force does, or well after: by rounding also a little before.
+            row = np.floor(t / duration + 1e-9).astype(int)
+            found.append(table[np.clip(row, 0, len(table) - 1)])
+        return np.array(found)
 
     def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
                   ) -> tuple[np.ndarray, np.ndarray]:
@@ -433,22 +363,26 @@ class Prediction:
         """Return what is predicted, and how it changes with the starts or with numbers."""
         shape = self._windows.measured.shape
         found, slopes = np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
-        for rows in self._runs(only):
-            self._follow(run, starts, changes, rows, found, slopes)
+        wanted = np.arange(len(starts)) if only is None else np.flatnonzero(only)
+        for first in range(0, len(wanted), _TOGETHER):
+            self._follow(run, starts, changes, wanted[first:first + _TOGETHER], found, slopes)
         return found, slopes
 
     def _follow(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
                 rows: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> None:
         """Fill what is predicted in some windows, one by one if they do not all go well."""
         try:
-            states = run.record(np.ascontiguousarray(starts[rows]), self._samples,
-                                self._per_sample, first=self._first[rows]).swapaxes(0, 1)
-            moved = run.push_forward([
-                change._replace(tangents=change.tangents[rows]) for change in changes])
+            forces = np.ascontiguousarray(self._forces[rows].swapaxes(0, 1))
+            every = slice(None, None, self._per_sample)
+            states = run.record(
+                np.ascontiguousarray(starts[rows]), len(forces), 1,
+                forces if self._driven else None, self._first[rows])[every].swapaxes(0, 1)
+            moved = run.push_forward([change._replace(
+                tangents=change.tangents[rows]) for change in changes])[:, every]
         except HnnViRosError:
             if len(rows) > 1:
-                for row in rows:
-                    self._follow(run, starts, changes, np.array([row]), found, slopes)
+                for half in np.array_split(rows, 2):
+                    self._follow(run, starts, changes, half, found, slopes)
             return
         found[rows] = self.measured_at(states)
         for k, (change, own) in enumerate(zip(changes, moved.swapaxes(1, 2), strict=True)):
