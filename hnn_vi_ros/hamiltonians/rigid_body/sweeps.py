@@ -26,6 +26,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
+from numpy.typing import DTypeLike
 
 
 class Bodies(NamedTuple):
@@ -114,11 +115,11 @@ class Work(NamedTuple):
     rates_v: np.ndarray
 
     @classmethod
-    def empty(cls, d: int) -> 'Work':
+    def empty(cls, d: int, dtype: DTypeLike = np.float64) -> 'Work':
         """Return space for d bodies; the base is at rest in it."""
         widths = (9, 3, 10, 10, *[6] * 10, 4)
-        work = cls._make([*(np.zeros((d + 1, n)) for n in widths),
-                          np.zeros((d, d)), *np.zeros((2, d))])
+        work = cls._make([*(np.zeros((d + 1, n), dtype) for n in widths),
+                          np.zeros((d, d), dtype), *np.zeros((2, d), dtype)])
         work.rotation[0, ::4] = 1
         return work
 
