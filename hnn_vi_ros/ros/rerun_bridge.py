@@ -150,6 +150,8 @@ class BridgePicture:
         if any(len(half) != d for point in points for half in point):
             raise ValueError(f'a point has no {d} positions and velocities')
         q, v = np.array(points, dtype=np.float64).reshape(-1, 2, d)[:, :, order].swapaxes(0, 1)
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise ValueError('a position or a velocity is not finite')
         stamp = message.header.stamp
         self._sink.plan(stamp.sec * 10**9 + stamp.nanosec, q, momentum(
             self._hamiltonian, q, v, np.zeros_like(v)) if len(q) else v)

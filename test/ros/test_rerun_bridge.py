@@ -13,7 +13,7 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge, target_of
+from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge, target_of
 from hnn_vi_ros.ros.settings import BridgeSettings
 from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
@@ -29,6 +29,7 @@ from rerun_reader import read
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from test_health import events_of
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 
 def start_bridge(*words: object) -> subprocess.Popen:
@@ -211,3 +212,39 @@ def test_targets_are_those_of_the_sinks(tmp_path):
     assert target_of(BridgeSettings(rerun_sink='serve', rerun_path='1234')) == 1234
     assert target_of(BridgeSettings(rerun_sink='connect')).startswith('rerun+http://')
     assert target_of(BridgeSettings(rerun_sink='file', rerun_path='a.rrd')) == Path('a.rrd')
+
+
+def plan_of(names: list[str], points: list[tuple[list[float], list[float]]]) -> JointTrajectory:
+    message = JointTrajectory(joint_names=names, points=[
+        JointTrajectoryPoint(positions=q, velocities=v) for q, v in points])
+    message.header.stamp.nanosec = 20_000_000
+    return message
+
+
+@pytest.mark.filterwarnings('ignore')
+def test_plan_is_drawn_by_its_momenta_and_what_is_none_is_refused_in_a_line(tmp_path):
+    scene = load_scene('exact_double_pendulum')
+    picture = BridgePicture(scene, tmp_path / 'plan.rrd', 'plan')
+    q, v = np.array([[0.1, 0.2], [0.3, 0.4]]), np.array([[1.0, -1.0], [0.5, 0.0]])
+    # In another order.
+    picture.plan(plan_of(['angle2', 'angle1'], [
+        (one[::-1].tolist(), rate[::-1].tolist()) for one, rate in zip(q, v, strict=True)]))
+    for message in (plan_of(['angle1'], []), plan_of(['angle1', 'angle1'], []),
+                    plan_of(['angle1', 'angle2'], [([1.0], [0.0, 0.0])]),
+                    plan_of(['angle1', 'angle2'], [([1.0, 2.0], [])]),
+                    plan_of(['angle1', 'angle2'], [([1.0, np.nan], [0.0, 0.0])]),
+                    plan_of(['angle1', 'angle2'], [([1.0, 0.0], [np.inf, 0.0])])):
+        with pytest.raises(ValueError) as caught:
+            picture.plan(message)
+        assert '\n' not in str(caught.value)
+    picture.close()
+    found = read(tmp_path / 'plan.rrd')['/phase/angle1/plan']
+    assert found['sim_time'] == [20_000_000]
+    (strip,), = found['LineStrips2D:strips']
+    strip = np.array(strip)
+    assert np.allclose(strip[:, 0], q[:, 0])
+    model = scene.create_hamiltonian()
+    p = np.array([np.linalg.solve(np.array([model.gradient(one, unit)[1] for unit in np.eye(2)]).T,
+                                  rate) for one, rate in zip(q, v, strict=True)])
+    # The recording has 24 bits.
+    assert np.allclose(strip[:, 1], p[:, 0], rtol=1e-6)
