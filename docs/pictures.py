@@ -25,7 +25,7 @@ from sketch import sketch
 
 HERE = Path(__file__).resolve().parent
 # Of the strip, and the side of each of its pictures [pixels].
-SCENES = ('double_pendulum', 'kepler', 'henon_heiles', 'fput_chain', 'heavy_top',
+SCENES = ('two_joint_arm', 'kepler', 'henon_heiles', 'fput_chain', 'heavy_top',
           'spherical_pendulum')
 _SIDE, _TITLE, _GAP = 260, 26, 8
 # Of the moving picture: simulated time [s], pictures a second [Hz], and how many colours.
@@ -36,7 +36,7 @@ _ENSEMBLE = 'pendulum5.safetensors'
 
 
 def write_strip(path: Path) -> None:
-    """Draw six scenes beside each other, in two rows."""
+    """Draw six scenes next to each other, in two rows."""
     columns = len(SCENES) // 2
     strip = Image.new('RGB', (columns * (_SIDE + _GAP) - _GAP, 2 * (_SIDE + _TITLE + _GAP)),
                       'white')
