@@ -26,6 +26,8 @@ from numpy.typing import ArrayLike
 from scipy.constants import golden
 
 _FONT = 7.5
+# Reluctance above which a label is left out: it lies on lines or marks.
+_MOST_COVERED = 6.0
 # Offsets from a point to the near corner of its label [points], the preferred ones first.
 _OFFSETS = ((6, 0), (6, 6), (6, -6), (-6, 0), (-6, 6), (-6, -6), (0, 9), (0, -9))
 
@@ -43,7 +45,8 @@ def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray])
     Write texts next to their points.
 
     Of all places next to the point, the label takes the one where it covers the fewest points and
-    lines. A label that would overlap another one, or leave the axes, everywhere is left out.
+    lines. A label that would overlap another one, cross lines, or leave the axes everywhere is
+    left out.
 
     Parameters
     ----------
@@ -74,11 +77,11 @@ def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray])
         box = text.get_window_extent()
         places = [place for place in _candidates(ax.transData.transform(label.point), box, pixels)
                   if _is_free(place[1], taken, inside)]
-        if not places:
+        costs = [rank + 1.5 * _covered(box, obstacles) for _, box, rank in places]
+        if not costs or min(costs) > _MOST_COVERED:
             text.remove()
             continue
-        offset, place, _ = min(places, key=lambda entry: entry[2] + 1.5 * _covered(
-            entry[1], obstacles))
+        offset, place, _ = places[costs.index(min(costs))]
         taken.append(place)
         text.xyann = offset[:2]
         text.set(ha=offset[2], va='center')
