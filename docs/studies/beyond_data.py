@@ -38,6 +38,8 @@ MODELS: dict[str, dict[str, object] | None] = {
     'rigid body': {'prior': 'planar_chain', 'residual': False},
     'rigid body and networks, without fading': {
         'prior': 'planar_chain', 'residual': True, 'fade_weight': 1e-6},
+    'rigid body and networks that fade at once': {
+        'prior': 'planar_chain', 'residual': True, 'fade_weight': 0.1},
     'rigid body and networks': {'prior': 'planar_chain', 'residual': True},
     'rigid body and a network of V': {'prior': 'planar_chain', 'residual': ['potential']},
     'networks alone': {'prior': None},

@@ -97,7 +97,7 @@ def test_free_motions_tell_all_but_one_common_factor():
 
 def test_networks_beside_a_prior_that_is_right_stay_small():
     network, losses = learn(config(), motions())
-    assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1', 'windows_0.1'}
+    assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1', 'forward', 'windows_0.1'}
     assert parameters(network) == pytest.approx(EXPECTED, rel=2 * SHARE)
     # In units of a twentieth of the inertias, and of the forces that they make.
     assert float(network.residual_sizes(states(network)).mean().detach()) < 1.0

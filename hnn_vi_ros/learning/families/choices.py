@@ -358,7 +358,7 @@ class MechanicalChoice(FamilyChoice):
     residual_weight: float = Field(1e-6, ge=0.0, description=(
         'of the size of the networks added to a prior, at states like those of the data, in the '
         'loss'))
-    fade_weight: float = Field(0.1, ge=0.0, description=(
+    fade_weight: float = Field(2e-3, ge=0.0, description=(
         'the same at all other states, where networks fade, and of the forces that they make at '
         'twice the speeds of the data'))
 
@@ -558,7 +558,7 @@ class WindowStage(StrictModel):
     duration: float = Field(gt=0.0, description='of each window [s]')
     steps: int = Field(ge=1, le=1_000_000)
     learning_rate: float | None = Field(None, gt=0.0, le=1.0, description=(
-        'of Adam; default: a fifth of that on accelerations'))
+        'of Adam; default: a fifth of that on accelerations, two fifths beside a prior'))
 
 
 class Regression(StrictModel):

@@ -475,7 +475,7 @@ class MechanicalNetwork(torch.nn.Module):
             self.root_inertia.copy_((_ADDED * torch.diagonal(inertia)).sqrt())
             if 'mass' not in self.structure.left_out:
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
-            self.potential.linears[-1].weight.mul_(0.01)
+            self.potential.linears[-1].weight.mul_(0.1)
         if isinstance(self.prior, RigidTree):
             self.prior.identification = rigid.prior.identification
 

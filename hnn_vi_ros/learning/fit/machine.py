@@ -22,6 +22,9 @@ import torch
 _USUAL_ERROR = 0.25
 # Step size of windows, unless it is given, and samples come as often [s].
 _STEP = 0.01
+# Adam learns windows at this share of its rate on accelerations; networks beside a prior, which
+# are small, at twice that.
+_RATE = 0.2
 # L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
 # so many times; and it takes no more than so many samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
@@ -296,10 +299,10 @@ def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
 
 # Networks fade beyond about this distance from all that was seen: of coordinates that turn over
 # [rad], and of others as a share of half their range.
-_NEAR_ANGLE, _NEAR_SHARE = 0.3, 0.2
-# So many samples stand for what was seen; networks fade at this multiple of its speeds, and at so
-# many random states in each step.
-_SEEN, _FASTER, _STATES = 500, 2.0, 64
+_NEAR_ANGLE, _NEAR_SHARE = 0.5, 0.33
+# A sample of each cell of half that distance stands for what was seen, of so many cells at most;
+# networks fade at this multiple of its speeds, and at so many random states in each step.
+_CELL, _SEEN, _FASTER, _STATES = 0.5, 2000, 2.0, 64
 
 
 class Fading:
@@ -330,23 +333,30 @@ class Fading:
         self._turns = torch.tensor([kind == 'continuous' for kind in network.structure.kinds])
         self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
             np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))
-        self._seen = torch.tensor(q[::max(1, len(q) // _SEEN)])
+        # Every n-th sample would leave gaps where motions are fast.
+        cells = np.round(q / (_CELL * self._unit.numpy()))
+        seen = np.unique(cells, axis=0, return_index=True)[1]
+        self._seen = torch.tensor(q[seen[::1 + len(seen) // _SEEN]])
         self._fastest = torch.tensor(np.abs(v).max(axis=0))
 
     def __call__(self, generator: torch.Generator) -> torch.Tensor:
         """Return it, at states drawn anew."""
-        network, (usual, large) = self._network, self._weights
+        network, large = self._network, self._weights[1]
         q = network.random_states(_STATES, generator, reach=2.0)
+        rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
+        share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
+                                 dtype=torch.float64) - 1.0
+        return (self.weights(q) * network.residual_sizes(q) + large * network.speed_sizes(
+            self._seen[rows], _FASTER * self._fastest * share)).mean()
+
+    def weights(self, q: torch.Tensor) -> torch.Tensor:
+        """Return what the size of the networks counts at coordinates (N, d), shape (N,)."""
+        usual, large = self._weights
         away = q[:, None] - self._seen
         away = torch.where(self._turns, torch.remainder(away + math.pi, 2.0 * math.pi) - math.pi,
                            away)
         nearest = (away / self._unit).square().sum(dim=2).min(dim=1).values
-        weights = large + (usual - large) * torch.exp(-0.5 * nearest)
-        rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
-        share = 2.0 * torch.rand(_STATES, network.d, generator=generator,
-                                 dtype=torch.float64) - 1.0
-        return (weights * network.residual_sizes(q) + large * network.speed_sizes(
-            self._seen[rows], _FASTER * self._fastest * share)).mean()
+        return large + (usual - large) * torch.exp(-0.5 * nearest)
 
 
 class MachineProblem(Problem):
@@ -368,7 +378,7 @@ class MachineProblem(Problem):
     motions : sequence of Run
         What to learn from.
     penalty : callable, optional
-        Added to the loss, of a network that begins near its end, and so of windows with them.
+        Added to the loss of networks beside a prior; L-BFGS takes no accelerations then.
     losses : mapping of str to float
         Those of fits that came before.
 
@@ -392,6 +402,9 @@ class MachineProblem(Problem):
                  ) -> Callable[[], torch.Tensor]:
         return lambda: value(rows[torch.randint(
             len(rows), (size,), generator=self.generator)])
+
+    def _penalised(self, loss: torch.Tensor) -> torch.Tensor:
+        return loss if self._penalty is None else loss + self._penalty(self.generator)
 
     def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Run]
                     ) -> list[Stage]:
@@ -418,15 +431,17 @@ class MachineProblem(Problem):
 
     def _on_windows(self, loss: Trajectory, motions: Sequence[Run]) -> list[Stage]:
         samples = samples_of(motions, loss.step_size)
-        found: list[Stage] = []
-        if self._penalty is None:
-            value, rows = partial(acceleration_loss, self.module, samples), torch.arange(
-                len(samples.q))
-            # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
-            learnt = rows[~_left_out(rows)] if loss.forward_lbfgs_steps else rows
-            found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
-                           loss.forward_steps, self._config.learning_rate, clip=True),
-                     *_polish('forward', value, rows, loss.forward_lbfgs_steps)]
+        rows = torch.arange(len(samples.q))
+
+        def value(rows: torch.Tensor) -> torch.Tensor:
+            return self._penalised(acceleration_loss(self.module, samples, rows))
+        # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
+        polishes = self._penalty is None and loss.forward_lbfgs_steps > 0
+        learnt = rows[~_left_out(rows)] if polishes else rows
+        found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
+                       loss.forward_steps, self._config.learning_rate, clip=True)]
+        if polishes:
+            found += _polish('forward', value, rows, loss.forward_lbfgs_steps)
         return found + [self._windows(loss, stage, samples) for stage in loss.windows]
 
     def _windows(self, loss: Trajectory, stage: WindowStage, samples: Samples) -> Stage:
@@ -437,15 +452,16 @@ class MachineProblem(Problem):
             solutions = Solutions()
             errors = window_loss(self.module, samples, chosen, windows, solutions)
             alone.append(solutions.alone)
-            return errors if self._penalty is None else errors + self._penalty(self.generator)
+            return self._penalised(errors)
 
         def ended() -> None:
             if any(alone):
                 print(f'windows of {stage.duration:g} s: {sum(alone)} of '
                       f'{len(alone) * loss.batch} were solved step by step, which takes longer',
                       flush=True)
+        share = _RATE if self._penalty is None else 2.0 * _RATE
         return Stage(f'windows_{stage.duration:g}', self._batches(value, starts, loss.batch),
-                     stage.steps, stage.learning_rate or 0.2 * self._config.learning_rate,
+                     stage.steps, stage.learning_rate or share * self._config.learning_rate,
                      clip=True, ended=ended)
 
 

@@ -21,16 +21,15 @@ _PIECES, _LONGEST = 40, 2.0
 # Share of the time that is held out for what goes furthest in speed, in range and in force, each;
 # one in so many of the other pieces is held out as well.
 _FURTHEST, _ORDINARY = 0.1, 5
-# Of so many runs or more, whole ones are held out that go furthest, half of the time at most:
-# networks learn what is peculiar to a run, and pieces of the same run reward them for it.
+# Of so many runs or more, whole ones are held out that go furthest, half of the time at most.
 _RUNS = 4
-# Candidates are trained for this share of the steps, and judged at these horizons, from a state
-# so often [s].
-_SHARE, _HORIZONS, _EVERY = 0.25, (0.1, 0.5), 0.05
-# On what goes furthest no error may be larger than that of the rigid body, but for _WORSE of it;
-# and networks must have errors that are smaller by _GAIN on the mean: what gains less is no better
-# beyond the data, as far as a part of these can tell.
-_WORSE, _GAIN = 0.05, 0.05
+# Candidates are trained for this share of the steps, on this share of the windows in each, and
+# judged at these horizons, from a state so often [s].
+_SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
+# On what goes furthest errors may be larger than those of the rigid body by _WORSE on the mean;
+# and networks must gain more than _GAIN on the mean: what gains less is no better beyond the data,
+# as far as a part of these can tell.
+_WORSE, _GAIN = 0.02, 0.08
 RIGID, ALONE = 'rigid body', 'networks alone'
 _CANDIDATES: dict[str, dict[str, object]] = {
     RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
@@ -95,8 +94,8 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
     time, total = (sum(len(run.t) * run.spacing for run in runs)
                    for runs in ((*furthest, *ordinary), motions))
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
-            'those that go furthest, in speed, range or force, and ordinary ones; trained for a '
-            'quarter of the steps')
+            'those that go furthest, in speed, range or force, and ordinary ones; trained for '
+            'half of the steps')
     chosen = _named(config, best.name)
     if rigid is not None and best.name != ALONE:
         # All that follow, such as the members of an ensemble, have links of the same angles.
@@ -189,24 +188,24 @@ def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
     """
     Return the rigid body, or what has smaller errors on the mean by more than _GAIN.
 
-    None of these may be larger, by more than _WORSE, on what goes furthest. Without a rigid body
+    On what goes furthest their mean may not be larger by more than _WORSE. Without a rigid body
     it is the best on the mean.
     """
     tried = [card for card in found if not card.failed]
-    rigid = next((card for card in tried if card.name == RIGID), tried[0])
+    rigid = next((card for card in tried if card.name == RIGID), None)
 
-    def ratios(card: CandidateCard, *parts: str) -> np.ndarray:
-        own, other = (np.concatenate([
-            [np.inf if x is None else x for x in errors] for part in parts
-            for errors in getattr(one, part).values()]) for one in (card, rigid))
-        return np.nan_to_num(own / other, nan=np.inf, posinf=np.inf)
-    allowed = [card for card in tried if card is rigid or (
-        ratios(card, 'furthest') <= 1.0 + _WORSE).all()] if rigid.name == RIGID else tried
+    def size(card: CandidateCard, *parts: str) -> float:
+        errors = [x for part in parts for errors in getattr(card, part).values() for x in errors]
+        return math.exp(np.mean(np.log([math.inf if x is None else max(x, 1e-12)
+                                        for x in errors])))
 
-    def gain(card: CandidateCard) -> float:
-        return -float(np.log(np.maximum(ratios(card, 'ordinary', 'furthest'), 1e-12)).mean())
-    best = max(allowed, key=gain)
-    return best if gain(best) > _GAIN or rigid.name != RIGID else rigid
+    def total(card: CandidateCard) -> float:
+        return size(card, 'ordinary', 'furthest')
+    if rigid is None:
+        return min(tried, key=total)
+    best = min((card for card in tried if card is rigid or size(card, 'furthest')
+                <= (1.0 + _WORSE) * size(rigid, 'furthest')), key=total)
+    return best if total(best) < (1.0 - _GAIN) * total(rigid) else rigid
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:
@@ -216,7 +215,7 @@ def _named(config: MachineConfig, name: str) -> MachineConfig:
 
 
 def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
-    """Return a configuration with a share of the steps, on half as many windows each."""
+    """Return a configuration with a share of the steps, each on fewer windows."""
     loss = config.loss_of(all(motion.accelerations for motion in motions))
 
     def less(steps: int) -> int:
@@ -224,7 +223,7 @@ def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
     changes: dict[str, object] = {
         'forward_steps': less(loss.forward_steps),
         'forward_lbfgs_steps': less(loss.forward_lbfgs_steps),
-        'batch': math.ceil(0.5 * loss.batch),
+        'batch': math.ceil(_BATCH * loss.batch),
         'windows': [stage.model_copy(update={'steps': less(stage.steps)})
                     for stage in loss.windows]} if isinstance(loss, Trajectory) else {
         'steps': less(loss.steps), 'lbfgs_steps': less(loss.lbfgs_steps)}
