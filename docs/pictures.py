@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 import numpy as np
 from PIL import Image, ImageDraw
-from sketch import sketch
+from sketch import GROUND, sketch
 
 HERE = Path(__file__).resolve().parent
 # Of the strip, and the side of each of its pictures [pixels].
@@ -39,7 +39,7 @@ def write_strip(path: Path) -> None:
     """Draw six scenes next to each other, in two rows."""
     columns = len(SCENES) // 2
     strip = Image.new('RGB', (columns * (_SIDE + _GAP) - _GAP, 2 * (_SIDE + _TITLE + _GAP)),
-                      'white')
+                      GROUND)
     pen = ImageDraw.Draw(strip)
     for k, name in enumerate(SCENES):
         picture = picture_of(name)
@@ -47,7 +47,7 @@ def write_strip(path: Path) -> None:
         left, top = k % columns * (_SIDE + _GAP), k // columns * (_SIDE + _TITLE + _GAP)
         strip.paste(picture, (left + (_SIDE - picture.width) // 2,
                               top + _TITLE + (_SIDE - picture.height) // 2))
-        pen.text((left + _SIDE // 2, top + 4), name, fill='black', anchor='ma', font_size=16)
+        pen.text((left + _SIDE // 2, top + 4), name, fill='white', anchor='ma', font_size=16)
     strip.quantize(128).save(path, optimize=True)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 # Side [inch], its resolution [1/inch], and the ground of the viewer.
-_SIDE, _DPI, _GROUND = 3.2, 100, '#0d1117'
+_SIDE, _DPI, GROUND = 3.2, 100, '#0d1117'
 # Of the run, whose path is drawn: its last part, by samples.
 _PATH = 4000
 
@@ -33,7 +33,7 @@ def sketch(run: Trajectory, sample: int = -1) -> Image.Image:
     mechanism = run.mechanism()
     assert mechanism is not None, 'the caller asks for those that have one'
     parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
-    figure = Figure(figsize=(_SIDE, _SIDE), facecolor=_GROUND)
+    figure = Figure(figsize=(_SIDE, _SIDE), facecolor=GROUND)
     axes = figure.add_axes((0.04, 0.04, 0.92, 0.92), aspect='equal')
     axes.set_axis_off()
     across, up = _plane(parts)

@@ -110,7 +110,7 @@ class SimulatorNode(ManagedNode):
     async def _compile_rest(self, simulation: Simulation) -> None:
         """Compile, during the run, functions that it may need later."""
         logger = self.get_logger()
-        with announced(lambda line: logger.info(f'{line}, beside the run')):
+        with announced(lambda line: logger.info(f'{line}, while it runs')):
             await self.in_thread(lambda: compile_rest(simulation))
         # What compiling has left stays; as in Control.
         gc.freeze()
