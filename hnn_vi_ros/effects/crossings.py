@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.dense_output import cubic, quintic
+from hnn_vi_ros.integrators.dense_output import cubic, quintic, slope_at, value_at
 from hnn_vi_ros.kernels.marks import called
 import numpy as np
 
@@ -97,7 +97,7 @@ def add(search: Search, t: float, distance: float, slope: float, bend: float, ro
             margin = 0.5 * margin + length * length * (abs(bend) + abs(nodes[0, 3])) / 64.0
     else:
         length = nodes[top, 0] - nodes[0, 0]
-        expected = _value(_coefficients(search, high), (t - nodes[0, 0]) / length)
+        expected = value_at(_coefficients(search, high), (t - nodes[0, 0]) / length)
         # The observed error of the polynomial bounds its successor, whose error is several times
         # smaller, since its interval is shorter.
         margin = abs(distance - expected) + rounding
@@ -167,16 +167,6 @@ def _coefficients(search: Search, high: bool) -> tuple[float, ...]:
 
 
 @called
-def _value(c: tuple[float, ...], x: float) -> float:
-    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
-
-
-@called
-def _slope(c: tuple[float, ...], x: float) -> float:
-    return c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
-
-
-@called
 def _look(search: Search, high: bool) -> float:
     """
     Return the share of the first interval where g first crosses zero, or is nearest to it.
@@ -192,12 +182,12 @@ def _look(search: Search, high: bool) -> float:
     left = 0.0
     for k in range(_PARTS):
         right = (k + 1.0) / _PARTS
-        if _slope(c, left) < 0.0 < _slope(c, right):
+        if slope_at(c, left) < 0.0 < slope_at(c, right):
             dip = _last(c, True, left, right)
         else:
             dip = right
         for x in (dip, right):
-            value = _value(c, x)
+            value = value_at(c, x)
             if value < 0.0 and (crosses or x < 1.0):
                 return _last(c, False, left, x)
             excess = value - 16.0 * margin * (x * (1.0 - x)) ** 2
@@ -213,7 +203,7 @@ def _last(c: tuple[float, ...], falling: bool, low: float, high: float) -> float
     """Return by bisection how far the polynomial falls, or, if not ``falling``, stays positive."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        if (_slope(c, middle) < 0.0) if falling else (_value(c, middle) >= 0.0):
+        if (slope_at(c, middle) < 0.0) if falling else (value_at(c, middle) >= 0.0):
             low = middle
         else:
             high = middle

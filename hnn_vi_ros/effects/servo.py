@@ -12,6 +12,7 @@ from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION,
     printable, Reference, VELOCITY)
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.integrators.dense_output import bend_at, cubic, quintic, slope_at, value_at
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -178,28 +179,13 @@ def _along(reference: Reference, segment: int, i: int, t: float) -> tuple[float,
     if segment + 1 >= min(reference.extent[0], knots.shape[0]) or t < knots[segment, 0]:
         # The path rests at its end, and does not move before its start.
         return q0, 0.0, 0.0
-    q1, v1 = knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i]
-    length, x = knots[segment + 1, 0] - knots[segment, 0], t - knots[segment, 0]
-    if reference.extent[1] == 3:
-        # The cubic Hermite polynomial matches positions and velocities at both ends.
-        slope = (q1 - q0) / length
-        c2 = (3.0 * slope - 2.0 * v0 - v1) / length
-        c3 = (v0 + v1 - 2.0 * slope) / (length * length)
-        c4 = c5 = 0.0
-    else:
-        # The quintic Hermite polynomial extends the Taylor polynomial at the start by its defects
-        # at the end in position, velocity and acceleration, each in the unit of the position.
-        c2 = 0.5 * a0
-        lacks_q = q1 - q0 - length * (v0 + length * c2)
-        lacks_v = length * (v1 - v0 - length * a0)
-        lacks_a = length * length * (knots[segment + 1, 1 + 2 * d + i] - a0)
-        cube = length * length * length
-        c3 = (10.0 * lacks_q - 4.0 * lacks_v + 0.5 * lacks_a) / cube
-        c4 = (-15.0 * lacks_q + 7.0 * lacks_v - lacks_a) / (cube * length)
-        c5 = (6.0 * lacks_q - 3.0 * lacks_v + 0.5 * lacks_a) / (cube * length * length)
-    return (q0 + x * (v0 + x * (c2 + x * (c3 + x * (c4 + x * c5)))),
-            v0 + x * (2.0 * c2 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5))),
-            2.0 * c2 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5)))
+    q1, v1, a1 = (knots[segment + 1, 1 + i], knots[segment + 1, 1 + d + i],
+                  knots[segment + 1, 1 + 2 * d + i])
+    h = knots[segment + 1, 0] - knots[segment, 0]
+    c = cubic(h, q0, v0, q1, v1) if reference.extent[1] == 3 else \
+        quintic(h, q0, v0, a0, q1, v1, a1)
+    x = (t - knots[segment, 0]) / h
+    return value_at(c, x), slope_at(c, x) / h, bend_at(c, x) / (h * h)
 
 
 def _aim(own: ServoParameters, names: Sequence[str]) -> Aim:

@@ -4,7 +4,7 @@
 
 from typing import Any
 
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels.marks import called, inlined
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike
@@ -55,6 +55,24 @@ def quintic(h: _Value, x0: _Value, v0: _Value, a0: _Value, x1: _Value, v1: _Valu
             10.0 * rise - 6.0 * first - 4.0 * last - 1.5 * bend + 0.5 * bent,
             -15.0 * rise + 8.0 * first + 7.0 * last + 1.5 * bend - bent,
             6.0 * rise - 3.0 * (first + last) + 0.5 * (bent - bend))
+
+
+@called
+def value_at(c: tuple[float, ...], x: float) -> float:
+    """Return the value of a quintic polynomial of these six coefficients."""
+    return c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * (c[4] + x * c[5]))))
+
+
+@called
+def slope_at(c: tuple[float, ...], x: float) -> float:
+    """Return its derivative."""
+    return c[1] + x * (2.0 * c[2] + x * (3.0 * c[3] + x * (4.0 * c[4] + x * 5.0 * c[5])))
+
+
+@called
+def bend_at(c: tuple[float, ...], x: float) -> float:
+    """Return its second derivative."""
+    return 2.0 * c[2] + x * (6.0 * c[3] + x * (12.0 * c[4] + x * 20.0 * c[5]))
 
 
 class DenseOutput:
