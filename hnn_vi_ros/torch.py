@@ -6,7 +6,7 @@ Simulations that torch can differentiate: exact derivatives of the compiled step
 Takes the extra ``train``. See docs/gradients.md.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,12 +17,15 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence
 from hnn_vi_ros.gradients.derivatives import Change
+from hnn_vi_ros.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
 from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
 from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.families.base import gradient
+from hnn_vi_ros.learning.families.choices import Features
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
+from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
@@ -31,11 +34,12 @@ from hnn_vi_ros.trajectory.simulate import check_memory
 import numpy as np
 import torch
 
-# The inputs of each network of H, in families whose H is the sum of networks and of terms without
-# weights.
+# The inputs of each network of H, in families whose H, or Lagrangian, is known from networks and
+# from terms without weights.
 _SEES = {
     'hnn': {'energy': 'both'}, 'dissipative_hnn': {'energy': 'both'}, 'dgnet': {'energy': 'both'},
-    'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'}}
+    'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'},
+    'mechanical': {'mass': 'q', 'potential': 'q'}}
 _ACTIVATIONS = {
     'tanh': torch.tanh, 'sine': torch.sin, 'relu': torch.relu,
     'softplus': lambda z: torch.logaddexp(z, torch.zeros_like(z))}
@@ -59,8 +63,8 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
     Raises
     ------
     UnsupportedSystem
-        H is not that of a trained model, or of a family whose H is no sum of networks, or walls
-        confine it.
+        H is not that of a trained model, or of a family whose weights are not differentiable yet,
+        or walls confine it.
     ValueError
         There is no such tensor, or it has another shape.
 
@@ -98,6 +102,8 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
 class OnWeights:
     """
     The dependence of a trained H on some of its weights, one after another; see Dependence.
+
+    Of a mechanism it is that of -L(q, v), at velocities in place of momenta; see OnLagrangian.
 
     Parameters
     ----------
@@ -159,13 +165,35 @@ class OnWeights:
         """Return the networks' part of H, shape (N,), at states z, shape (N, 2 d)."""
         q, p = z.chunk(2, dim=1)
         seen, card = {'q': q, 'p': p, 'both': z}, self._checkpoint.card
+        if card.mechanical is not None:
+            return _lagrangian(card.mechanical, lambda name, x: _outputs(
+                layers[name], x, card.activation), q, p)
         total = torch.zeros(len(z), dtype=z.dtype)
-        for network, (weights, biases) in layers.items():
-            a = seen[_SEES[card.family][network]]
-            for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-                a = _ACTIVATIONS[card.activation](a @ weight.T + bias)
-            total = total + (a @ weights[-1].T + biases[-1])[:, 0]
+        for network, own in layers.items():
+            total = total + _outputs(own, seen[_SEES[card.family][network]], card.activation)[:, 0]
         return total
+
+
+def _outputs(layers: Layers, a: torch.Tensor, activation: str) -> torch.Tensor:
+    """Return the outputs of a network, shape (N, k), at inputs of shape (N, n)."""
+    weights, biases = layers
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        a = _ACTIVATIONS[activation](a @ weight.T + bias)
+    return a @ weights[-1].T + biases[-1]
+
+
+def _lagrangian(card: MechanicalCard, outputs: Callable[[str, torch.Tensor], torch.Tensor],
+                q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Return the networks' part of V - v . M v / 2, shape (N,); see MechanicalHamiltonian."""
+    potential, mass = (Features(card.kinds, rows)(q)[0]
+                       for rows in (card.features, card.mass_features))
+    entries, (rows, columns) = outputs('mass', mass), np.array(card.entries).T
+    rises = torch.logaddexp(entries, torch.zeros_like(entries))
+    L = torch.zeros(len(q), *2 * [q.shape[1]], dtype=q.dtype)
+    L[:, rows, columns] = torch.where(torch.from_numpy(rows == columns), rises, entries)
+    u = (v * torch.tensor(card.mass_scale, dtype=v.dtype))[:, :, None]
+    twice = (L.transpose(1, 2) @ u).square() + card.floor * u.square()
+    return outputs('potential', potential)[:, 0] - 0.5 * twice.sum(dim=(1, 2))
 
 
 def _names(checkpoint: Checkpoint) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -560,7 +588,10 @@ class DifferentiableSimulation:
             return held.run.on_step_size
         if name == _WEIGHTS:
             assert isinstance(numbers.hamiltonian, LearnedHamiltonian)
-            return OnWeights(numbers.hamiltonian, list(map(_in_file, self._weights)))
+            own: Dependence = OnWeights(numbers.hamiltonian, list(map(_in_file, self._weights)))
+            if numbers.hamiltonian.checkpoint.card.mechanical is not None:
+                own = OnLagrangian(own, base_of(held.run.kernel))
+            return OnHamiltonian(own, held.run.kernel)
         return held.on_number(name)
 
 

@@ -15,6 +15,7 @@ from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
 from hnn_vi_ros.trajectory.simulate import BLOCK
+from mechanical_models import saved, SHAPES
 import numpy as np
 import pytest
 import torch
@@ -127,9 +128,10 @@ OFFSETS = 1e-3 * np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
 DIFFERENCE = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60e-3
 
 
-def learned_run(scene: str, q0: torch.Tensor, weights: dict[str, torch.Tensor]) -> torch.Tensor:
-    """Return q after 1 s of a learned pendulum."""
-    free = load_scene(scene).with_overrides(step_size=0.05)
+def learned_run(scene: Scene | str, q0: torch.Tensor, weights: dict[str, torch.Tensor]
+                ) -> torch.Tensor:
+    """Return q after 1 s of a learned system."""
+    free = (load_scene(scene) if isinstance(scene, str) else scene).with_overrides(step_size=0.05)
     free = free.changed({'hamiltonian': {**free.hamiltonian.model_dump(), 'confine': False}})
     return simulate(free, q0, torch.full_like(q0, 0.3), duration=1.0, every=20,
                     parameters=weights).q[-1]
@@ -142,11 +144,9 @@ def test_gradient_of_a_learned_hamiltonian_is_that_of_differences():
     assert float(gradient) == pytest.approx(float(DIFFERENCE @ values.numpy()), rel=1e-9)
 
 
-@pytest.mark.parametrize('scene', ['pendulum', 'separable_pendulum'])
-def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene):
-    checkpoint, rng = load_scene(scene).create_hamiltonian().checkpoint, np.random.default_rng(0)
-    prefixes = {'': 'energy'} if checkpoint.card.networks is None else {
-        f'{name}.': name for name in ('potential', 'kinetic')}
+def check_weights(scene: Scene, prefixes: dict[str, str], q0: list[float]) -> None:
+    """Compare derivatives by all weights with differences, forward ones with backward ones."""
+    checkpoint, rng = scene.create_hamiltonian().checkpoint, np.random.default_rng(0)
     weights = {f'hamiltonian.{prefix}linear{k + 1}.{part}': torch.from_numpy(array.copy())
                for prefix, network in prefixes.items()
                for part, arrays in zip(('weight', 'bias'), checkpoint.networks[network],
@@ -154,20 +154,47 @@ def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene):
                for k, array in enumerate(arrays)}
     directions = {name: torch.from_numpy(rng.normal(size=tensor.shape))
                   * tensor.abs().mean() for name, tensor in weights.items()}
-    q0 = torch.tensor([1.5], dtype=torch.float64)
+    start = torch.tensor(q0, dtype=torch.float64)
     for tensor in weights.values():
         tensor.requires_grad_()
-    gradients = torch.autograd.grad(learned_run(scene, q0, weights)[0], list(weights.values()))
+    gradients = torch.autograd.grad(
+        learned_run(scene, start, weights)[0], list(weights.values()))
     along = float(sum((gradient * directions[name]).sum()
                       for name, gradient in zip(weights, gradients, strict=True)))
-    values = [float(learned_run(scene, q0, {
-        name: (tensor + offset * directions[name]).detach() for name, tensor in weights.items()}))
-        for offset in 0.1 * OFFSETS]
-    assert along == pytest.approx(10.0 * float(DIFFERENCE @ values), rel=1e-8)
+    values = [float(learned_run(scene, start, {
+        name: (tensor + offset * directions[name]).detach()
+        for name, tensor in weights.items()})[0]) for offset in 0.1 * OFFSETS]
+    # Second derivatives of forces are central differences, of a spacing of 6e-6.
+    assert along == pytest.approx(10.0 * float(DIFFERENCE @ values),
+                                  rel=1e-6 if scene.effects else 1e-8)
     with forward_ad.dual_level():
-        last = learned_run(scene, q0, {name: forward_ad.make_dual(
+        last = learned_run(scene, start, {name: forward_ad.make_dual(
             tensor.detach(), directions[name]) for name, tensor in weights.items()})
-        assert float(forward_ad.unpack_dual(last).tangent) == pytest.approx(along, rel=1e-10)
+        assert float(forward_ad.unpack_dual(last[0]).tangent) == pytest.approx(along, rel=1e-10)
+
+
+@pytest.mark.parametrize('scene, prefixes, drag', [
+    ('pendulum', {'': 'energy'}, []), ('pendulum', {'': 'energy'}, [0.3]),
+    ('separable_pendulum', {'potential.': 'potential', 'kinetic.': 'kinetic'}, [])])
+def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene, prefixes, drag):
+    # Drag feels the velocity, which depends on the weights, too.
+    check_weights(load_scene(scene).changed({'effects': [
+        {'kind': 'quadratic_drag', 'coordinates': ['angle'], 'coefficient': coefficient}
+        for coefficient in drag]}), prefixes, [1.5])
+
+
+@pytest.mark.parametrize('shape, rubs', [
+    ('double pendulum', False), ('three', False), ('worn', True)])
+def test_gradient_by_weights_of_a_mechanism_is_that_of_differences(tmp_path, shape, rubs):
+    model = saved(tmp_path, shape)
+    friction = f'\neffects: [{{kind: learned_friction, model: {model}}}]' if rubs else ''
+    d = len(SHAPES[shape]['kinds'])
+    (tmp_path / 'scene.yaml').write_text(
+        f'hamiltonian: {{kind: learned, model: {model}}}{friction}\n'
+        'integrator: {kind: implicit_midpoint}\nstep_size: 0.05\n'
+        f'initial_state: {{q: {d * [0.4]}, p: {d * [0.3]}}}\n', encoding='utf-8')
+    check_weights(load_scene(tmp_path / 'scene.yaml'), {
+        'mass.': 'mass', 'potential.': 'potential'}, d * [0.4])
 
 
 @pytest.mark.parametrize('hamiltonian, effect, names', [

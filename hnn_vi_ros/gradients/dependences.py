@@ -13,7 +13,7 @@ import numpy as np
 # order 4 at some of the same places. With this share of a number as the spacing what is cut off
 # is some 1e-15 for powers of the number, and rounding 1e-13, at the ends ten times that.
 _SPACING = 2e-3
-_MIDDLE = {sign * (k + 1): (sign * weight, sign * lower) for k, (weight, lower) in enumerate((
+MIDDLE = {sign * (k + 1): (sign * weight, sign * lower) for k, (weight, lower) in enumerate((
     (3.0 / 4.0, 2.0 / 3.0), (-3.0 / 20.0, -1.0 / 12.0), (1.0 / 60.0, 0.0))) for sign in (1, -1)}
 _ABOVE = dict(enumerate((
     (-49.0 / 20.0, -25.0 / 12.0), (6.0, 4.0), (-15.0 / 2.0, -3.0), (20.0 / 3.0, 4.0 / 3.0),
@@ -117,7 +117,7 @@ class _Slope:
     def _take(self, spacing: float) -> list[np.ndarray]:
         """Take a spacing, and return the parts of the derivative of rates."""
         problem: SceneError | None = None
-        for stencil in (_MIDDLE, _ABOVE, _BELOW):
+        for stencil in (MIDDLE, _ABOVE, _BELOW):
             try:
                 found = [(weight / spacing, lower / spacing,
                           *self._changed(self._value + offset * spacing, offset))

@@ -16,6 +16,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
@@ -190,6 +191,11 @@ class DifferentiableRun:
             sampled[at] = states[inside]
         self._recorded = recorded._replace(last=states)
         return sampled
+
+    @property
+    def kernel(self) -> Kernel:
+        """Return H with its effects, by address, as it is now."""
+        return self._kernel
 
     @property
     def recorded(self) -> Recorded:

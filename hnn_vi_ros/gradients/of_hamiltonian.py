@@ -1,0 +1,156 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Dependences of runs on what is inside of H, where forces and Lagrangians see its velocities."""
+
+from typing import NamedTuple
+
+from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, MIDDLE
+from hnn_vi_ros.kernels.addresses import (
+    by_address, energy as base_energy, gradient as base_gradient,
+    hessian_vector as base_hessian_vector, original, Target)
+from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.kernels.kernel import Kernel
+import numpy as np
+
+# Spacing of differences by velocities, as a share of the largest one.
+_SPACING = float(np.cbrt(np.finfo(np.float64).eps))
+
+
+def base_of(kernel: Kernel) -> Kernel:
+    """Return the kernel of H of a kernel of H with forces."""
+    return kernel if not kernel.channels else kernel._replace(
+        parameters=original(kernel).parameters[0], channels=0,
+        dimension=kernel.dimension - kernel.channels)
+
+
+class OnHamiltonian:
+    """
+    The dependence of a run on something that H alone depends on.
+
+    With forces f(t, q, p, v) the steps solve for G = (H_q - f_p, H_p + f_q), where v = H_p: as H
+    changes, its own G changes, and forces change with v. The slopes G_v are differences of
+    order 6.
+
+    Parameters
+    ----------
+    own : Dependence
+        Of H' without forces.
+    kernel : Kernel
+        Of H with forces, by address.
+
+    """
+
+    def __init__(self, own: Dependence, kernel: Kernel):
+        self._own, self._kernel = own, kernel
+        self._d = kernel.dimension - kernel.channels
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the gradient; see Dependence."""
+        if not self._kernel.channels:
+            return self._own.contracted(q, p, weights)
+        felt = self._cut(weights)
+        by_velocity = np.einsum('jhni,hni->nj', self._slopes(q, p), felt)
+        return self._own.contracted(self._cut(q).ravel(), self._cut(p).ravel(),
+                                    np.stack([felt[0], by_velocity]).reshape(2, -1))
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return the change; see Dependence."""
+        if not self._kernel.channels:
+            return self._own.changed(q, p, change)
+        at_q, at_p = self._cut(q), self._cut(p)
+        by_q, by_p = self._own.changed(at_q.ravel(), at_p.ravel(), change).reshape(2, *at_q.shape)
+        found = np.zeros((2, len(at_q), self._kernel.dimension))
+        found[..., :self._d] = np.einsum('jhni,nj->hni', self._slopes(q, p), by_p)
+        found[0, :, :self._d] += by_q
+        return found.reshape(2, -1)
+
+    def _cut(self, states: np.ndarray) -> np.ndarray:
+        """Return states one after another as rows without channels, shape (..., N, d)."""
+        rows = states.reshape(*states.shape[:-1], -1, self._kernel.dimension)
+        return rows[..., :self._d]
+
+    def _slopes(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return the derivatives of both halves of G by each velocity, shape (d, 2, N, d)."""
+        total = original(self._kernel)
+        shifted = _Shifted(total.parameters[0], np.zeros(self._d))
+        base = by_address(Kernel(_energy, _gradient, _hessian_vector, shifted, self._d,
+                                 (0.0, 0.0), compiled=True))
+        kernel = by_address(total._replace(
+            parameters=(base.parameters, *total.parameters[1:])))
+        fastest = np.abs(self._cut(gradient_of(kernel, q, p))[1]).max(initial=0.0)
+        spacing = _SPACING * (float(fastest) or 1.0)
+        slopes = np.zeros((self._d, 2, q.size // kernel.dimension, self._d))
+        for j in range(self._d):
+            for offset, (weight, _) in MIDDLE.items():
+                shifted.shift[j] = offset * spacing
+                slopes[j] += weight / spacing * self._cut(gradient_of(kernel, q, p))
+            shifted.shift[j] = 0.0
+        return slopes
+
+
+class OnLagrangian:
+    """
+    The dependence of H' on something, of that of -L(q, v), the negative Lagrangian.
+
+    As both depend on it, H_w(q, p) = -L_w(q, v) at the velocity v = H_p of p. No prior and no
+    mass matrix has to be inverted for it: a change of v is a product with H''.
+
+    Parameters
+    ----------
+    own : Dependence
+        Of (-L_q, -L_v), at q and v.
+    kernel : Kernel
+        Of H without forces.
+
+    """
+
+    def __init__(self, own: Dependence, kernel: Kernel):
+        self._own, self._kernel = own, kernel
+
+    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Return the gradient; see Dependence."""
+        v = gradient_of(self._kernel, q, p)[1]
+        changed = self._product(q, p, *weights)[1]
+        return self._own.contracted(q, v, np.stack([weights[0], changed]))
+
+    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Return the change; see Dependence."""
+        by_q, by_v = self._own.changed(q, gradient_of(self._kernel, q, p)[1], change)
+        found = self._product(q, p, np.zeros_like(by_v), by_v)
+        found[0] += by_q
+        return found
+
+    def _product(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
+                 ) -> np.ndarray:
+        """Return H'' (v_q, v_p), shape (2, N)."""
+        product = np.empty((2, q.size))
+        self._kernel.hessian_vector(
+            self._kernel.parameters, q, p, np.ascontiguousarray(v_q), np.ascontiguousarray(v_p),
+            *product)
+        return product
+
+
+class _Shifted(NamedTuple):
+    """Parameters of H + c . p, whose velocities are c more: H, and c, shape (d,)."""
+
+    base: Target
+    shift: np.ndarray
+
+
+@kept(error_model='numpy')
+def _energy(parameters: _Shifted, q: np.ndarray, p: np.ndarray) -> float:
+    return base_energy(parameters.base, q, p) + np.dot(parameters.shift, p)
+
+
+@kept(error_model='numpy')
+def _gradient(parameters: _Shifted, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+              dH_dp: np.ndarray) -> None:
+    base_gradient(parameters.base, q, p, dH_dq, dH_dp)
+    for i in range(p.size):
+        dH_dp[i] += parameters.shift[i]
+
+
+@kept(error_model='numpy')
+def _hessian_vector(parameters: _Shifted, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    base_hessian_vector(parameters.base, q, p, v_q, v_p, product_q, product_p)
