@@ -69,12 +69,12 @@ class DifferentiableRun:
     """
     A run of some trajectories, and products of its derivatives with vectors.
 
-    The states of each trajectory equal a Simulation's bit by bit. Each step is differentiated as taken, by the implicit function
-    theorem (see stages): what comes out is the derivative of the discrete trajectory, to
-    round-off, not an approximation of that of the flow.
+    The states of each trajectory equal a Simulation's bit by bit. Each step is differentiated as
+    taken, by the implicit function theorem (see stages): what comes out is the derivative of the
+    discrete trajectory, to round-off, not an approximation of that of the flow.
 
-    Of N steps only sqrt(N) snapshots are kept, and the states between the last one and the end. A product takes the other steps between two of them
-    once more, bit by bit.
+    Of N steps only sqrt(N) snapshots are kept, and the states between the last one and the end. A
+    product takes the other steps between two of them once more, bit by bit.
 
     Parameters
     ----------
