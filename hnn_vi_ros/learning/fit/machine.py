@@ -3,7 +3,6 @@
 """Losses and stages by which a network of a machine is fitted to measured motions."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 import math
 from typing import Any, NamedTuple
 
