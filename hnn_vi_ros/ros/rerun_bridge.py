@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Show a running simulator, or a bag, in rerun from another process."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import math
 from pathlib import Path
@@ -27,8 +27,7 @@ from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.ros.topics.messages import ENTRIES
-from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED, OUTPUTS
+from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
@@ -41,7 +40,6 @@ from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -51,13 +49,11 @@ from trajectory_msgs.msg import JointTrajectory
 _SEEN = 30.0
 # The viewer counts no farther.
 _MOST_STEPS = 2.0**63
-# Where there is no ~/state, a sample is made of these: their topics by the last part of the name.
-NEEDED = frozenset(('q', 'p', 'energy', 'joint_states'))
 
 
 class BridgePicture:
     """
-    Show the samples of ~/state, or put them together from the messages of their tick.
+    Show samples, in the viewer.
 
     Parameters
     ----------
@@ -90,27 +86,29 @@ class BridgePicture:
             conservative=simulation.conservative, modified=self._integrator is not None)
 
     def show(self, state: State) -> None:
-        """Show a sample."""
-        _, dH_dp = self._hamiltonian.gradient(state.q, state.p)
-        self._write(state, np.asarray(dH_dp), self._error(state.energy, state.work))
-
-    def show_tick(self, messages: Mapping[str, Any]) -> None:
-        """Show the messages of a tick, by the last part of their topics' names."""
-        joints, energy = messages['joint_states'], messages['energy'].data
-        stamp = joints.header.stamp
-        # Only ~/accuracy tells of the work.
-        error = work = math.nan
-        if 'accuracy' in messages:
-            accuracy = dict(zip(ENTRIES, messages['accuracy'].data, strict=False))
-            error, work = accuracy['energy_error'], accuracy['work']
-        elif self._conservative:
-            error, work = self._error(energy, 0.0), 0.0
-        q, p = np.array(messages['q'].data), np.array(messages['p'].data)
-        # The effort is that of motors, or in earlier bags p'.
-        rates = momentum_rates(
-            self._hamiltonian.rotations, q, p, *self._hamiltonian.gradient(q, p))
-        self._write(State(stamp.sec * 10**9 + stamp.nanosec, q, p, rates, energy, work),
-                    np.array(joints.velocity), error)
+        """Show a sample; without ~/state its energy is that of the scene's own H."""
+        hamiltonian, h = self._hamiltonian, self._step_size
+        dH_dq, dH_dp = map(np.asarray, hamiltonian.gradient(state.q, state.p))
+        if math.isnan(state.energy):
+            state = state._replace(
+                dp_dt=momentum_rates(hamiltonian.rotations, state.q, state.p, dH_dq, dH_dp),
+                energy=float(hamiltonian.energy(state.q, state.p)),
+                work=0.0 if self._conservative else math.nan)
+        modified: Any = math.nan
+        if self._integrator is not None:
+            modified = self._integrator.modified_energy(
+                hamiltonian, h, state.q, state.p, state.energy, -state.dp_dt, dH_dp)
+        step = state.stamp * 1e-9 / h
+        if not step < _MOST_STEPS:
+            raise RecordingError(f'its scene has steps of {h:g} s, of which its stamps are more '
+                                 'than can be counted; is its step_size right?')
+        balance = state.energy - self._energy0 - state.work
+        self._sink.write(Sample(
+            step=round(step), stamp=state.stamp, q=state.q,
+            p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,
+            modified_energy=modified, work=state.work,
+            energy_error=balance / abs(self._energy0) if self._energy0 else balance))
+        self.samples += 1
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
         """
@@ -160,26 +158,6 @@ class BridgePicture:
         """Send what is left; RecordingError if it is not taken."""
         self._sink.close()
 
-    def _error(self, energy: float, work: float) -> float:
-        balance = energy - self._energy0 - work
-        return balance / abs(self._energy0) if self._energy0 else balance
-
-    def _write(self, state: State, dH_dp: np.ndarray, error: float) -> None:
-        modified: Any = math.nan
-        if self._integrator is not None:
-            modified = self._integrator.modified_energy(
-                self._hamiltonian, self._step_size, state.q, state.p, state.energy,
-                -state.dp_dt, dH_dp)
-        step = state.stamp * 1e-9 / self._step_size
-        if not step < _MOST_STEPS:
-            raise RecordingError(f'its scene has steps of {self._step_size:g} s, of which its '
-                                 'stamps are more than can be counted; is its step_size right?')
-        self._sink.write(Sample(
-            step=round(step), stamp=state.stamp, q=state.q,
-            p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,
-            modified_energy=modified, energy_error=error, work=state.work))
-        self.samples += 1
-
 
 def target_of(settings: BridgeSettings) -> Target:
     """Return where parameters say that the picture goes, or raise ParameterError."""
@@ -197,24 +175,15 @@ def target_of(settings: BridgeSettings) -> Target:
 
 
 _QUEUE = QoSProfile(depth=1000)
-# Ticks that may still wait for messages.
-_MOST_OPEN = 1000
 # At the end, held samples may take this long to show [s].
 _LONGEST_END = 3.0
-# Topics that hold parts of a sample, keyed by the last part of their names, and all their types.
-_TICK = {output.topic.rpartition('/')[2]: output.topic for output in OUTPUTS
-         if output.recorded == 'tick' and output.topic != '~/state'}
-_KINDS = {output.topic.rpartition('/')[2]: output.message_type for output in OUTPUTS
-          if output.topic in _TICK.values() or output is DIAGNOSTICS}
 
 
 class RerunBridge(RobustNode):
     """
     Show the topics of a simulator.
 
-    A sample is a message of ~/state. Of a simulator without that topic, the messages of one tick
-    are put together by the number that the middleware gives each message of a topic: it publishes
-    every tick topic once a tick.
+    A sample is a message of ~/state.
 
     Parameters
     ----------
@@ -243,17 +212,11 @@ class RerunBridge(RobustNode):
         self.problem: HnnViRosError | None = None
         self._described, self._scenes = '', 0
         self._picture: BridgePicture | None = None
-        self._open: dict[int, dict[str, Any]] = {}
-        self._names = NEEDED
-        self._tick_subscriptions: list[Subscription] = []
 
     def listen(self) -> None:
-        """Subscribe to the scene, the state, and, for want of a state, the topics of samples."""
-        ticks = {topic.replace('~', self._settings.simulator) for topic in _TICK.values()}
+        """Subscribe to the scene, the state, and what is told of it."""
         for topic, (kind, callback, qos, raw) in self._topics.items():
-            subscription = create_subscription(self, kind, topic, callback, qos, raw=raw)
-            if topic in ticks:
-                self._tick_subscriptions.append(subscription)
+            create_subscription(self, kind, topic, callback, qos, raw=raw)
         self.get_logger().info(f'waiting for {self._settings.simulator}/scene')
 
     def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
@@ -272,8 +235,6 @@ class RerunBridge(RobustNode):
         return {
             f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
             f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
-            **{topic.replace('~', simulator): (_KINDS[last], self._keeper(last), _QUEUE, False)
-               for last, topic in _TICK.items()},
             f'{self._settings.controller}/plan': (JointTrajectory, self._on_plan, _QUEUE, False),
             DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
             EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
@@ -283,45 +244,15 @@ class RerunBridge(RobustNode):
         run = RecordedRun(bag, self._settings.trust_code)
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
-        names = run.names
-        if run.states:
-            self._show_states(run, [*run.states, *(
-                number for number, name in names.items() if name in ('diagnostics', 'events'))])
-        else:
-            self._show_ticks(run, {
-                number: name for number, name in names.items() if name in _KINDS})
+        told = {number for number, name in run.names.items() if name in ('diagnostics', 'events')}
+        for message, state in run.in_order({*run.states, *told}):
+            if state is not None:
+                self._show(BridgePicture.show, state)
+            elif message.channel in told:
+                self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
         if run.reader.damage:
             self.get_logger().warning(run.reader.damage)
         return picture.samples
-
-    def _show_states(self, run: RecordedRun, channels: list[int]) -> None:
-        for message, state in run.in_order(channels):
-            if state is not None:
-                self._show(BridgePicture.show, state)
-            else:
-                self._show(BridgePicture.tell, run.decoded(message, DiagnosticArray), run.node)
-
-    def _show_ticks(self, run: RecordedRun, names: dict[int, str]) -> None:
-        """Show the samples of a bag of before ~/state."""
-        if lacking := NEEDED.difference(names.values()):
-            raise RecordingError(f'{run.reader.path}: holds no {min(lacking)} of {run.node}: '
-                                 'without ~/state, that is needed to show its samples')
-        tick: dict[str, Any] = {}
-        stamp = -1
-        for message in run.reader.messages(names):
-            if message.time != stamp:
-                self._show_tick(tick)
-                tick, stamp = {}, message.time
-            name = names[message.channel]
-            content = run.decoded(message, _KINDS[name])
-            if name == 'diagnostics':
-                # An alarm belongs to the sample of its time, which is there by now.
-                self._show_tick(tick)
-                tick = {}
-                self._show(BridgePicture.tell, content, run.node)
-            else:
-                tick[name] = content
-        self._show_tick(tick)
 
     def close(self) -> None:
         """Send what is left."""
@@ -358,10 +289,7 @@ class RerunBridge(RobustNode):
         return target
 
     def _on_state(self, payload: bytes) -> None:
-        """Show a sample; the topics that would tell of it in parts are not needed any more."""
-        for subscription in self._tick_subscriptions:
-            self.destroy_subscription(subscription)
-        self._tick_subscriptions.clear()
+        """Show a sample."""
         try:
             self._show(BridgePicture.show, decode_state(payload))
         except ValueError as problem:
@@ -377,37 +305,11 @@ class RerunBridge(RobustNode):
                 f'{self._settings.controller}/plan: message ignored: {problem}',
                 throttle_duration_sec=1.0)
 
-    def _keeper(self, name: str) -> Callable[..., None]:
-        """Return the callback for messages of a topic when ~/state is missing."""
-        state = f'{self._settings.simulator}/state'
-
-        def keep(message: Any, info: dict[str, Any]) -> None:
-            # The simulator announces ~/state before the topics that are heard here.
-            if self.count_publishers(state):
-                return
-            if name not in self._names:
-                # It is published after all.
-                self._names = self._names | {name}
-            number = info['publication_sequence_number']
-            tick = self._open.setdefault(number, {})
-            tick[name] = message
-            if self._names <= tick.keys():
-                del self._open[number]
-                self._show_tick(tick)
-            elif len(self._open) > _MOST_OPEN:
-                # Some message of an old tick will not come any more.
-                del self._open[min(self._open)]
-        return keep
-
     def _show(self, show: Callable[..., None], *what: Any) -> None:
         """Hand something to a method of BridgePicture, if there is a picture."""
         if self._picture is not None:
             with self._end_if_lost():
                 show(self._picture, *what)
-
-    def _show_tick(self, tick: dict[str, Any]) -> None:
-        if tick.keys() >= NEEDED:
-            self._show(BridgePicture.show_tick, tick)
 
     @contextmanager
     def _end_if_lost(self) -> Iterator[None]:

@@ -61,9 +61,8 @@ def test_bridge_shows_the_very_samples_of_a_bag(tmp_path, kind):
         samples[step].q[0] for step in steps]
 
 
-@pytest.mark.parametrize('state', [True, False])
-def test_bridge_shows_a_bag_that_is_replayed(tmp_path, state):
-    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100, state=state)
+def test_bridge_shows_a_bag_that_is_replayed(tmp_path):
+    bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
     recording = tmp_path / 'live.rrd'
     bridge = start_bridge(*to_file(recording))
     replay = start_executable('replay', bag, '--discovery-time', 20)

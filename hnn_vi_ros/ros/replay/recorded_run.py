@@ -130,23 +130,11 @@ class RecordedRun:
 
         That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
         """
-        if self.states:
-            # No other channel was asked for.
-            for state in (sample for _, sample in self.in_order(self.states, first) if sample):
-                yield state.stamp, {
-                    'q': state.q, 'p': state.p, 'dp/dt': state.dp_dt,
-                    'H': np.array([state.energy]), 'work': np.array([state.work])}
-            return
-        # A bag of before ~/state: messages of one log time belong together.
-        names = {self._topics[f'{self.node}/{name}']: name for name in self._names}
-        stamp = -1
-        found: dict[str, Recorded] = {}
-        for message in self.reader.messages(names, first):
-            if message.time != stamp:
-                stamp, found = message.time, {}
-            found[names[message.channel]] = message
-            if len(found) == 2:
-                yield stamp, {name: self._array(found[name]) for name in ('q', 'p')}
+        # No other channel was asked for.
+        for state in (sample for _, sample in self.in_order(self.states, first) if sample):
+            yield state.stamp, {'q': state.q, 'p': state.p} | ({
+                'dp/dt': state.dp_dt, 'H': np.array([state.energy]),
+                'work': np.array([state.work])} if self.whole else {})
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield stamp [ns], q and p of each sample from a log time on."""
@@ -154,9 +142,14 @@ class RecordedRun:
             yield stamp, values['q'], values['p']
 
     @property
-    def states(self) -> list[int]:
-        """Return the channel of ~/state; empty in a bag of before there was one."""
-        return [self._topics[f'{self.node}/state']] if 'state' in self._names else []
+    def whole(self) -> bool:
+        """Return whether the bag holds ~/state; one of before that has ~/q and ~/p."""
+        return 'state' in self._names
+
+    @cached_property
+    def states(self) -> dict[int, str]:
+        """Return the channels that samples are made of, and the last parts of their topics."""
+        return {self._topics[f'{self.node}/{name}']: name for name in self._names}
 
     def state(self, message: Recorded) -> State:
         """Return the sample of a message of ~/state; RecordingError if it holds none."""
@@ -178,27 +171,36 @@ class RecordedRun:
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[Recorded, State | None]]:
         """
-        Yield messages from a log time on, and the samples in messages of ~/state.
+        Yield messages from a log time on, and the samples that they hold or complete.
 
-        RecordingError where these go back in time: then several runs are in the bag.
+        Without ~/state q and p of one log time are a sample, whose rates, H and work are NaN.
+        RecordingError where samples go back in time: then several runs are in the bag.
         """
-        states, stamp = frozenset(self.states), -2**63
+        stamp, parts = -2**63, dict[str, Recorded]()
         for message in self.reader.messages(channels, first):
-            state = self.state(message) if message.channel in states else None
-            if state is not None:
+            state = None
+            if message.channel in self.states and self.whole:
+                state = self.state(message)
                 if state.stamp < stamp:
                     raise RecordingError(
                         f'{self.reader.path}: the time of {self.node} goes back, from '
                         f'{stamp * 1e-9:.9g} s to {state.stamp * 1e-9:.9g} s, at log time '
                         f'{message.time} ns: {ONE_RUN}')
                 stamp = state.stamp
+            elif message.channel in self.states:
+                parts = {} if message.time != stamp else parts
+                stamp, parts[self.states[message.channel]] = message.time, message
+                if len(parts) == 2:
+                    q, p = (np.array(self.decoded(parts[name], Float64MultiArray).data)
+                            for name in 'qp')
+                    state = State(stamp, q, p, np.full(len(p), np.nan), np.nan, np.nan)
             yield message, state
 
     @property
     def stamped(self) -> bool:
         """Return whether log times are stamps of the simulator, as in its own bags."""
-        return all(self.state(message).stamp == message.time
-                   for message in self.reader.messages(self.states))
+        return not self.whole or all(self.state(message).stamp == message.time
+                                     for message in self.reader.messages(self.states))
 
     def commands(self) -> Iterator[tuple[int, str, Command]]:
         """
@@ -275,9 +277,6 @@ class RecordedRun:
         scene = self.scene.changed({'initial_state': {'q': q.tolist(), 'p': p.tolist()}})
         return Resumption(scene, self.step_of(stamp), self.origin, self.reader.damage)
 
-    def _array(self, message: Recorded) -> np.ndarray:
-        return np.array(self.decoded(message, Float64MultiArray).data)
-
     def _count(self, name: str) -> int:
         value = self.described.get(name, 0)
         if type(value) is not int or not 0 <= value < 2**63:
@@ -290,7 +289,7 @@ class RecordedRun:
         channels = [self._topics[name]] if name in self._topics else []
         text = only_scene(((self.decoded(message, String).data, message.time) for message
                            in self.reader.messages(channels)), name, self.reader.path)
-        if not self.states:
+        if not self.whole:
             raise RecordingError(
                 f'{self.reader.path}: holds no {self.node}/state, and q and p have no stamps: '
                 'they cannot be paired by the times at which they came; record that topic too')

@@ -125,7 +125,7 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
     missing = _missing(run, begin)
     if difference is None and not samples:
         return Verdict(f'{run.reader.path}: holds no samples to compare{missing}', False)
-    agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.states else "q and p"} of ' \
+    agreed = f'{run.reader.path}: {"q, p, dp/dt, H and work" if run.whole else "q and p"} of ' \
         f'{samples} samples agree bit by bit, {where}'
     if difference is None:
         return Verdict(f'{agreed}{missing}', not missing)
