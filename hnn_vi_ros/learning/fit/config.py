@@ -12,7 +12,7 @@ from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
-from hnn_vi_ros.learning.data.bag_data import BagMotions
+from hnn_vi_ros.learning.data.bag_motions import BagMotions
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.sources import dimension, Source
 from hnn_vi_ros.learning.data.text import LogMotions

@@ -1,0 +1,370 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Signals of joints, from the topics of ROS 2 bags: joint states and arrays."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import final, NamedTuple, TypeVar
+
+from hnn_vi_ros.bags.cdr import (
+    decode_float64_multi_array, decode_joint_state, JointStates, MOMENTUM)
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.run.held_state import STATE_FILE
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+JOINT_STATE = 'sensor_msgs/msg/JointState'
+ARRAY = 'std_msgs/msg/Float64MultiArray'
+# Times agree with stamps that are off by less than this, in mean intervals.
+_DISAGREEMENT = 0.01
+
+Decoded = TypeVar('Decoded')
+
+
+class Signal(NamedTuple):
+    """
+    Values of a topic over time.
+
+    Parameters
+    ----------
+    t : np.ndarray, shape (N,)
+        Increasing instants, since the first of the signal that was read first [s].
+    values : np.ndarray, shape (N, d)
+        The values at these instants.
+
+    """
+
+    t: np.ndarray
+    values: np.ndarray
+
+
+@final
+class SignalReader:
+    """
+    A bag as signals of some joints; one that was cut off will do.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with the files of one bag, or one file.
+    joints : sequence of str
+        Names of the joints, in the order of the coordinates.
+    columns : sequence of int
+        Which numbers of an array belong to them.
+    stamps : str
+        ``'header'`` or ``'log'``: what counts as a message's time.
+
+    Attributes
+    ----------
+    bag : BagReader
+        The bag.
+    stamps : str
+        As above; may be set before the first signal is read.
+
+    Raises
+    ------
+    DataError
+        It is no bag, or holds no messages.
+
+    """
+
+    def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int], stamps: str):
+        try:
+            self.bag = BagReader(path)
+        except RecordingError as problem:
+            raise DataError(str(problem)) from problem
+        self.path = self.bag.path
+        self._joints, self._columns, self.stamps = tuple(joints), list(columns), stamps
+        self._origin: int | None = None
+        self._topics: dict[str, list[int]] = {}
+        for number, channel in self.bag.channels.items():
+            self._topics.setdefault(channel.topic, []).append(number)
+        if not any(self.bag.messages()):
+            raise DataError(f'{self.path}: holds no messages; record while something moves')
+
+    @property
+    def commanded_before(self) -> bool:
+        """Return whether a simulator held a command when it began the bag, which lacks that."""
+        try:
+            state = safetensors.numpy.load(self.bag.attachment(STATE_FILE))
+        except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
+            return False
+        return 'live.command' in state and bool(state['live.command'].any())
+
+    def type_of(self, topic: str) -> str:
+        """Return the type of a topic; DataError if the bag does not hold it."""
+        return self._found(topic)[1]
+
+    def has_topic(self, topic: str) -> bool:
+        """Return whether the bag holds exactly this topic."""
+        return topic in self._topics
+
+    def state_topic(self) -> str | None:
+        """Return the simulator's ~/state, if the bag holds one with the joints, and no more."""
+        found = [topic for topic in self._topics
+                 if topic.endswith('/state') and self.is_state(topic)]
+        return found[0] if len(found) == 1 else None
+
+    def is_state(self, topic: str) -> bool:
+        """Return whether a topic is a ~/state of the simulator, with the joints."""
+        _, kind, messages = self._found(topic)
+        first = next(messages, None)
+        if first is None or kind != JOINT_STATE:
+            return False
+        names = self._joint_state(topic, first).names
+        return {MOMENTUM + joint for joint in self._joints} <= set(names)
+
+    def check_resets(self, state: str) -> None:
+        """
+        Raise DataError if a simulator was reset while a topic was recorded that is its ~/state.
+
+        Between the samples around that there is no motion.
+        """
+        scene = f'{self._found(state)[0].rpartition("/")[0]}/scene'
+        times: dict[bytes, int] = {}
+        for message in self.bag.messages(self._topics.get(scene, [])):
+            times.setdefault(message.data, message.time)
+        if len(times) > 1:
+            resets = ', '.join(map(str, list(times.values())[1:4]))
+            raise DataError(f'{self.path}: the run was reset at log time {resets} ns; cut the bag '
+                            'there, by `mcap filter`, and give the parts in data.paths; the '
+                            'simulator begins a bag at each reset')
+
+    def check_clocks(self, topic: str, unstamped: str) -> None:
+        """
+        Raise DataError if the log times of joint states differ from their stamps.
+
+        Then messages of a topic without stamps cannot be assigned to states.
+        """
+        times = np.array([
+            (message.time, self._joint_state(topic, message).stamp)
+            for message in self._found(topic)[2]])
+        log, stamps = (times - times[:1]).T * 1e-9
+        largest = np.abs(log - stamps).max(initial=0.0)
+        if largest > _DISAGREEMENT * stamps.max(initial=0.0) / max(len(stamps) - 1, 1):
+            raise DataError(
+                f'{self.path}: {topic} is stamped, {unstamped} is not, and the times at which the '
+                f'messages were recorded are up to {largest:.3g} s away from the stamps: they '
+                'cannot be paired. Use ~/state of the simulator, whose q and p have one stamp '
+                '(data.p: state); data.stamps: log takes those times as they are')
+
+    def has(self, topic: str, field: str) -> bool:
+        """Return whether the first message of a topic of joint states fills a field."""
+        first = next(self._found(topic)[2], None)
+        return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
+
+    def read(self, topic: str, field: str, prefix: str = '') -> Signal:
+        """
+        Return a signal.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+        field : str
+            Of joint states: ``'position'``, ``'velocity'`` or ``'effort'``; empty for a topic
+            that must be an array, ``'*'`` for an array of any length.
+        prefix : str
+            What stands before the joints in the names of joint states.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be used.
+
+        """
+        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}
+        name, kind, messages = self._found(
+            topic, expected.get(field, f'{ARRAY} or {JOINT_STATE}'))
+        stamps, rows = [], list[np.ndarray]()
+        if kind == ARRAY:
+            for message in messages:
+                stamps.append(message.time)
+                rows.append(self._from_array(name, message, field == '*'))
+        for stamp, state, places in [] if kind == ARRAY else self._of_joints(name, prefix):
+            values = getattr(state, field)
+            if None in places:
+                continue
+            if len(values) != len(state.names):
+                raise DataError(
+                    f'{self.path}: {name}: a message has {len(values)} {field} values for '
+                    f'{len(state.names)} joints; leave {field} out of data')
+            stamps.append(stamp)
+            rows.append(values[places])
+        if len(rows) < (1 if field == '*' else 2):
+            raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
+                            f'{listed(self._joints)}; record for longer, or name joints that '
+                            'it has in data.joints')
+        if len({len(row) for row in rows}) != 1:
+            raise DataError(f'{self.path}: {name}: its messages have different lengths')
+        return self._checked(name, stamps, np.array(rows))
+
+    def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the messages of a topic of joint states that hold a joint, complete or not.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            Since the first [s], in the order of the recording: late ones come late.
+        values : np.ndarray, shape (N, 3, d)
+            Positions, velocities and efforts; not a number where a message has none of a joint.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        name, stamps, rows, seen = self._joint_rows(topic)
+        if not set(self._joints) <= seen:
+            raise DataError(f'{self.path}: {name} has no joint '
+                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
+                            f'its joints: {listed(sorted(seen)) or "none"}')
+        return self._times(name, stamps), np.array(rows)
+
+    def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the commands of a topic, complete or not.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so; of joint states with efforts,
+            or of arrays.
+
+        Returns
+        -------
+        t : np.ndarray, shape (N,)
+            As in ``states``.
+        values : np.ndarray, shape (N, m)
+            Efforts of the joints, or the numbers of an array, selected by ``columns`` if there
+            are any; NaN where a message has no effort of a joint, or an array has another length
+            than most.
+
+        Raises
+        ------
+        DataError
+            There is no such topic, it has another type, or a message cannot be read.
+
+        """
+        if self.type_of(topic) == JOINT_STATE:
+            name, stamps, rows, _ = self._joint_rows(topic)
+            efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
+            return self._times(name, stamps), efforts
+        name, _, messages = self._found(topic, ARRAY)
+        found = [(message.time, self._from_array(name, message, True)) for message in messages]
+        lengths = [len(values) for _, values in found]
+        usual = max(set(lengths), key=lengths.count, default=0)
+        values = np.array([values if len(values) == usual else np.full(usual, np.nan)
+                           for _, values in found]).reshape(-1, usual)
+        if self._columns:
+            if max(self._columns) >= usual:
+                raise DataError(f'{self.path}: {name}: a message has {usual} numbers, and '
+                                f'data.columns names number {max(self._columns)}, counted from 0')
+            values = values[:, self._columns]
+        return self._times(name, [stamp for stamp, _ in found]), values
+
+    def _of_joints(self, topic: str, prefix: str = ''
+                   ) -> Iterator[tuple[int, JointStates, list[int | None]]]:
+        """Yield stamp and content of each joint state, and where the joints are in it."""
+        names = [prefix + joint for joint in self._joints]
+        for message in self._found(topic, JOINT_STATE)[2]:
+            state = self._joint_state(topic, message)
+            yield (state.stamp if self.stamps == 'header' else message.time, state,
+                   [state.names.index(name) if name in state.names else None for name in names])
+
+    def _joint_rows(self, topic: str) -> tuple[str, list[int], list[list[list[float]]], set[str]]:
+        """Return a topic's name, and of its messages stamps, numbers, and names of joints."""
+        name = self._found(topic, JOINT_STATE)[0]
+        stamps, rows, seen = [], [], set[str]()
+        for stamp, state, places in self._of_joints(name):
+            seen.update(state.names)
+            if any(place is not None for place in places):  # else it is of another driver
+                stamps.append(stamp)
+                rows.append([[
+                    np.nan if place is None or len(values) != len(state.names) else values[place]
+                    for place in places]
+                    for values in (state.position, state.velocity, state.effort)])
+        return name, stamps, rows, seen
+
+    def _times(self, name: str, stamps: list[int]) -> np.ndarray:
+        """Return times since the first of the signal that was read first [s]."""
+        if len(stamps) > 1 and len(set(stamps)) == 1:
+            raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; take '
+                            'data.stamps: log, the times at which its messages were recorded')
+        if self._origin is None and stamps:
+            self._origin = stamps[0]
+        origin = self._origin or 0
+        return np.array([stamp - origin for stamp in stamps]) * 1e-9
+
+    def _checked(self, name: str, stamps: list[int], values: np.ndarray) -> Signal:
+        backward = np.flatnonzero(np.diff(stamps) <= 0)
+        if backward.size:
+            at = backward[0] + 1
+            other = 'log' if self.stamps == 'header' else 'header'
+            raise DataError(f'{self.path}: {name}: the stamp of message {at + 1}, {stamps[at]} ns,'
+                            f' is not after the one before, {stamps[at - 1]} ns; try data.stamps: '
+                            f'{other}, or split the bag where time was set back')
+        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if bad.size:
+            raise DataError(f'{self.path}: {name}: message {bad[0] + 1} holds a value that is not '
+                            f'finite: {values[bad[0]].tolist()}')
+        return Signal(self._times(name, stamps), values)
+
+    def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
+        """Return name, type and messages of the one topic of this name, or that ends with it."""
+        topic = '/' + topic.lstrip('/')
+        if topic not in self._topics:
+            found = [name for name in self._topics if name.endswith(topic)]
+            if len(found) != 1:
+                what = 'no topic' if not found else f'{len(found)} topics'
+                choose = '; name one of them whole' if found else ''
+                raise DataError(f'{self.path}: holds {what} {topic}; it holds: '
+                                f'{self._contents()}{choose}')
+            topic = found[0]
+        numbers = self._topics[topic]
+        kind = self._type(numbers[0])
+        if expected and kind not in expected.split(' or '):
+            raise DataError(f'{self.path}: {topic} has the type {kind}, expected {expected}; the '
+                            f'bag holds: {self._contents()}')
+        return topic, kind, self.bag.messages(numbers)
+
+    def _contents(self) -> str:
+        return listed(sorted({f'{topic} ({self._type(number)})' for topic, numbers
+                              in self._topics.items() for number in numbers})) or 'nothing'
+
+    def _type(self, number: int) -> str:
+        schema = self.bag.schemas.get(number)
+        return 'unknown type' if schema is None else schema.name
+
+    def _from_array(self, topic: str, message: Recorded, whole: bool) -> np.ndarray:
+        if self.stamps == 'header':
+            raise DataError(f'{self.path}: {topic}: an array has no header with a stamp; use '
+                            'data.stamps: log')
+        values = self._decoded(topic, message, decode_float64_multi_array)
+        if whole or (not self._columns and len(values) == len(self._joints)):
+            return values
+        if not self._columns or max(self._columns) >= len(values):
+            raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '
+                            f'{len(self._joints)}, one for each of data.joints; say which of them '
+                            'in data.columns, counted from 0')
+        return values[self._columns]
+
+    def _joint_state(self, topic: str, message: Recorded) -> JointStates:
+        return self._decoded(topic, message, decode_joint_state)
+
+    def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]
+                 ) -> Decoded:
+        try:
+            return decode(message.data)
+        except (ValueError, UnicodeDecodeError) as problem:
+            raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
+                            f'read: {problem}') from problem
