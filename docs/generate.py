@@ -21,7 +21,7 @@ from hnn_vi_ros.run.timing import OverrunGuard
 # Beside this file, and in no commit.
 FOLDER = 'generated'
 # Where errors of a user stand that hnn_vi_ros.errors does not hold.
-_OTHER_ERRORS = ('hnn_vi_ros.ros.services',)
+_OTHER_ERRORS = ('hnn_vi_ros.ros.worlds',)
 _SCENE_PARTS = {'hamiltonian': 'Hamiltonians', 'integrator': 'Integrators', 'effects': 'Effects'}
 
 

@@ -36,9 +36,9 @@ FLOORS = (
 INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
                  'train', 'evaluate', 'scene_numbers'),
-    'ros': ('plumbing', 'settings', 'node_parameters', 'arguments', 'recording', 'topics',
-            'replay', 'run', 'rerun_bridge', 'services', 'initial_state', 'controller_node',
-            'listener_node', 'launching', 'simulator_node')}
+    'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
+            'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
+            'controller_node', 'listener_node', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
     ('integrators.implicit', 'integrators.generalized_leapfrog'):

@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
 from hnn_vi_ros.learning.data.text import LogMotions, read_log
 from hnn_vi_ros.learning.scene_numbers.identify import _arrays
-from hnn_vi_ros.ros.services import open_world, WorldError
+from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sweeps.axes import file_axis, read_posterior
 import pytest

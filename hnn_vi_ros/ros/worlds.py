@@ -1,0 +1,193 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes as the worlds of simulation_interfaces: found, named by URIs, and read."""
+
+from collections.abc import Sequence
+import os
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote, urlsplit
+
+from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.scene import load_scene, Scene
+
+_PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')
+# Files of one folder that are looked at.
+_MOST_FILES = 200
+
+
+class WorldError(HnnViRosError):
+    """
+    A world that cannot be found or loaded.
+
+    Parameters
+    ----------
+    code : str
+        Name of the constant of simulation_interfaces for the reason.
+    message : str
+        One line.
+
+    """
+
+    remedy = ('name a world by the URI that `GetAvailableWorlds` returns; a folder of '
+              'scenes is searched when the request names it')
+
+    def __init__(self, code: str, message: str):
+        self.code = code
+        super().__init__(message)
+
+
+class World(NamedTuple):
+    """
+    A scene, as others see it.
+
+    Parameters
+    ----------
+    name : str
+        Of its file, without the suffix.
+    uri : str
+        That loads it.
+    description : str
+        One line.
+    tags : tuple of str
+        The kinds of its Hamiltonian and its effects.
+
+    """
+
+    name: str
+    uri: str
+    description: str
+    tags: tuple[str, ...]
+
+
+def world_of(scene: Scene) -> World:
+    """Return a scene as a world."""
+    tags = dict.fromkeys([scene.hamiltonian.kind, *(effect.kind for effect in scene.effects)])
+    source = scene.source.absolute()
+    shipped = source == shipped_file('scene', scene.name).absolute()
+    uri = f'package://{_PACKAGE}{_FOLDER}{source.name}' if shipped else source.as_uri()
+    return World(scene.name, uri, scene.description, tuple(tags))
+
+
+def open_world(uri: str) -> tuple[Scene, str]:
+    """
+    Read the scene that a URI names; return it and the value of the parameter ``scene`` for it.
+
+    Parameters
+    ----------
+    uri : str
+        ``package://hnn_vi_ros/config/scenes/NAME.yaml``, a ``file:`` URI, or what the parameter
+        ``scene`` takes: the name of a shipped scene or a path.
+
+    Raises
+    ------
+    WorldError
+        It names no scene, or none that can be simulated; or a scene that runs code, which only
+        the user who starts the node can ask for.
+
+    """
+    name = _name_or_path(uri)
+    if os.path.splitext(name)[1] not in ('', *_SUFFIXES):
+        raise WorldError('UNSUPPORTED_FORMAT', f'{_shown(uri)}: expected a scene file (.yaml)')
+    if is_path('scene', name):
+        if not os.path.isfile(name):
+            raise WorldError('RESULT_NOT_FOUND', f'{_shown(uri)}: {no_file(Path(name))}; '
+                             'give a scene file (.yaml)')
+    elif name not in shipped_names('scene'):
+        raise WorldError('RESULT_NOT_FOUND',
+                         f'{_shown(uri)}: no such scene; ~/get_available_worlds lists them')
+    try:
+        scene = load_scene(name)
+    except SceneError as problem:
+        raise WorldError('RESOURCE_PARSE_ERROR', str(problem)) from problem
+    if scene.hamiltonian.kind == 'python':
+        raise WorldError('UNSUPPORTED_ELEMENTS', (
+            f'{scene.place("hamiltonian", "factory")}: runs code, which no service may ask for; '
+            'set the parameter scene'))
+    try:
+        scene.model_files()
+    except ModelError as problem:
+        raise WorldError('MISSING_ASSETS', str(problem)) from problem
+    return scene, name
+
+
+def find_worlds(folders: Sequence[str], go_on: bool) -> tuple[list[World], list[str]]:
+    """
+    Return the worlds that can be loaded: the shipped ones, then those in folders.
+
+    Parameters
+    ----------
+    folders : sequence of str
+        Paths or ``file:`` URIs of folders that hold scene files.
+    go_on : bool
+        Whether a folder that cannot be read is only reported.
+
+    Returns
+    -------
+    worlds, problems : list
+        The worlds, and a line on each folder that could not be searched.
+
+    Raises
+    ------
+    WorldError
+        A folder cannot be read.
+
+    """
+    worlds, problems = _loadable(shipped_names('scene')), []
+    for folder in folders:
+        try:
+            worlds += _loadable(_files_in(folder))
+        except WorldError as problem:
+            if not go_on:
+                raise
+            problems.append(str(problem))
+    return worlds, problems
+
+
+def _name_or_path(uri: str) -> str:
+    try:
+        parts = urlsplit(uri)
+    except ValueError as problem:
+        raise WorldError('UNSUPPORTED_FORMAT', f'{_shown(uri)}: {problem}') from problem
+    if not parts.scheme:
+        return uri
+    if parts.scheme == 'file' and parts.netloc in ('', 'localhost'):
+        return unquote(parts.path)
+    name = unquote(parts.path).removeprefix(_FOLDER).removesuffix(_SUFFIXES[0])
+    if (parts.scheme, parts.netloc) == ('package', _PACKAGE) and not is_path('scene', name):
+        return name
+    raise WorldError('UNSUPPORTED_FORMAT', (
+        f'{_shown(uri)}: expected package://{_PACKAGE}{_FOLDER}NAME.yaml, file:///PATH.yaml, '
+        'the name of a shipped scene, or a path'))
+
+
+def _files_in(folder: str) -> list[str]:
+    try:
+        path = Path(_name_or_path(folder)).absolute()
+        files = sorted(file for file in path.iterdir() if file.suffix in _SUFFIXES)
+    except (OSError, ValueError, WorldError) as problem:
+        raise WorldError('RESULT_NOT_FOUND',
+                         f'{_shown(folder)}: no folder that can be read') from problem
+    if len(files) > _MOST_FILES:
+        raise WorldError('RESULT_OPERATION_FAILED', (
+            f'{_shown(folder)}: {len(files)} files are more than {_MOST_FILES}; put scenes into '
+            'a folder of their own'))
+    return [str(file) for file in files]
+
+
+def _loadable(names: Sequence[str]) -> list[World]:
+    """Return those that are scenes and can be loaded; a folder may hold other YAML as well."""
+    worlds = []
+    for name in names:
+        try:
+            worlds.append(world_of(open_world(name)[0]))
+        except WorldError:
+            continue
+    return worlds
+
+
+def _shown(uri: str) -> str:
+    """Return what others sent in a form that fits into a line."""
+    return repr(uri[:200])
