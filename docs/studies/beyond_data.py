@@ -166,7 +166,7 @@ def motions_of(case: str, data: Path) -> tuple[MachineConfig, list[Run], list[Ru
         else:
             file = Path(folder) / 'machine.npz'
             write_machine(file, int(case.split()[-1]))
-            config = MachineConfig.model_validate(config.model_dump() | {
+            config = MachineConfig.model_validate(config.model_dump(exclude_unset=True) | {
                 'loss': _LOSS, 'learning_rate': 0.03,
                 'data': {'kind': 'arrays', 'inputs': 'held'}})
         arrays = Archive(file).arrays

@@ -17,6 +17,7 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.runs import Run, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
+from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
@@ -36,7 +37,7 @@ _VALID, _LETTER_STEPS = 0.01, 20
 _EVERY = 0.05
 
 # Names of the models in the tables.
-NETWORKS, WITH_PRIOR = 'networks', 'rigid body and networks'
+DEFAULT, NETWORKS, WITH_PRIOR = 'default', 'networks', 'rigid body and networks'
 RIGID_BODY, PLAIN = 'rigid body', 'plain network'
 
 # Beside the file of the tables: what was measured of each model and seed.
@@ -285,7 +286,8 @@ def read_case(case: Case, data: Path) -> CaseMotions:
 
 def models_of(case: Case) -> list[str]:
     """Return the names of a case's models in the tables."""
-    return [NETWORKS, *([WITH_PRIOR, RIGID_BODY] if case.prior else []), PLAIN]
+    return [*([DEFAULT] if case.prior else []), NETWORKS,
+            *([WITH_PRIOR, RIGID_BODY] if case.prior else []), PLAIN]
 
 
 def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int, quick: bool
@@ -303,7 +305,8 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
         MachineProblem(plain, config, motions.train).fit()
         return case.measure(predicted_by(plain), motions.test, data)
     config = config.model_copy(update={'family': config.family.model_copy(update={
-        'prior': case.prior if rigid else None, 'residual': model != RIGID_BODY})})
+        'prior': AUTO if model == DEFAULT else case.prior if rigid else None,
+        'residual': model != RIGID_BODY})})
     network, losses = learn(config, motions.train)
     if not any(motion.tau.any() for motion in motions.train):
         fix_scale(network, motions.train)
@@ -353,11 +356,11 @@ def rows_of(name: str, case: Case, results: dict[str, list[Measures]]
             ) -> Iterator[dict[str, Any]]:
     """Yield a row for each model and measure: means over seeds, and whether the goal is met."""
     sign = -1.0 if case.longer else 1.0
-    models = [model for model in (NETWORKS, WITH_PRIOR) if model in results]
+    models = [model for model in (DEFAULT, NETWORKS, WITH_PRIOR) if model in results]
     for model, measure in itertools.product(models, case.references):
         seeds = [measures[measure] for measures in results[model]]
         ours = np.mean(seeds, axis=0)
-        goal = case.goals[model].get(measure, case.references[measure])
+        goal = case.goals.get(model, {}).get(measure, case.references[measure])
         worst = np.min(seeds, axis=0) if case.longer else np.max(seeds, axis=0)
         others = {baseline: [measures[measure] for measures in results[baseline]]
                   for baseline in (RIGID_BODY, PLAIN) if baseline in results}

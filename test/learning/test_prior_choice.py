@@ -127,6 +127,66 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
                       rel=0.02))
 
 
+def carriage(seed: int, back: float) -> Run:
+    """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
+    t = 0.01 * np.arange(500)
+    rng = np.random.default_rng(seed)
+    force = 3.0 * np.sin(t[:, None] * rng.uniform(1.0, 4.0, 3) + rng.uniform(0.0, 6.0, 3)).sum(1)
+
+    def rates(time: float, z: np.ndarray) -> list[float]:
+        side = np.tanh(z[1] / 0.05)
+        return [z[1], 0.5 * (np.interp(time, t, force) - 0.5 * z[1]
+                             - (0.5 * (1.0 + side) + 0.5 * (1.0 - side) * back) * side)]
+    z = solve_ivp(rates, (0.0, t[-1]), np.zeros(2), t_eval=t, rtol=1e-8, atol=1e-8).y.T
+    noise = rng.normal(size=z.shape) * [2e-4, 2e-3]
+    return smoothed(f'run{seed}', t, *np.hsplit(z + noise, 2), force[:, None], 40.0)
+
+
+def sliding(**family: object) -> MachineConfig:
+    return MachineConfig.model_validate({
+        'coordinates': [{'name': 'x', 'kind': 'prismatic'}],
+        'data': {'kind': 'arrays'}, 'hidden': [4],
+        'loss': {'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+                 'windows': [{'duration': 0.3, 'steps': 2}]},
+        'family': {'kind': 'mechanical', **family}})
+
+
+@pytest.mark.parametrize(('back', 'directed'), [(2.5, True), (1.0, False)])
+def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed: bool):
+    motions = [carriage(seed, back) for seed in (1, 2, 3)]
+    chosen, card = selected(sliding(), motions, problem_of)
+    assert chosen.family.friction.directed is directed
+    assert ('friction with' in card.held_out) is directed
+    assert card.candidates[0].name == RIGID
+    assert any('plain' in one.name for one in card.candidates) is directed
+
+
+def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_rounding():
+    """Their columns are the same: what they have in common was 1e13 N, with rounding of 1 mN."""
+    problem = problem_of(sliding(prior='planar_chain', residual=False, friction={
+        'offset': True, 'directed': True}), [carriage(1, 1.0)])
+    card = problem.module.card()
+    assert abs(card.friction.offset[0]) < 1e3
+    assert card.prior.values['inertia1'] == pytest.approx(2.0, rel=0.05)
+
+
+def test_friction_that_is_named_is_left_as_it_is():
+    motions = [carriage(seed, 2.5) for seed in (1, 2, 3)]
+    chosen, card = selected(sliding(friction={'coulomb': 1}), motions, problem_of)
+    assert not chosen.family.friction.directed
+    assert not any('friction' in one.name for one in card.candidates)
+
+
+def test_windows_last_as_many_steps_however_rare_samples_are():
+    rare = carriage(1, 1.0)
+    rare = smoothed('rare', rare.t[::5], rare.q[::5], rare.v_smooth[::5], rare.tau[::5], 10.0)
+    config = sliding(prior='none', friction={})
+    free = config.model_copy(update={'loss': None})
+    for given, durations in ((free, [0.5, 1.25]), (config, [0.3])):
+        chosen, _ = selected(given, [rare], problem_of)
+        assert [stage.duration for stage in chosen.windows.windows] == pytest.approx(durations)
+
+
 def test_domain_says_what_goes_beyond():
     q, v = np.array([[-0.5, 0.0], [0.5, 1.0]]), np.array([[-2.0, -15.0], [2.0, 15.0]])
     domain = Domain(DomainCard.of(q, v, np.array([[-1.0], [1.0]])), ['continuous', 'revolute'], [

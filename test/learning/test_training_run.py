@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training runs: stopped and gone on with, ended early, judged, reported, on other devices."""
 
+import math
 from pathlib import Path
 import signal
 
@@ -9,7 +10,8 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, load_config
-from hnn_vi_ros.learning.fit.loop import Fit, Interrupted, INTERVAL, Keeper, LossHistory
+from hnn_vi_ros.learning.fit.loop import (
+    Fit, Interrupted, INTERVAL, Keeper, LossHistory, Problem, Stage)
 from hnn_vi_ros.learning.tasks.field import FieldProblem
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -192,3 +194,46 @@ def test_training_on_cuda_gives_a_model_as_good(tmp_path, family):
         losses.append(load_checkpoint(out).card.losses['train_loss'])
     # The same steps, summed in another order: apart by no more than that has grown to.
     assert losses[1] < 3.0 * losses[0]
+
+
+class Valley(torch.nn.Module):
+    """One number x, whose loss x^2 has its least at zero; it is not finite beyond a limit."""
+
+    def __init__(self, start: float, limit: float = math.inf):
+        super().__init__()
+        self.x = torch.nn.Parameter(torch.tensor(start, dtype=torch.float64))
+        self.limit = limit
+
+    def loss(self) -> torch.Tensor:
+        return torch.where(self.x.abs() < self.limit, self.x.square(), math.inf)
+
+    def stage(self, rate: float, retries: int) -> Stage:
+        return Stage('fall', self.loss, 40, rate, lambda: float(self.loss().detach()), 40,
+                     retries=retries)
+
+
+def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
+    """Adam moves by its rate at first: at 1 and .25 it only leaves the valley's ground."""
+    module = Valley(0.01)
+    losses = Problem(module, [module.stage(1.0, 3)]).fit()
+    told = capsys.readouterr().out.splitlines()
+    assert told[:1] == ['fall: no better at a rate of 1']
+    assert abs(module.x.item()) < 0.01 and losses['fall'] <= 1e-4
+
+
+@pytest.mark.parametrize('limit', [math.inf, 0.05])
+def test_stage_never_ends_worse_than_it_began(limit, capsys):
+    module = Valley(1e-9, limit)
+    Problem(module, [module.stage(1.0, 1)]).fit()
+    assert module.x.item() == 1e-9
+    assert capsys.readouterr().out.splitlines() == [
+        'fall: no better at a rate of 1', 'fall: no better at a rate of 0.25']
+
+
+def test_stages_that_are_judged_in_another_way_begin_with_their_own_best():
+    """The second stage is judged by the distance from one, of which the first knows nothing."""
+    module = Valley(0.3)
+    other = Stage('rise', lambda: (module.x - 1.0).square(), 200, 0.1,
+                  lambda: float((module.x - 1.0).square().detach()), 200)
+    Problem(module, [module.stage(0.1, 0), other]).fit()
+    assert module.x.item() == pytest.approx(1.0, abs=1e-2)

@@ -198,14 +198,18 @@ def test_qos_overrides_of_replay_and_bridge_are_what_they_offer_and_ask_for(tmp_
                               f'{Q}.reliability:=best_effort', folder=tmp_path)
     bridge = start_executable(
         'rerun_bridge', '--ros-args', '-p', 'rerun_sink:=file', '-p', 'rerun_path:=a.rrd', '-p',
-        'qos_overrides./hnn_simulator/q.subscription.reliability:=best_effort', folder=tmp_path)
+        'qos_overrides./hnn_simulator/state.subscription.reliability:=best_effort',
+        folder=tmp_path)
     with peer() as other:
-        for find in (other.node.get_publishers_info_by_topic,
-                     other.node.get_subscriptions_info_by_topic):
-            for topic, expected in (('q', ReliabilityPolicy.BEST_EFFORT),
-                                    ('p', ReliabilityPolicy.RELIABLE)):
-                found = in_the_graph(other, find, f'/hnn_simulator/{topic}')
-                assert found.reliability == expected
+        for find, topic, expected in (
+                (other.node.get_publishers_info_by_topic, 'q', ReliabilityPolicy.BEST_EFFORT),
+                (other.node.get_publishers_info_by_topic, 'p', ReliabilityPolicy.RELIABLE),
+                (other.node.get_subscriptions_info_by_topic, 'state',
+                 ReliabilityPolicy.BEST_EFFORT),
+                (other.node.get_subscriptions_info_by_topic, 'events',
+                 ReliabilityPolicy.RELIABLE)):
+            found = in_the_graph(other, find, f'/hnn_simulator/{topic}')
+            assert found.reliability == expected
     for process in (replay, bridge):
         process.send_signal(signal.SIGINT)
         assert finish(process)[0] == 0

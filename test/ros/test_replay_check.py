@@ -394,7 +394,7 @@ def test_log_whose_stamps_are_no_whole_steps_is_refused(tmp_path):
 @pytest.mark.parametrize('step_size', [1e-11, 1e-300, 5e-324])
 def test_log_of_more_steps_than_anybody_would_record_so_rarely_is_refused(tmp_path, step_size):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=step_size)
-    with pytest.raises(RecordingError, match='its sample 1 takes .* is the step_size') as caught:
+    with pytest.raises(RecordingError, match='its sample 1 needs .* is the step_size') as caught:
         check_replay(bag)
     assert '\n' not in str(caught.value)
 

@@ -455,8 +455,9 @@ class RigidBodyChoice(FamilyChoice):
     offsets: bool = Field(True, description='whether the motors are off by a constant force')
     friction: FrictionChoice = Field(
         default_factory=lambda: FrictionChoice(coulomb=1), description='in the joints')
-    residual: list[Literal['potential', 'friction', 'mass']] = Field([], description=(
-        'networks that are added: V(q), the friction -D(q) v, M(q); one, or a list'))
+    residual: list[Literal['potential', 'friction', 'mass']] | Literal['auto'] = Field(
+        [], description=('networks that are added: V(q), the friction -D(q) v, M(q); one, or a '
+                         'list; auto: those that predict held-out motions best, or none'))
     residual_weight: float = Field(1e-3, ge=0.0, description=(
         'of the size of those networks, at states like those of the data, in the loss'))
     fade_weight: float = Field(0.1, ge=0.0, description=(
@@ -468,7 +469,7 @@ class RigidBodyChoice(FamilyChoice):
     @field_validator('residual', mode='before')
     @classmethod
     def _listed(cls, value: object) -> object:
-        return [value] if isinstance(value, str) else value
+        return [value] if isinstance(value, str) and value != AUTO else value
 
     @model_validator(mode='after')
     def _check(self) -> 'RigidBodyChoice':
@@ -489,12 +490,13 @@ class RigidBodyChoice(FamilyChoice):
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
         """Return the structure of robot and networks, whose inputs are the coordinates."""
         robot, rows = self.robot(names), np.eye(len(names)).tolist()
+        residual = [] if self.residual == AUTO else self.residual
         tree = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name[:200])
-        left_out = tuple(name for name in ('mass', 'potential') if name not in self.residual)
+        left_out = tuple(name for name in ('mass', 'potential') if name not in residual)
         return Structure(
             kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
-            self.friction.stribeck, self.prior, bool(self.residual),
-            rows if 'friction' in self.residual else None, tree, values_of(tree, robot.bodies),
+            self.friction.stribeck, self.prior, bool(residual),
+            rows if 'friction' in residual else None, tree, values_of(tree, robot.bodies),
             left_out, directed=self.friction.directed)
 
 

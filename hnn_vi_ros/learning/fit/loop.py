@@ -39,7 +39,10 @@ INTERVAL, LEAST_GAIN = 20, 1e-6
 # step.
 _TOO_FAR = 1e30
 # What a saved run tells of its progress.
-_KEPT = 'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best'
+_KEPT = (
+    'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best', 'retried', 'gained')
+# A stage that is begun again has this share of its rate before.
+_SLOWER = 0.25
 _REMEDY = 'lower learning_rate, and look for outliers in the data'
 
 
@@ -65,6 +68,9 @@ class Stage:
     patience : int, optional
         Looks at ``held_out`` without a lower value after which the stage ends. Then it ends with
         the best parameters so far; without it, with the last ones.
+    retries : int
+        How often the stage begins again, at a quarter of its rate, when it gains nothing by
+        ``held_out`` or its loss is not finite; with patience alone.
     clip : bool
         Whether gradients are clipped to length one: a sample that is far off must not undo what
         the others have taught.
@@ -83,6 +89,7 @@ class Stage:
     rate: float | None = None
     held_out: Callable[[], float] | None = None
     patience: int | None = None
+    retries: int = 0
     clip: bool = False
     pairs: int = 50
     evaluations: int = 10
@@ -117,7 +124,7 @@ class Problem:
         Its parameters are changed.
     stages : sequence of Stage
         In their order. The best parameters so far, by held-out data, are kept from one stage to
-        the next.
+        the next that is judged in the same way.
     generator : torch.Generator, optional
         Draws the batches.
     losses : mapping of str to float
@@ -162,7 +169,8 @@ class Fit:
         self.history, self.losses = LossHistory(), problem.losses
         self._name, self._generator = name, problem.generator
         self._parameters = [part for part in self.module.parameters() if part.requires_grad]
-        self._stage = self._taken = self._waited = 0
+        self._stage = self._taken = self._waited = self._retried = 0
+        self._gained = False
         self._before = self._least = self._loss_at_best = math.inf
         self._best: dict[str, Any] | None = None
         self._begin()
@@ -198,10 +206,24 @@ class Fit:
             finally:
                 self._progress.close()
             stage.ended()
-            self._stage, self._taken, self._waited = self._stage + 1, 0, 0
-            self._before = math.inf
+            self._taken, self._waited, self._before = 0, 0, math.inf
+            if stage.retries and not self._gained:
+                print(f'{stage.name}: no better at a rate of {self._rate(stage):.2g}', flush=True)
+            if stage.retries > self._retried and not self._gained:
+                self._retried += 1
+            else:
+                self._stage, self._retried = self._stage + 1, 0
+                if self._stage < len(self.stages) and \
+                        self.stages[self._stage].held_out != stage.held_out:
+                    self._least, self._best = math.inf, None
+            self._gained = False
             self._begin()
         return self.losses
+
+    def _rate(self, stage: Stage) -> float:
+        """Return the learning rate of Adam."""
+        assert stage.rate is not None, 'it is for Adam'
+        return stage.rate * _SLOWER**self._retried
 
     def _begin(self) -> None:
         """Begin the next stage, with an optimiser of its own."""
@@ -217,7 +239,7 @@ class Fit:
                 history_size=stage.pairs, tolerance_grad=0.0, tolerance_change=0.0,
                 line_search_fn='strong_wolfe')
             return
-        self._optimiser = torch.optim.Adam(self._parameters, lr=stage.rate)
+        self._optimiser = torch.optim.Adam(self._parameters, lr=self._rate(stage))
         self._schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self._optimiser, stage.steps)
 
     def _find_valley(self, stage: Stage, adam: torch.optim.Optimizer,
@@ -236,6 +258,9 @@ class Fit:
             adam.step()
             self._schedule.step()
             self._taken += 1
+        else:
+            if stage.patience is not None:
+                self._look(stage, self.history.train[-1])
         self._end(stage, float(np.mean(self.history.train[-max(1, stage.steps // 10):])))
 
     def _descend_valley(self, stage: Stage, lbfgs: torch.optim.LBFGS,
@@ -276,6 +301,9 @@ class Fit:
 
     def _note(self, stage: Stage, loss: float, look: bool) -> bool:
         """Note the loss; return whether that of held-out data has not fallen for too long."""
+        if not math.isfinite(loss) and stage.retries and self._best is not None:
+            self._gained = False
+            return True
         if not math.isfinite(loss):
             where = 'L-BFGS begins where the loss is not finite' \
                 if stage.rate is None and not self._taken else \
@@ -287,9 +315,12 @@ class Fit:
         what = f'{self._name}: {stage.name}'.lstrip(': ')
         self._progress.show(self._taken / max(stage.steps, 1), (
             f'{what}: {self._taken} of {stage.steps} steps, loss {loss:.2e}'))
-        if not look or stage.held_out is None:
-            return False
-        held_out = stage.held_out()
+        return look and stage.held_out is not None and self._look(stage, loss)
+
+    def _look(self, stage: Stage, loss: float) -> bool:
+        """Note the loss of held-out data, and return whether it has not fallen for too long."""
+        assert stage.held_out is not None
+        history, step, held_out = self.history, self.step, stage.held_out()
         history.validation.append(held_out)
         history.validation_step.append(step)
         if stage.patience is None:
@@ -297,6 +328,7 @@ class Fit:
             return False
         if held_out < self._least:
             self._least, self._loss_at_best, self._waited = held_out, loss, 0
+            self._gained = self._taken > 0
             self._best, history.best_step = deepcopy(self.module.state_dict()), step
         else:
             self._waited += 1
@@ -335,6 +367,7 @@ class Fit:
 
 def _of_today(state: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a state in this form; before 0.3, there was one stage of Adam and one of L-BFGS."""
+    state = {'retried': 0, 'gained': False} | {**state}
     if 'adam' not in state:
         return state
     history = dict(state['history'])

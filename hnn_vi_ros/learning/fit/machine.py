@@ -3,6 +3,7 @@
 """Losses and stages by which a network of a machine is fitted to measured motions."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 import math
 from typing import Any, NamedTuple
 
@@ -27,6 +28,9 @@ _RATE = 0.2
 # L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
 # so many times; and it takes no more than so many samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
+# All stages of windows are judged by so many of the longest windows; those that make them no
+# better are tried again so often, at lower rates.
+_JUDGED, _RETRIES = 256, 2
 
 Network = MechanicalNetwork | PlainNetwork
 # Returns the loss of some rows of samples.
@@ -67,8 +71,7 @@ class Samples(NamedTuple):
 
 def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
     """Return the samples of motions, for windows of this step size [s], or DataError."""
-    if step_size is None:
-        step_size = max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
+    step_size = step_size or usual_step(motions)
     every = round(step_size / motions[0].spacing)
     for motion in motions:
         if every < 1 or abs(every * motion.spacing - step_size) > 0.05 * step_size:
@@ -80,6 +83,16 @@ def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
     left = np.concatenate([np.arange(len(motion.t))[::-1] for motion in motions])
     measured, q, v, a, tau, mean, behind = map(torch.tensor, (*parts, means, left))
     return Samples(measured, q, v, a, tau, mean, behind, every, every * motions[0].spacing)
+
+
+def usual_step(motions: Sequence[Run]) -> float:
+    """Return the step size [s] of windows where none is given."""
+    return max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
+
+
+def slowness(motions: Sequence[Run], step_size: float | None = None) -> float:
+    """Return how many times longer than usual a step is, where samples are rare; 1 or more."""
+    return max(1.0, (step_size or usual_step(motions)) / _STEP)
 
 
 def mean_forces(motion: Run, every: int) -> np.ndarray:
@@ -434,14 +447,28 @@ class MachineProblem(Problem):
 
         def value(rows: torch.Tensor) -> torch.Tensor:
             return self._penalised(acceleration_loss(self.module, samples, rows))
+        longest = max(loss.windows, key=lambda stage: stage.duration)
+        windows, starts = windows_of(loss, longest, samples)
+        chosen = starts[::1 + len(starts) // _JUDGED]
+
+        def judged() -> float:
+            with torch.no_grad():
+                errors = window_loss(self.module, samples, chosen, windows, Solutions())
+                return float(errors if self._penalty is None else errors + self._penalty(
+                    torch.Generator().manual_seed(self._config.seed)))
         # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
         polishes = self._penalty is None and loss.forward_lbfgs_steps > 0
         learnt = rows[~_left_out(rows)] if polishes else rows
         found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
                        loss.forward_steps, self._config.learning_rate, clip=True)]
+        if self._penalty is not None:
+            # Beside a prior, the networks begin with something that is good already.
+            found[0] = replace(found[0], held_out=judged, patience=loss.forward_steps)
         if polishes:
             found += _polish('forward', value, rows, loss.forward_lbfgs_steps)
-        return found + [self._windows(loss, stage, samples) for stage in loss.windows]
+        return found + [replace(
+            self._windows(loss, stage, samples), held_out=judged, patience=stage.steps,
+            retries=_RETRIES) for stage in loss.windows]
 
     def _windows(self, loss: Trajectory, stage: WindowStage, samples: Samples) -> Stage:
         windows, starts = windows_of(loss, stage, samples)

@@ -28,6 +28,8 @@ import torch
 _SAMPLES, _WINDOWS = 4000, 500
 # Evaluations of each fit at most; it usually ends earlier.
 _EVALUATIONS = 60
+# Weight of the size of numbers in a regression, in units of their columns.
+_RIDGE = 1e-6
 # Least inertia and friction that a fit begins with, in units of the usual ones.
 LEAST = 1e-4
 # Differences of numbers by which whole motions are differentiated, far above their rounding.
@@ -280,7 +282,9 @@ class _Physical(RigidUnknowns):
 
 def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
     """Return log(exp(x) - 1), of LEAST at the least."""
-    return torch.log(torch.expm1(torch.clamp(x, min=LEAST)))
+    x = torch.clamp(x, min=LEAST)
+    # exp(x) of a large x is infinite.
+    return x + torch.log(-torch.expm1(-x))
 
 
 def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
@@ -294,6 +298,10 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     unit = torch.tensor(scales.inertia * scales.a)
     matrix = (physical.network.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
     right = (tau / unit).flatten().numpy()
+    # Columns that are the same, such as the weight of a carriage and the offset of its motor,
+    # share their force, instead of cancelling one another in enormous numbers.
+    matrix = np.vstack([matrix, _RIDGE * np.diag(np.linalg.norm(matrix, axis=0))])
+    right = np.append(right, np.zeros(matrix.shape[1]))
     least = (physical.least * physical.scale)[:matrix.shape[1]]
     if right.any():
         found = lsq_linear(matrix, right, (least, np.inf)).x

@@ -95,8 +95,9 @@ class MachineTask(Task):
                           if self._ensemble else self._known)
 
     def _chosen(self, config: MachineConfig) -> MachineConfig:
-        """Return a configuration of another seed with the family that was chosen."""
-        return config.model_copy(update={'family': self._config.family})
+        """Return a configuration of another seed with the family and loss that were chosen."""
+        return config.model_copy(update={
+            'family': self._config.family, 'loss': self._config.loss})
 
     def describe(self, problem: Problem, config: MachineConfig, name: str, command: str
                  ) -> Checkpoint:

@@ -7,10 +7,11 @@ import math
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run, run_of
-from hnn_vi_ros.learning.families.choices import AUTO, MechanicalChoice, Trajectory
+from hnn_vi_ros.learning.families.choices import (
+    AUTO, MechanicalChoice, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem
-from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of
+from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
 from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
 from hnn_vi_ros.models.seen import CandidateCard, Errors, SelectionCard
 import numpy as np
@@ -30,12 +31,21 @@ _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
 # and networks must gain more than _GAIN on the mean: what gains less is no better beyond the data,
 # as far as a part of these can tell.
 _WORSE, _GAIN = 0.02, 0.08
+# Terms of friction that a rigid body has at first, as its configuration has them. One is left out
+# where that makes errors larger by no more than _NEEDED, on the mean.
+_TERMS = {'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
+_NEEDED = 0.02
 RIGID, ALONE = 'rigid body', 'networks alone'
-_CANDIDATES: dict[str, dict[str, object]] = {
-    RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
-    'rigid body and a network of V': {'prior': PLANAR_CHAIN, 'residual': ['potential']},
-    'rigid body and networks': {'prior': PLANAR_CHAIN, 'residual': True},
-    ALONE: {'prior': None, 'residual': True, 'angles': None}}
+_CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
+    'mechanical': {
+        RIGID: {'prior': PLANAR_CHAIN, 'residual': False},
+        'rigid body and a network of V': {'prior': PLANAR_CHAIN, 'residual': ['potential']},
+        'rigid body and networks': {'prior': PLANAR_CHAIN, 'residual': True},
+        ALONE: {'prior': None, 'residual': True, 'angles': None}},
+    'rigid_body': {
+        RIGID: {'residual': []},
+        'rigid body and a network of V': {'residual': ['potential']},
+        'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
 # Returns a problem, of a rigid body that was fitted before.
 Make = Callable[[MachineConfig, Sequence[Run], Problem | None], Problem]
 
@@ -48,7 +58,7 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
     Parameters
     ----------
     config : MachineConfig
-        How to train.
+        How to train. Windows that it does not name last longer where samples are rare.
     motions : sequence of Run
         What to learn from.
     make : callable
@@ -60,51 +70,130 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
         No candidate can be trained on these motions.
 
     """
+    config = _paced(config, motions)
     family = config.family
-    if not isinstance(family, MechanicalChoice) or family.prior != AUTO:
-        return config, None
     kinds = [coordinate.kind for coordinate in config.coordinates]
-    if not chain_angles(kinds) or not (config.loss is None or isinstance(config.loss, Trajectory)):
-        return _named(config, ALONE), None
+    if isinstance(family, RigidBodyChoice):
+        if family.residual != AUTO:
+            return config, None
+        else_takes = RIGID
+    elif family.prior != AUTO:
+        return config, None
+    else:
+        else_takes = ALONE
+        if not chain_angles(kinds) or not (
+                config.loss is None or isinstance(config.loss, Trajectory)):
+            return _named(config, ALONE), None
     kept, furthest, ordinary = held_out(motions)
     if not furthest or not ordinary:
-        print(f'prior: auto: {len(motions)} short motions leave nothing to choose by; '
-              f'{ALONE}', flush=True)
-        return _named(config, ALONE), None
-    rigid: Problem | None = None
-    found: list[CandidateCard] = []
-    for name in _CANDIDATES:
+        print(f'{AUTO}: {len(motions)} short motions leave nothing to choose by; '
+              f'{else_takes}', flush=True)
+        return _named(config, else_takes), None
+
+    def tried(name: str, own: MachineConfig, rigid: Problem | None = None
+              ) -> tuple[CandidateCard, Problem | None]:
         try:
-            own = _short(_named(config, name), motions)
-            if name not in (RIGID, ALONE) and rigid is None:
-                raise DataError(f'no {RIGID} follows these motions')
-            problem = make(own, kept, rigid)
+            problem = make(_short(own, motions), kept, rigid)
             problem.fit()
-            rigid = problem if name == RIGID else rigid
             card = CandidateCard(name=name, furthest=errors_of(problem.module, furthest),
                                  ordinary=errors_of(problem.module, ordinary))
-        except DataError as problem:
-            card = CandidateCard(name=name, failed=str(problem)[:1000])
-        found.append(card)
+        except DataError as reason:
+            problem, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
         print(f'{name}: ' + (card.failed or (
             f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
+        return card, problem
+    first, rigid = tried(RIGID, _named(config, RIGID))
+    found = [first]
+    if rigid is not None:
+        config = _with_angles(config, rigid)
+        if 'friction' not in family.model_fields_set:
+            config, rigid, found = _with_friction(config, motions, tried, first, rigid)
+    for name in [*_CANDIDATES[family.kind]][1:]:
+        found.append(CandidateCard(name=name, failed=f'no {RIGID} follows these motions')
+                     if rigid is None and name != ALONE else
+                     tried(name, _named(config, name), None if name == ALONE else rigid)[0])
     if all(card.failed for card in found):
-        raise DataError(f'prior: auto: {found[-1].failed}')
-    best = best_of(found)
+        raise DataError(f'{AUTO}: {found[-1].failed}')
+    best = best_of([card for card in found if card.name in _CANDIDATES[family.kind]])
     time, total = (sum(len(run.t) * run.spacing for run in runs)
                    for runs in ((*furthest, *ordinary), motions))
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
             'those that go furthest, in speed, range or force, and ordinary ones; trained for '
             'half of the steps')
-    chosen = _named(config, best.name)
-    if rigid is not None and best.name != ALONE:
-        # All that follow, such as the members of an ensemble, have links of the same angles.
-        names = [coordinate.name for coordinate in config.coordinates]
-        chosen = chosen.model_copy(update={'family': chosen.family.model_copy(update={'angles': [
-            ' + '.join(f'{x:g} * {name}' for x, name in zip(row, names, strict=True) if x)
-            for row in rigid.module.structure.angles if any(row)]})})
-    return chosen, SelectionCard(
+    terms = [term for term in _TERMS if getattr(config.family.friction, term)]
+    if terms:
+        text += f'; friction with {", ".join(terms)}, chosen by the same motions'
+    return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best))
+
+
+def _with_friction(
+        config: MachineConfig, motions: Sequence[Run],
+        tried: Callable[[str, MachineConfig], tuple[CandidateCard, Problem | None]],
+        plain: CandidateCard, rigid: Problem
+        ) -> tuple[MachineConfig, Problem, list[CandidateCard]]:
+    """
+    Return a configuration with the friction that held-out motions need, and the rigid body of it.
+
+    All terms are there at first; then one after the other is left out that errors do not need.
+    Plain friction, viscous and Coulomb's, stays where that does not make errors smaller.
+    """
+    motors = isinstance(config.family, MechanicalChoice) and any(
+        motion.tau.any() for motion in motions)
+    # The constant force on a joint that slides is a part of its rigid body already.
+    slides = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates)
+    may_be = {'directed': True, 'stribeck': True, 'fade': motors, 'offset': motors and not slides}
+    names = [name for name in _TERMS if may_be[name]]
+    cards: list[CandidateCard] = []
+
+    def without(terms: Sequence[str]) -> tuple[CandidateCard, Problem | None, MachineConfig]:
+        friction = config.family.friction.model_copy(update={
+            name: value for name, value in _TERMS.items() if name in names and name not in terms})
+        own = config.model_copy(update={'family': config.family.model_copy(update={
+            'friction': friction})})
+        left = ', '.join(name for name in names if name not in terms)
+        card, problem = tried(f'{RIGID}, friction with {left}', _named(own, RIGID))
+        cards.append(card)
+        return card, problem, own
+    left_out: list[str] = []
+    best = without([])
+    for name in names:
+        if len(left_out) + 1 == len(names):
+            break
+        other = without([*left_out, name])
+        if _total(other[0]) <= (1.0 + _NEEDED) * _total(best[0]):
+            left_out.append(name)
+            best = other
+    card, problem, own = best
+    if problem is None or not (
+            _total(card) * (1.0 + _NEEDED) < _total(plain)
+            and _size(card, 'furthest') <= (1.0 + _WORSE) * _size(plain, 'furthest')):
+        return config, rigid, [plain, *cards]
+    plain = plain.model_copy(update={'name': f'{RIGID}, plain friction'})
+    return own, problem, [card.model_copy(update={'name': RIGID}), plain, *(
+        one for one in cards if one is not card)]
+
+
+def _paced(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
+    """Return a configuration whose windows, unless it names them, have their usual steps."""
+    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    if not isinstance(loss, Trajectory) or 'windows' in loss.model_fields_set:
+        return config
+    longest = max(motion.t[-1] - motion.t[0] for motion in motions)
+    windows = [stage.model_copy(update={'duration': max(stage.duration, min(
+        slowness(motions, loss.step_size) * stage.duration, 0.5 * longest))})
+        for stage in loss.windows]
+    return config.model_copy(update={'loss': loss.model_copy(update={'windows': windows})})
+
+
+def _with_angles(config: MachineConfig, rigid: Problem) -> MachineConfig:
+    """Return a configuration of links with these angles, as all that follow have."""
+    if not isinstance(config.family, MechanicalChoice):
+        return config
+    names = [coordinate.name for coordinate in config.coordinates]
+    return config.model_copy(update={'family': config.family.model_copy(update={'angles': [
+        ' + '.join(f'{x:g} * {name}' for x, name in zip(row, names, strict=True) if x)
+        for row in rigid.module.structure.angles if any(row)]})})
 
 
 def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
@@ -162,10 +251,10 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
 
 def errors_of(network: Network, pieces: Sequence[Run]) -> Errors:
     """Return the errors of a network, simulated from many states of pieces; see CandidateCard."""
-    samples = samples_of(pieces, None)
+    samples, slow = samples_of(pieces, None), slowness(pieces)
     found: Errors = {}
     apart = max(1, round(_EVERY / pieces[0].spacing))
-    for horizon in _HORIZONS:
+    for horizon in (slow * usual for usual in _HORIZONS):
         steps = max(1, round(horizon / samples.step_size))
         starts = torch.nonzero(samples.left >= steps * samples.every)[:, 0]
         if not len(starts):
@@ -193,25 +282,28 @@ def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
     """
     tried = [card for card in found if not card.failed]
     rigid = next((card for card in tried if card.name == RIGID), None)
-
-    def size(card: CandidateCard, *parts: str) -> float:
-        errors = [x for part in parts for errors in getattr(card, part).values() for x in errors]
-        return math.exp(np.mean(np.log([math.inf if x is None else max(x, 1e-12)
-                                        for x in errors])))
-
-    def total(card: CandidateCard) -> float:
-        return size(card, 'ordinary', 'furthest')
     if rigid is None:
-        return min(tried, key=total)
-    best = min((card for card in tried if card is rigid or size(card, 'furthest')
-                <= (1.0 + _WORSE) * size(rigid, 'furthest')), key=total)
-    return best if total(best) < (1.0 - _GAIN) * total(rigid) else rigid
+        return min(tried, key=_total)
+    best = min((card for card in tried if card is rigid or _size(card, 'furthest')
+                <= (1.0 + _WORSE) * _size(rigid, 'furthest')), key=_total)
+    return best if _total(best) < (1.0 - _GAIN) * _total(rigid) else rigid
+
+
+def _size(card: CandidateCard, *parts: str) -> float:
+    """Return the geometric mean of the errors of a candidate; infinite where it failed."""
+    errors = [x for part in parts for errors in getattr(card, part).values() for x in errors]
+    return math.exp(np.mean(np.log([math.inf if x is None else max(x, 1e-12)
+                                    for x in errors]))) if errors else math.inf
+
+
+def _total(card: CandidateCard) -> float:
+    return _size(card, 'ordinary', 'furthest')
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:
     """Return a configuration of a candidate."""
     return config.model_copy(update={
-        'family': config.family.model_copy(update=_CANDIDATES[name])})
+        'family': config.family.model_copy(update=_CANDIDATES[config.family.kind][name])})
 
 
 def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
