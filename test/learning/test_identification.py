@@ -16,7 +16,8 @@ from hnn_vi_ros.learning.fit.config import (
     ExcitationData, excited_motions, load_machine, MachineConfig)
 from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
 from hnn_vi_ros.learning.fit.rigid_body import fit_errors
-from hnn_vi_ros.learning.tasks.machine import describe, learn
+from hnn_vi_ros.learning.tasks.machine import describe, learn, problem_of
+from hnn_vi_ros.learning.tasks.selection import RIGID, selected
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.rigid_body_card import (
@@ -266,3 +267,15 @@ def test_shipped_arms_have_a_training_run(name, count):
     config = load_machine(ROOT / 'config' / 'training' / f'{name}.yaml')
     assert len(config.coordinates) == count
     assert len(config.structure().tree.bodies) == count
+
+
+def test_auto_adds_no_networks_to_a_robot_that_is_one():
+    config = config_of({'residual': 'auto', 'friction': {'coulomb': 1}}, hidden=[6], loss={
+        'kind': 'trajectory', 'batch': 64, 'forward_steps': 20,
+        'windows': [{'duration': 0.1, 'steps': 10}]}, data={'kind': 'arrays'})
+    assert not config.structure().residual
+    chosen, card = selected(config, moved(0.02), problem_of)
+    assert [one.name for one in card.candidates] == [
+        RIGID, 'rigid body and a network of V', 'rigid body and networks']
+    assert not any(one.failed for one in card.candidates)
+    assert (card.chosen, chosen.family.residual) == (RIGID, [])

@@ -92,7 +92,7 @@ def usual_step(motions: Sequence[Run]) -> float:
 
 def slowness(motions: Sequence[Run], step_size: float | None = None) -> float:
     """Return how many times longer than usual a step is, where samples are rare; 1 or more."""
-    return max(1.0, (step_size or usual_step(motions)) / _STEP)
+    return max(1.0, round((step_size or usual_step(motions)) / _STEP, 2))
 
 
 def mean_forces(motion: Run, every: int) -> np.ndarray:
