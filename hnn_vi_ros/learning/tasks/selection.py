@@ -28,8 +28,8 @@ _RUNS = 4
 # judged at these horizons, from a state so often [s].
 _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
 # On what goes furthest errors may be larger than those of the rigid body by _WORSE on the mean;
-# and networks must gain more than _GAIN on the mean: what gains less is no better beyond the data,
-# as far as a part of these can tell.
+# and networks, or more friction, must gain more than _GAIN on the mean: what gains less is
+# no better beyond the data, as far as a part of these can tell.
 _WORSE, _GAIN = 0.02, 0.08
 # Terms of friction that a rigid body has at first, as its configuration has them. One is left out
 # where that makes errors larger by no more than _NEEDED, on the mean.
@@ -136,7 +136,7 @@ def _with_friction(
     Return a configuration with the friction that held-out motions need, and the rigid body of it.
 
     All terms are there at first; then one after the other is left out that errors do not need.
-    Plain friction, viscous and Coulomb's, stays where that does not make errors smaller.
+    Plain friction, viscous and Coulomb's, stays unless these make errors smaller by _GAIN.
     """
     motors = isinstance(config.family, MechanicalChoice) and any(
         motion.tau.any() for motion in motions)
@@ -165,9 +165,7 @@ def _with_friction(
             left_out.append(name)
             best = other
     card, problem, own = best
-    if problem is None or not (
-            _total(card) * (1.0 + _NEEDED) < _total(plain)
-            and _size(card, 'furthest') <= (1.0 + _WORSE) * _size(plain, 'furthest')):
+    if problem is None or best_of([plain, card]) is plain:
         return config, rigid, [plain, *cards]
     plain = plain.model_copy(update={'name': f'{RIGID}, plain friction'})
     return own, problem, [card.model_copy(update={'name': RIGID}), plain, *(
