@@ -2,29 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """All that the next steps of a simulation depend on, as a file that a bag keeps."""
 
-from collections.abc import Mapping
 from io import BytesIO
-from types import EllipsisType
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.limits import safetensors_header
 from hnn_vi_ros.simulation import Simulation
-import numpy as np
 import safetensors
 import safetensors.numpy
 
 # In bags that do not begin at the initial state of their scene: with (q, p) alone, what a solver
 # remembers, the random numbers drawn and a command that is held would be lost.
 STATE_FILE = 'state.safetensors'
-
-# Older bags kept all arrays of one general workspace; some of them held the values that outlive
-# a step: today's name, the array, and its row.
-_EARLIER: dict[str, tuple[str, int | EllipsisType]] = {
-    'slopes': ('increments', 0), 'multipliers': ('newton', ...), 'clock': ('triangle', 0),
-    'wanted': ('triangle', 0), 'v_q': ('values', 0), 'v_p': ('values', 1),
-    'state.q': ('values', 0), 'state.p': ('values', 1), 'state.q_carry': ('values', 2),
-    'state.p_carry': ('values', 3), 'state.dH_dq': ('residuals', 0),
-    'state.dH_dp': ('residuals', 1)}
 
 
 def state_file(simulation: Simulation) -> bytes:
@@ -60,7 +48,6 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
         found = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged') from problem
-    found = _of_today(found, own)
     if {name: (array.shape, array.dtype) for name, array in found.items()} != {
             name: (array.shape, array.dtype) for name, array in own.items()}:
         raise RecordingError(f'{where}: its {STATE_FILE} is that of another simulation; '
@@ -73,20 +60,3 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
     for name in ('point.q', 'point.p'):
         found[name] = found[name] + shift
     simulation.restore(found)
-
-
-def _of_today(found: dict[str, np.ndarray], own: Mapping[str, np.ndarray]
-              ) -> dict[str, np.ndarray]:
-    """Return a state under today's names, if it has the names of older bags."""
-    general = {name.rpartition('.')[0] for name in found if name.endswith('.triangle')}
-    state = {name: array for name, array in found.items()
-             if name.rpartition('.')[0] not in general or name in own}
-    # Those of before there were servos follow nothing.
-    state |= {name: np.zeros_like(array) for name, array in own.items()
-              if name.startswith('live.reference.') and name not in found}
-    for name in own.keys() - found.keys():
-        place, field = '.'.join(name.split('.')[:2]), '.'.join(name.split('.')[2:])
-        array, row = _EARLIER.get(field, ('', ...))
-        if place in general and (earlier := found.get(f'{place}.{array}')) is not None:
-            state[name] = np.atleast_2d(earlier)[row].ravel()[:own[name].size]
-    return state

@@ -183,16 +183,6 @@ def test_state_that_is_not_of_the_simulation_is_refused_and_changes_nothing(chan
     assert simulation.steps == 0
 
 
-def test_state_of_before_there_were_servos_is_restored():
-    simulation, other = (build(load_scene('exact_pendulum')) for _ in range(2))
-    simulation.advance(3)
-    state = {name: array for name, array in safetensors.numpy.load(state_file(simulation)).items()
-             if not name.startswith('live.reference')}
-    assert len(state) < len(simulation.snapshot())
-    restore_state(other, safetensors.numpy.save(state), 'bag')
-    assert (other.steps, *other.q, *other.p) == (3, *simulation.q, *simulation.p)
-
-
 def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun(
         tmp_path: Path, driven):
     process = start(tmp_path, scene=driven.source, record_path='bag', rerun_sink='none')

@@ -348,7 +348,6 @@ class Fit:
     @state.setter
     def state(self, state: Mapping[str, Any]) -> None:
         """Go back to a state; the steps that follow are bit-identical to those after it."""
-        state = _of_today(state)
         self.module.load_state_dict(state['weights'])
         self.history = LossHistory(**state['history'])
         self.losses.update(state['losses'])
@@ -363,21 +362,6 @@ class Fit:
             self._schedule.load_state_dict(state['schedule'])
         if self._generator is not None:
             self._generator.set_state(state['generator'])
-
-
-def _of_today(state: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a state in this form; before 0.3, there was one stage of Adam and one of L-BFGS."""
-    state = {'retried': 0, 'gained': False} | {**state}
-    if 'adam' not in state:
-        return state
-    history = dict(state['history'])
-    adam_steps = history.pop('adam_steps')
-    lbfgs = state['step'] >= adam_steps
-    history['begins'] = {'Adam': 0, **({'L-BFGS': adam_steps} if lbfgs else {})}
-    return {**state, 'history': history, 'losses': {}, 'stage': int(lbfgs),
-            'taken': state['step'] - lbfgs * adam_steps, 'loss_at_best': math.inf,
-            'optimiser': state['lbfgs' if lbfgs else 'adam'],
-            'schedule': None if lbfgs else state['schedule'], 'generator': None}
 
 
 # Wall time from one saving of the state to the next [s].
@@ -407,7 +391,8 @@ class Keeper:
     def __init__(self, path: Path, config: TrainingConfig, arrays: Iterable[np.ndarray],
                  device: str):
         self.path, self._saved, self._stopping = path, time.monotonic(), False
-        digest = sha256(f'{config.model_dump_json()} {device} {torch.__version__}'.encode())
+        digest = sha256(
+            f'{config.model_dump_json()} {device} {torch.__version__} {_KEPT}'.encode())
         for part in arrays:
             digest.update(np.ascontiguousarray(part).tobytes())
         self._digest = digest.hexdigest()
@@ -434,9 +419,9 @@ class Keeper:
             raise ParameterError(f'--resume: {self.path} cannot be read; remove it and begin anew '
                                  'without --resume') from problem
         if not of_this:
-            raise ParameterError(f'--resume: {self.path} is of another configuration, other data '
-                                 'or another device; take those again, or remove it and begin '
-                                 'anew')
+            raise ParameterError(f'--resume: {self.path} is of another configuration, other data, '
+                                 'another device or version; take those again, or remove it and '
+                                 'begin anew')
         fit.state = saved['state']
 
     def __call__(self, fit: Fit) -> None:
