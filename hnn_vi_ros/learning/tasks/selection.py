@@ -120,9 +120,9 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
     text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
             'those that go furthest, in speed, range or force, and ordinary ones; trained for '
             'half of the steps')
-    terms = [term for term in _TERMS if getattr(config.family.friction, term)]
-    if terms:
-        text += f'; friction with {", ".join(terms)}, chosen by the same motions'
+    if config.family.friction != family.friction:
+        terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
+        text += f'; friction with {terms}, chosen by the same motions'
     return _named(config, best.name), SelectionCard(
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best))
 
