@@ -59,7 +59,7 @@ _MEAN = 8
 
 class EnergyScale:
     """
-    Follow the energy scale of a path, sample by sample.
+    Follow the energy scale of a path, or of m paths.
 
     The virial p . H_p is twice the kinetic energy. Of a bounded motion its mean over time is that
     of (q - c) . H_q about any c as well, so it measures kinetic and potential energy alike, and
@@ -83,13 +83,6 @@ class EnergyScale:
     hamiltonian : Hamiltonian
         H of d coordinates.
 
-    Attributes
-    ----------
-    value : float
-        E_s as of the last sample [J]; 0 as long as neither q nor p has any.
-    turned : bool
-        Whether energy has been turned over.
-
     References
     ----------
     H. Goldstein, Classical Mechanics, 1980, section 3.4 (the virial theorem).
@@ -97,146 +90,70 @@ class EnergyScale:
     """
 
     def __init__(self, hamiltonian: Hamiltonian):
-        self._hamiltonian, self.value = hamiltonian, 0.0
+        self._hamiltonian = hamiltonian
         box = hamiltonian.box
-        middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
-        angles = angle_columns(hamiltonian.coordinates)
-        # None skips the shift where all its numbers are zero.
-        self._middle = middle if middle.any() else None
-        self._angles = angles if angles.any() else None
+        self._middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
+        self._angles = angle_columns(hamiltonian.coordinates)
         self._gauge = hamiltonian.gauge
-        self._sum, self._time, self._largest, self._first = 0.0, 0.0, 0.0, 0.0
-        self._count = 0
-        self.turned = False
+        # As of the last sample; arrays where there are several paths.
+        self._sum = self._time = self._largest = self._first = np.zeros(())
+        self._count = np.zeros((), dtype=np.int64)
+        self._turned = np.zeros((), dtype=bool)
 
-    def add(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
-            weight: float = 1.0) -> float:
+    def add(self, potential: np.ndarray, virial: np.ndarray, weights: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Take the next sample; return the scale [J].
+        Take the next k samples of m paths; all at once or one by one, the bits are the same.
 
         Parameters
         ----------
-        q, p : np.ndarray, shape (d,) or (m, d)
-            The state, or m states, whose energies add up.
-        dH_dq, dH_dp : np.ndarray, of the shape of q
-            -p' and q' there.
-        weight : float, optional
-            Time since the sample before, in any unit.
-
-        """
-        p, dH_dq = self._ungauged(q, p, dH_dq, dH_dp)
-        if self.turned:
-            virial = self._virial(q, p, dH_dp)
-        else:
-            potential, virial = self._both(q, p, dH_dq, dH_dp)
-            self._first = max(self._first, 0.5 * (potential + virial))
-        # A value that is not finite is not in play; the energy itself shows it.
-        if math.isfinite(virial):
-            self._sum += weight * virial
-            self._time += weight
-            self._largest = max(self._largest, virial)
-            self._count += 1
-            mean = self._sum / self._time
-            self.turned = self.turned or (
-                self._count >= _MEAN and self._largest - virial >= mean > 0.0)
-            self.value = mean if self.turned else self._first
-        return self.value
-
-    def ahead(self, p: np.ndarray, dH_dp: np.ndarray, weights: np.ndarray
-              ) -> tuple[np.ndarray, tuple[float, float, float, int]] | None:
-        """
-        Return the scale at each of the next k samples [J], and what ``take`` needs to take them.
-
-        None where they must be added one by one: before energy has been turned over, and where a
-        virial is more than a product.
-
-        Parameters
-        ----------
-        p, dH_dp : np.ndarray, shape (k, d)
-            Their momenta and velocities.
+        potential, virial : np.ndarray, shape (k,) or (k, m)
+            See ``virials``.
         weights : np.ndarray, shape (k,)
-            As of ``add``.
-
-        """
-        if not (self.turned and self._hamiltonian.canonical and self._gauge is None):
-            return None
-        # Products and sums in the order of ``add``, so that all bits are the same.
-        virial = np.abs(p[:, 0] * dH_dp[:, 0]) if p.shape[1] == 1 else np.array(
-            [abs(float(np.vdot(*pair))) for pair in zip(p, dH_dp, strict=True)])
-        if not np.isfinite(virial).all():
-            return None
-        sums = np.add.accumulate(np.concatenate([[self._sum], weights * virial]))[1:]
-        times = np.add.accumulate(np.concatenate([[self._time], weights]))[1:]
-        return sums / times, (float(sums[-1]), float(times[-1]),
-                              max(self._largest, float(virial.max())), self._count + len(p))
-
-    def take(self, ahead: tuple[float, float, float, int]) -> None:
-        """Take the samples that ``ahead`` was asked for."""
-        self._sum, self._time, self._largest, self._count = ahead
-        self.value = self._sum / self._time
-
-    def least(self, weights: np.ndarray, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-              dH_dp: np.ndarray) -> np.ndarray:
-        """
-        Return the least value along each of m paths of a canonical H, after the first sample.
-
-        Parameters
-        ----------
-        weights : np.ndarray, shape (n,)
-            See ``add``.
-        q, p, dH_dq, dH_dp : np.ndarray, shape (n, m, d)
-            The paths, at n >= 2 samples, all finite.
+            Time since the sample before, in any unit.
 
         Returns
         -------
-        np.ndarray, shape (m,)
-            [J].
+        tuple of np.ndarray, of the shape of virial
+            The scale at each of them [J], and whether energy has been turned over by then.
 
         """
-        p, dH_dq = self._ungauged(q, p, dH_dq, dH_dp)
-        potential = np.abs(np.einsum('nmd,nmd->nm', self._offset(q), dH_dq))
-        virial = np.abs(np.einsum('nmd,nmd->nm', p, dH_dp))
-        mean = np.cumsum(weights[:, None] * virial, axis=0) / np.cumsum(weights)[:, None]
-        falls = np.maximum.accumulate(virial, axis=0) - virial >= mean
-        falls[:_MEAN - 1] = False
-        turned = np.logical_or.accumulate(falls & (mean > 0.0), axis=0)
-        first = np.maximum.accumulate(0.5 * (potential + virial), axis=0)
-        return np.where(turned, mean, first)[1:].min(axis=0)
+        # A value that is not finite is not in play; the energy itself shows it.
+        finite = np.isfinite(virial)
+        weights = np.where(finite.T, weights, 0.0).T
+        virial = np.where(finite, virial, 0.0)
+        sums = running(np.add, self._sum, weights * virial)
+        times = running(np.add, self._time, weights)
+        largest = running(np.maximum, self._largest, virial)
+        counts = running(np.add, self._count, finite.astype(np.int64))
+        first = running(np.fmax, self._first, np.where(finite, 0.5 * (potential + virial), 0.0))
+        mean = sums / np.where(times > 0.0, times, 1.0)
+        falls = finite & (counts >= _MEAN) & (largest - virial >= mean) & (mean > 0.0)
+        turned = running(np.logical_or, self._turned, falls)
+        self._sum, self._time, self._largest, self._count, self._first, self._turned = (
+            one[-1] for one in (sums, times, largest, counts, first, turned))
+        return np.where(turned, mean, first), turned
 
-    def _ungauged(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
-                  ) -> tuple[np.ndarray, np.ndarray]:
-        """Return P = p - c A(q) and its H_q: far from where A vanishes p . H_p is c A . v."""
-        if self._gauge is None:
-            return p, dH_dq
-        return p - q @ self._gauge.T, dH_dq + dH_dp @ self._gauge
-
-    def _virial(self, q: np.ndarray, p: np.ndarray, dH_dp: np.ndarray) -> float:
-        """Return abs(p . H_p) [J]."""
+    def virials(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
+                ) -> tuple[np.ndarray, np.ndarray]:
+        """Return abs((q - c) . H_q) and abs(p . H_p) [J], shape (...), at states (..., d)."""
+        x = q - self._middle
+        x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
+        if self._gauge is not None:
+            # P = p - c A(q) and its H_q: far from where A vanishes p . H_p is c A . v.
+            p, dH_dq = p - q @ self._gauge.T, dH_dq + dH_dp @ self._gauge
         if self._hamiltonian.canonical:
-            return abs(float(np.vdot(p, dH_dp)))
-        return abs(self._slope(q, p, np.zeros_like(q), p))
+            return np.abs((x * dH_dq).sum(axis=-1)), np.abs((p * dH_dp).sum(axis=-1))
+        zero = np.zeros_like(q)
+        return np.abs(self._slope(q, p, x, zero)), np.abs(self._slope(q, p, zero, p))
 
-    def _both(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
-              ) -> tuple[float, float]:
-        """Return abs((q - c) . H_q) and abs(p . H_p) [J]."""
-        x = self._offset(q)
-        if self._hamiltonian.canonical:
-            return abs(float(np.vdot(x, dH_dq))), self._virial(q, p, dH_dp)
-        return abs(self._slope(q, p, x, np.zeros_like(p))), self._virial(q, p, dH_dp)
-
-    def _offset(self, q: np.ndarray) -> np.ndarray:
-        """Return q from the middle of the box."""
-        x = q if self._middle is None else q - self._middle
-        if self._angles is None:
-            return x
-        return np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
-
-    def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray) -> float:
+    def _slope(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
+               ) -> np.ndarray:
         """Return H' (v_q, v_p) by differences, for a kernel that gives no gradient of H."""
         ahead, behind = self._hamiltonian.energy(
             np.array([q + _SCALE_SPACING * v_q, q - _SCALE_SPACING * v_q]),
             np.array([p + _SCALE_SPACING * v_p, p - _SCALE_SPACING * v_p]))
-        return float(np.sum(ahead - behind)) / (2.0 * _SCALE_SPACING)
+        return np.asarray(ahead - behind) / (2.0 * _SCALE_SPACING)
 
 
 def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> float:
@@ -251,10 +168,22 @@ def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> floa
         States at equal distances in time.
 
     """
+    return float(scales_along(hamiltonian, q, p, np.ones(len(q)))[-1])
+
+
+def scales_along(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, weights: np.ndarray
+                 ) -> np.ndarray:
+    """Return the energy scale [J], shape (k,) or (k, m), along paths (k, d) or (k, m, d)."""
     scale = EnergyScale(hamiltonian)
-    for sample in zip(q, p, *hamiltonian.gradient(q, p), strict=True):
-        scale.add(*sample)
-    return scale.value
+    return scale.add(*scale.virials(q, p, *hamiltonian.gradient(q, p)), weights)[0]
+
+
+def running(function: np.ufunc, start: np.ndarray | float, values: np.ndarray) -> np.ndarray:
+    """Return a sum, or extreme value, as of each of k values, shape (k, ...), from a start on."""
+    values = values.copy()
+    values[0] = function(start, values[0])
+    accumulated: np.ndarray = function.accumulate(values)
+    return accumulated
 
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Guards that watch a run sample by sample and say when it is no longer to be trusted."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, InvariantGuard, ResolutionGuard
-from hnn_vi_ros.guards.base import Guard, Observed
+from hnn_vi_ros.guards.base import Guard, Scale
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.models.seen import domain_of
@@ -15,7 +15,7 @@ from hnn_vi_ros.simulation import Simulation
 BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
 
 
-def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band_limit: float,
+def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
                 change_limit: float, barrier: tuple[str, float] | None) -> Iterator[Guard]:
     """
     Yield the guards that apply to a simulation: the same ones in a study and in the node.
@@ -25,7 +25,7 @@ def make_guards(simulation: Simulation, scale: Callable[[Observed], float], band
     simulation : Simulation
         The simulation to watch.
     scale : callable
-        Returns the energy scale as of a sample [J]; see SampledScale.
+        Returns the energy scale at each sample of a block [J]; see SampledScale.
     band_limit, change_limit : float
         See ResolutionGuard, InvariantGuard and EnergyGuard.
     barrier : tuple of (str, float) or None

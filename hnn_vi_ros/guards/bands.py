@@ -6,64 +6,72 @@ from abc import abstractmethod
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.accuracy.diagnostics import state_scales
-from hnn_vi_ros.guards.base import (
-    accounted_energy, Alarm, Block, BlockScale, Guard, Observed, scales_over)
+from hnn_vi_ros.accuracy.diagnostics import running, state_scales
+from hnn_vi_ros.guards.base import accounted_energy, Alarm, Block, BlockGuard, Observed, Scale
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 
-class BandGuard(Guard):
-    """Base of guards: the range of the accounted energy, or of another value, so far."""
+class BandGuard(BlockGuard):
+    """
+    Base of guards: the range of the accounted energy, or of other values, so far.
+
+    Attributes
+    ----------
+    raised : bool
+        Whether there was an alarm.
+    band : float
+        The range so far.
+    limit : float
+        What is allowed, as of the last sample.
+
+    """
 
     def __init__(self) -> None:
-        self.raised = False
-        self._low, self._high = math.inf, -math.inf
+        self.raised, self.band, self.limit = False, 0.0, math.nan
+        self._low, self._high = np.array([math.inf]), np.array([-math.inf])
 
-    @property
-    def band(self) -> float:
-        """Return the range so far."""
-        return max(self._high - self._low, 0.0)
-
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        value = self._value(sample)
-        if value < self._low:
-            self._low = value
-        if value > self._high:
-            self._high = value
-        limit = self._limit(sample)
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
+        values = self._values(block).reshape(len(block.step), -1)
+        low = running(np.fmin, self._low, values)
+        high = running(np.fmax, self._high, values)
+        # Infinite values leave NaN, which is an alarm; no value, as of NaN, leaves 0.
+        bands = self._judged(np.where(high >= low, high - low, 0.0))
+        limits = np.broadcast_to(self._limits(block), bands.shape)
         # Written so that NaN is an alarm.
-        if self.raised or (self.band <= limit and value == value):
-            return None
-        self.raised = True
-        return self._alarm(sample.step, limit)
+        beyond = ~((bands <= limits) & ~np.isnan(values).any(axis=1))
+
+        def widen(i: int) -> None:
+            self._low, self._high = low[i], high[i]
+            self.band, self.limit = float(bands[i]), float(limits[i])
+        alarms = []
+        if beyond.any() and not self.raised:
+            self.raised, i = True, int(beyond.argmax())
+            widen(i)
+            alarms.append(self._alarm(int(block.step[i])))
+        widen(-1)
+        return alarms
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
-        return self._alarm(sample.step, self._limit(sample))
+        return self._alarm(sample.step)
 
-    def _value(self, sample: Observed) -> float:
-        return accounted_energy(sample)
+    def _values(self, block: Block) -> np.ndarray:
+        """Return the values whose range is watched, shape (k,) or (k, n)."""
+        return block.accounted
+
+    def _judged(self, bands: np.ndarray) -> np.ndarray:
+        """Return the band to judge, shape (k,), of those of the values, shape (k, n)."""
+        return bands[:, 0]
 
     @abstractmethod
-    def _limit(self, sample: Observed) -> float:
-        """Return the band that is allowed as of a sample."""
+    def _limits(self, block: Block) -> np.ndarray | float:
+        """Return the band that is allowed as of each sample."""
 
     @abstractmethod
-    def _alarm(self, step: int, limit: float) -> Alarm:
+    def _alarm(self, step: int) -> Alarm:
         """Return what to say of a band that is beyond the limit."""
-
-
-def _range(low: float, high: float, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest value as of each of some values."""
-    return (np.minimum.accumulate(np.concatenate([[low], values]))[1:],
-            np.maximum.accumulate(np.concatenate([[high], values]))[1:])
-
-
-def _taken(scale: object, block: Block) -> None:
-    if isinstance(scale, BlockScale):
-        scale.take(block)
 
 
 # H may go this many times as far as the modified energy that the method keeps: that it does is
@@ -82,7 +90,7 @@ class ResolutionGuard(BandGuard):
     share : float
         The band that is allowed, over the scale.
     scale : callable
-        Returns the energy scale as of a sample [J]; see SampledScale.
+        Returns the energy scale at each sample of a block [J]; see SampledScale.
     modified : bool, optional
         Whether a modified energy is known.
 
@@ -92,58 +100,28 @@ class ResolutionGuard(BandGuard):
     remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
               'method of higher order')
 
-    def __init__(self, share: float, scale: Callable[[Observed], float], modified: bool = False):
+    def __init__(self, share: float, scale: Scale, modified: bool = False):
         super().__init__()
         self._share, self._scale, self._modified = share, scale, modified
-        self._lowest, self._highest = math.inf, -math.inf
 
     def allow(self, band: float, change: float) -> None:
         """See Guard."""
         self._share = band
 
-    @property
-    def band(self) -> float:
+    def _values(self, block: Block) -> np.ndarray:
+        return np.stack([block.accounted, block.energy], axis=1)
+
+    def _judged(self, bands: np.ndarray) -> np.ndarray:
         """Return the range of the modified energy, or a quarter of that of H if larger [J]."""
-        return max(super().band, self._plain_band / PLAIN) if self._modified else super().band
+        return np.maximum(bands[:, 0], bands[:, 1] / PLAIN) if self._modified else bands[:, 0]
 
-    @property
-    def _plain_band(self) -> float:
-        return max(self._highest - self._lowest, 0.0)
+    def _limits(self, block: Block) -> np.ndarray:
+        return self._share * self._scale(block)
 
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        if sample.energy < self._lowest:
-            self._lowest = sample.energy
-        if sample.energy > self._highest:
-            self._highest = sample.energy
-        return super().update(sample)
-
-    def quiet(self, block: Block) -> Callable[[], None] | None:
-        """See Guard."""
-        scales = scales_over(self._scale, block)
-        if scales is None or not np.isfinite(block.accounted + block.energy).all():
-            return None
-        low, high = _range(self._low, self._high, block.accounted)
-        lowest, highest = _range(self._lowest, self._highest, block.energy)
-        bands = high - low
-        if self._modified:
-            bands = np.maximum(bands, (highest - lowest) / PLAIN)
-        if not (self.raised or (bands <= self._share * scales).all()):
-            return None
-
-        def take() -> None:
-            self._low, self._high = float(low[-1]), float(high[-1])
-            self._lowest, self._highest = float(lowest[-1]), float(highest[-1])
-            _taken(self._scale, block)
-        return take
-
-    def _limit(self, sample: Observed) -> float:
-        return self._share * self._scale(sample)
-
-    def _alarm(self, step: int, limit: float) -> Alarm:
+    def _alarm(self, step: int) -> Alarm:
         # Report H, if H went too far.
-        plain = self._modified and self.band > super().band
-        band, limit = (PLAIN * x if plain else x for x in (self.band, limit))
+        plain = self._modified and self.band > self._high[0] - self._low[0]
+        band, limit = (PLAIN * x if plain else x for x in (self.band, self.limit))
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
                          'under-resolved; use a smaller step_size, or start elsewhere')
@@ -180,22 +158,22 @@ class BarrierGuard(BandGuard):
         self.kind, self._name = f'{name} not resolved', name
         self._energy, self._gap = energy, math.nan
 
-    def _limit(self, sample: Observed) -> float:
+    def _limits(self, block: Block) -> float:
         if math.isnan(self._gap):
             # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
             # of it that H is on.
-            plain = self._energy - sample.energy
-            kept = self._energy - self._value(sample)
-            self._gap = abs(kept) if plain * kept > 0.0 else 0.0
+            plain = self._energy - block.energy[0]
+            kept = self._energy - self._values(block)[0]
+            self._gap = float(abs(kept)) if plain * kept > 0.0 else 0.0
         return self._gap
 
-    def _value(self, sample: Observed) -> float:
-        return sample.energy - sample.work if self._plain else accounted_energy(sample)
+    def _values(self, block: Block) -> np.ndarray:
+        return block.energy - block.work if self._plain else block.accounted
 
-    def _alarm(self, step: int, limit: float) -> Alarm:
-        return Alarm(self.kind, step, self.band, limit,
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, self.band, self.limit,
                      f'the energy is kept only to {self.band:.2g} J, but the {self._name} is '
-                     f'{limit:.2g} J away: {self.kind}; use a smaller step_size')
+                     f'{self.limit:.2g} J away: {self.kind}; use a smaller step_size')
 
 
 # Spacing of differences relative to the state; they need be good to a tenth only.
@@ -239,18 +217,17 @@ class InvariantGuard(BandGuard):
         """See Guard."""
         self._share = band
 
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        self._seen += 1
-        if self._seen & (self._seen - 1) == 0:
-            self._scales.append(self._scale_at(sample.q, sample.p))
-        return super().update(sample)
+    def _values(self, block: Block) -> np.ndarray:
+        return np.array([self._function(q, p) for q, p in zip(block.q, block.p, strict=True)])
 
-    def _value(self, sample: Observed) -> float:
-        return self._function(sample.q, sample.p)
-
-    def _limit(self, sample: Observed) -> float:
-        return self._share * sum(self._scales) / len(self._scales)
+    def _limits(self, block: Block) -> np.ndarray:
+        limits = []
+        for q, p in zip(block.q, block.p, strict=True):
+            self._seen += 1
+            if self._seen & (self._seen - 1) == 0:
+                self._scales.append(self._scale_at(q, p))
+            limits.append(self._share * sum(self._scales) / len(self._scales))
+        return np.array(limits)
 
     def _scale_at(self, q: np.ndarray, p: np.ndarray) -> float:
         z, d = np.concatenate([q, p]), q.size
@@ -262,10 +239,10 @@ class InvariantGuard(BandGuard):
             total += abs(ahead - behind) / (2.0 * _SPACING)
         return total
 
-    def _alarm(self, step: int, limit: float) -> Alarm:
-        return Alarm(self.kind, step, self.band, limit,
-                     f'{self._name} has moved by {self.band:.2g}, more than {limit:.2g}: it is '
-                     'not conserved; use a smaller step_size, or a method that conserves it',
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, self.band, self.limit,
+                     f'{self._name} has moved by {self.band:.2g}, more than {self.limit:.2g}: it '
+                     'is not conserved; use a smaller step_size, or a method that conserves it',
                      '1')
 
 
@@ -277,7 +254,7 @@ _LASTING = 5
 _JUMP = 10.0
 
 
-class EnergyGuard(Guard):
+class EnergyGuard(BlockGuard):
     """
     No energy is lost or gained beyond the account of work: neither at once nor by a drift.
 
@@ -292,7 +269,7 @@ class EnergyGuard(Guard):
     share : float
         The lasting change that is allowed, over the scale.
     scale : callable
-        Returns the energy scale as of a sample [J]; see SampledScale.
+        Returns the energy scale at each sample of a block [J]; see SampledScale.
 
     """
 
@@ -300,7 +277,7 @@ class EnergyGuard(Guard):
     remedy = ('take a symplectic method in the place of a baseline, or a smaller step_size; '
               'where an effect acts, check that it is listed in the scene')
 
-    def __init__(self, share: float, scale: Callable[[Observed], float]):
+    def __init__(self, share: float, scale: Scale):
         self.raised, self._how = False, (share, '')
         self._share, self._scale_at, self._scale = share, scale, 0.0
         self._work, self._turnover = 0.0, 0.0
@@ -315,74 +292,46 @@ class EnergyGuard(Guard):
         """See Guard."""
         self._share = change
 
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        energy = accounted_energy(sample)
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
         if self._start is None:
-            self._start = energy
-        if sample.work != self._work:
-            self._turnover += abs(sample.work - self._work)
-            self._work = sample.work
-        self._scale = max(self._scale_at(sample), self._turnover)
-        change = energy - self._start
-        if change < self._lowest:
-            self._lowest = change
-        if change > self._highest:
-            self._highest = change
-        self._count += 1
-        if self.raised:
-            return None
-        # Written so that NaN is an alarm.
-        if not abs(change) <= _JUMP * self._scale:
-            return self._alarm(sample.step, abs(change), _JUMP, 'changed')
-        if self._count < self._length:
-            return None
-        change = self._end_block()
-        if change == 0.0:
-            return None
-        return self._alarm(sample.step, change, self._share, 'changed for good')
+            self._start = float(block.accounted[0])
+        turnover = running(np.add, self._turnover, np.abs(np.diff(block.work, prepend=self._work)))
+        scales = np.fmax(self._scale_at(block), turnover)
+        self._work, self._turnover = float(block.work[-1]), float(turnover[-1])
+        changes, alarms, first = block.accounted - self._start, [], 0
+        while first < len(changes):
+            # Up to where a block of this guard ends.
+            last = min(len(changes), first + self._length - self._count)
+            part, scale = changes[first:last], scales[first:last]
+            # Written so that NaN is an alarm.
+            jumped = ~(np.abs(part) <= _JUMP * scale)
+            i = int(jumped.argmax()) if jumped.any() else len(part) - 1
+            self._lowest = min(self._lowest, float(np.fmin.reduce(part)))
+            self._highest = max(self._highest, float(np.fmax.reduce(part)))
+            self._count, self._scale = self._count + len(part), float(scale[i])
+            step, change = int(block.step[first + i]), abs(float(part[i]))
+            if jumped[i] and not self.raised:
+                alarms.append(self._alarm(step, change, _JUMP, 'changed'))
+            if self._count == self._length and (change := self._end_block()) and not self.raised:
+                alarms.append(self._alarm(step, change, self._share, 'changed for good'))
+            first = last
+        self._scale = float(scales[-1])
+        return alarms
 
     @property
     def calm(self) -> tuple[float, float]:
-        """See Guard: ten times the scale that was known when it looked last."""
+        """See BlockGuard: ten times the scale that was known when it looked last."""
         if self.raised:
             return super().calm
         if self._start is None:
             return math.inf, -math.inf
         return self._start - _JUMP * self._scale, self._start + _JUMP * self._scale
 
-    @property
-    def ahead(self) -> float:
-        """See Guard: the sample that closes a block of this guard is looked at by itself."""
-        return math.inf if self.raised else self._length - self._count - 1
-
-    def quiet(self, block: Block) -> Callable[[], None] | None:
-        """See Guard."""
-        scales = scales_over(self._scale_at, block)
-        if self._start is None or scales is None or not np.isfinite(
-                block.accounted + block.work).all():
-            return None
-        turnover = np.add.accumulate(np.concatenate([
-            [self._turnover], np.abs(np.diff(block.work, prepend=self._work))]))[1:]
-        scales = np.maximum(scales, turnover)
-        changes = block.accounted - self._start
-        if not (self.raised or (np.abs(changes) <= _JUMP * scales).all()):
-            return None
-
-        def take() -> None:
-            self._work, self._turnover = float(block.work[-1]), float(turnover[-1])
-            self._scale = float(scales[-1])
-            self._lowest = min(self._lowest, float(changes.min()))
-            self._highest = max(self._highest, float(changes.max()))
-            self._count += changes.size
-            _taken(self._scale_at, block)
-        return take
-
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
         assert self._start is not None, 'an alarm was raised, by a sample'
         change = abs(accounted_energy(sample) - self._start)
-        self._scale = max(self._scale_at(sample), self._turnover)
         return self._alarm(sample.step, change, *self._how)
 
     def _end_block(self) -> float:

@@ -3,9 +3,9 @@
 """Base of guards: the state that they look at, and their alarms."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 import math
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeVar
 
 from hnn_vi_ros.simulation import Sample
 import numpy as np
@@ -26,48 +26,42 @@ class Look(NamedTuple):
 
 # The state that guards look at.
 Observed = Sample | Look
+One = TypeVar('One', Sample, Look)
 
 
 class Block(NamedTuple):
     """
-    Samples that follow each other, k of them: together a guard looks at them for less.
+    Samples that follow each other, k of them.
 
     Parameters
     ----------
-    first, last : Sample
-        Two of them.
     step : np.ndarray, shape (k,)
         Steps since the start of the run.
-    q, p, dH_dp : np.ndarray, shape (k, d)
-        The states, and their velocities.
+    q, p, dH_dq, dH_dp : np.ndarray, shape (k, d), or (k, m, d) for m trajectories
+        The states and the derivatives of H there.
     energy, accounted, work : np.ndarray, shape (k,)
         H, the accounted energy, and the work so far [J].
 
     """
 
-    first: Sample
-    last: Sample
     step: np.ndarray
     q: np.ndarray
     p: np.ndarray
+    dH_dq: np.ndarray
     dH_dp: np.ndarray
     energy: np.ndarray
     accounted: np.ndarray
     work: np.ndarray
 
     @classmethod
-    def of(cls, samples: Sequence[Sample]) -> 'Block':
+    def of(cls, samples: Sequence[Sample] | Sequence[Look]) -> 'Block':
         """Return samples as a block."""
-        shape = len(samples), -1
-        energy = np.array([sample.energy for sample in samples])
-        modified = np.array([sample.modified_energy for sample in samples])
-        work = np.array([sample.work for sample in samples])
-        return cls(
-            samples[0], samples[-1], np.array([sample.step for sample in samples]),
-            np.concatenate([sample.q for sample in samples]).reshape(shape),
-            np.concatenate([sample.p for sample in samples]).reshape(shape),
-            np.concatenate([sample.dH_dp for sample in samples]).reshape(shape),
-            energy, np.where(np.isnan(modified), energy, modified) - work, work)
+        step, energy, modified, work = np.array([
+            (one.step, one.energy, one.modified_energy, one.work) for one in samples]).T
+        q, p, dH_dq, dH_dp = (np.array([getattr(one, name) for one in samples])
+                              for name in ('q', 'p', 'dH_dq', 'dH_dp'))
+        return cls(np.rint(step).astype(np.int64), q, p, dH_dq, dH_dp, energy,
+                   np.where(np.isnan(modified), energy, modified) - work, work)
 
 
 class Alarm(NamedTuple):
@@ -99,7 +93,7 @@ class Alarm(NamedTuple):
 
 class Guard(ABC):
     """
-    Something that must hold all the time; it costs about as much as ten additions.
+    Something that must hold all the time.
 
     Attributes
     ----------
@@ -107,44 +101,49 @@ class Guard(ABC):
         Name of its alarms.
     remedy : str
         Remedy against its alarms; the page on troubleshooting lists them all.
-    by_sample : bool
-        Whether it looks at samples, rather than at the simulation as it is when it is asked.
 
     """
 
     kind: str
     remedy: ClassVar[str]
-    by_sample: ClassVar[bool] = True
 
     def allow(self, band: float, change: float) -> None:  # noqa: B027
         """Change the shares of a scale that are allowed, as far as there are such."""
 
     @abstractmethod
+    def renew(self, sample: Observed) -> Alarm | None:
+        """Return the raised alarm updated to a sample, None if nothing in it changes."""
+
+
+class StateGuard(Guard):
+    """
+    A guard that looks at the run as it is when it is asked.
+
+    Attributes
+    ----------
+    each : bool
+        Whether it must be asked at each sample.
+
+    """
+
+    each: ClassVar[bool] = False
+
+    @abstractmethod
     def update(self, sample: Observed) -> Alarm | None:
         """Look at the next sample; return an alarm when it stops to hold, not while it lasts."""
+
+
+class BlockGuard(Guard):
+    """A guard that looks at samples in blocks, however many make one: many cost little more."""
 
     @property
     def calm(self) -> tuple[float, float]:
         """Return between which accounted energies a sample can wait for others [J]."""
         return -math.inf, math.inf
 
-    @property
-    def ahead(self) -> float:
-        """Return how many of the next samples may be in one block."""
-        return math.inf
-
-    def quiet(self, block: Block) -> Callable[[], None] | None:
-        """
-        Return what takes a block of samples, none of which raises an alarm.
-
-        The guard is then as if each had been looked at by ``update``, to the last bit. None if
-        one may raise an alarm, or if this is not known: then each is looked at.
-        """
-        return None
-
     @abstractmethod
-    def renew(self, sample: Observed) -> Alarm | None:
-        """Return the raised alarm updated to a sample, None if nothing in it changes."""
+    def take(self, block: Block) -> list[Alarm]:
+        """Look at the next samples; return an alarm where it stops to hold, not while it lasts."""
 
 
 def accounted_energy(sample: Observed) -> float:
@@ -153,18 +152,18 @@ def accounted_energy(sample: Observed) -> float:
     return (sample.energy if math.isnan(modified) else modified) - sample.work
 
 
-def scales_over(scale: object, block: Block) -> np.ndarray | None:
-    """Return the energy scale at each sample of a block [J], if it can be told; see quiet."""
-    return scale.over(block) if isinstance(scale, BlockScale) else None
+# Returns the energy scale at each sample of a block [J].
+Scale = Callable[[Block], np.ndarray]
 
 
-class BlockScale(ABC):
-    """An energy scale that can be told for a block of samples."""
-
-    @abstractmethod
-    def over(self, block: Block) -> np.ndarray | None:
-        """Return the scale at each sample [J], None where each must be taken by itself."""
-
-    @abstractmethod
-    def take(self, block: Block) -> None:
-        """Take the block that ``over`` was last asked for, once."""
+def judge(guards: Iterable[BlockGuard], samples: Sequence[One]
+          ) -> list[tuple[Alarm, One]]:
+    """Let guards look at the next samples; return what they find, and in which sample."""
+    if not samples:
+        return []
+    block = Block.of(samples)
+    # A guard judges what is not finite; it says so itself.
+    with np.errstate(invalid='ignore', over='ignore'):
+        found = [(alarm, samples[int((block.step == alarm.step).argmax())])
+                 for guard in guards for alarm in guard.take(block)]
+    return sorted(found, key=lambda one: one[1].step)

@@ -4,12 +4,12 @@
 
 from collections.abc import Callable
 
-from hnn_vi_ros.guards.base import Alarm, Block, Guard, Observed
+from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
 from hnn_vi_ros.models.seen import Domain
 import numpy as np
 
 
-class BoxGuard(Guard):
+class BoxGuard(BlockGuard):
     """
     The state is inside the box that the model was trained in.
 
@@ -43,47 +43,39 @@ class BoxGuard(Guard):
         self.excess = self.largest = 0.0
         self._samples = self._outside = 0
         self._what = ''
-        bounds = np.concatenate(box)
-        # Plain floats: for the few coordinates of a model they are faster than arrays.
-        self._low, self._high = bounds.T.tolist()
+        self._low, self._high = np.concatenate(box).T
 
-    def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
-        self._samples += 1
-        if self._domain is not None:
-            return self._update_of_machine(sample, self._domain)
-        p = sample.p if self._gauge is None else sample.p - self._gauge @ sample.q
-        values, low, high = sample.q.tolist() + p.tolist(), self._low, self._high
-        for i, x in enumerate(values):
-            if not low[i] <= x <= high[i]:
-                before, self.excess = self.excess, self._excess(values)
-                self.largest = max(self.largest, self.excess)
-                self._outside += 1
-                return None if before > 0.0 else self.renew(sample)
-        self.excess = 0.0
-        return None
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
+        excess = self._excess(block)
+        before = np.concatenate([[self.excess], excess[:-1]])
+        alarms, first = [], 0
+        for left in [*np.flatnonzero((excess > 0.0) & (before == 0.0)), None]:
+            last = len(excess) if left is None else int(left) + 1
+            part = excess[first:last]
+            if part.size:
+                self._samples += part.size
+                self._outside += int(np.count_nonzero(part))
+                self.excess = float(part[-1])
+                if part.max() > self.largest:
+                    i = first + int(part.argmax())
+                    self.largest = float(excess[i])
+                    if self._domain is not None:
+                        beyond = self._domain.beyond(block.q[i:i + 1], block.dH_dp[i:i + 1])
+                        self._what = f' ({beyond[0]} at most)'
+            if left is not None:
+                alarms.append(self._alarm(int(block.step[left])))
+            first = last
+        return alarms
 
-    def quiet(self, block: Block) -> Callable[[], None] | None:
-        """See Guard."""
+    def _excess(self, block: Block) -> np.ndarray:
+        """Return how far samples are outside, in half-widths, shape (k,)."""
         if self._domain is not None:
-            return None
+            return self._domain.excess(block.q, block.dH_dp).max(axis=1)
         p = block.p if self._gauge is None else block.p - block.q @ self._gauge.T
-        values = np.concatenate([block.q, p], axis=1)
-        if not ((values >= self._low) & (values <= self._high)).all():
-            return None
-
-        def take() -> None:
-            self._samples += len(values)
-            self.excess = 0.0
-        return take
-
-    def _update_of_machine(self, sample: Observed, domain: Domain) -> Alarm | None:
-        q, v = sample.q[None], sample.dH_dp[None]
-        before, self.excess = self.excess, float(domain.excess(q, v).max())
-        if self.excess > self.largest:
-            self.largest, self._what = self.excess, f' ({domain.beyond(q, v)[0]} at most)'
-        self._outside += self.excess > 0.0
-        return self.renew(sample) if self.excess > 0.0 >= before else None
+        z, width = np.concatenate([block.q, p], axis=1), self._high - self._low
+        beyond: np.ndarray = 2.0 * np.maximum(z - self._high, self._low - z) / width
+        return np.maximum(beyond.max(axis=1), 0.0)
 
     @property
     def share(self) -> float:
@@ -92,6 +84,9 @@ class BoxGuard(Guard):
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""
+        return self._alarm(sample.step)
+
+    def _alarm(self, step: int) -> Alarm:
         after = (f'{self._what}, {100.0 * self.share:.3g} % of the samples so far: H is a guess '
                  'there; train a model on a larger box')
         what = (f'outside of the box that the model was trained in, by {self.excess:.2g} of its '
@@ -99,14 +94,10 @@ class BoxGuard(Guard):
         if self.excess == 0.0:
             what = (f'inside again, but was up to {self.largest:.2g} of its half-width outside of '
                     f'the box that the model was trained in{after}')
-        return Alarm(self.kind, sample.step, self.excess, 0.0, what, 'half-widths')
-
-    def _excess(self, values: list[float]) -> float:
-        return max(2.0 * max(x - high, low - x) / (high - low)
-                   for x, low, high in zip(values, self._low, self._high, strict=True))
+        return Alarm(self.kind, step, self.excess, 0.0, what, 'half-widths')
 
 
-class SpreadGuard(Guard):
+class SpreadGuard(StateGuard):
     """
     The members of an ensemble have not come apart.
 
@@ -126,6 +117,7 @@ class SpreadGuard(Guard):
 
     """
 
+    each = True
     kind = 'spread of the ensemble'
     remedy = ('start where the data are dense, or train on more of them along this motion; '
               '`uncertainty: {limit: ...}` of the scene is the bound')

@@ -4,7 +4,7 @@
 
 from typing import ClassVar
 
-from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.guards.base import Alarm, Observed, StateGuard
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
@@ -12,7 +12,7 @@ import numpy as np
 _SLOW = 5
 
 
-class CostGuard(Guard):
+class CostGuard(StateGuard):
     """
     No step takes more than five times the gradients that its method takes at most as a rule.
 
@@ -28,7 +28,6 @@ class CostGuard(Guard):
 
     """
 
-    by_sample = False
     kind = 'slow step'
     remedy = 'use a smaller step_size, or `time_transformed` for close encounters'
 
@@ -53,7 +52,7 @@ class CostGuard(Guard):
                      'step_size or another integrator', '1')
 
 
-class CountGuard(Guard):
+class CountGuard(StateGuard):
     """
     Base of guards: a count of the simulation stays zero.
 
@@ -71,7 +70,6 @@ class CountGuard(Guard):
 
     """
 
-    by_sample = False
     counted: ClassVar[str]
     message: ClassVar[str]
 

@@ -5,12 +5,11 @@
 import math
 import warnings
 
-from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk
+from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk, running, scales_along
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, PLAIN
-from hnn_vi_ros.guards.base import (
-    accounted_energy, Alarm, Block, BlockScale, Guard, Look, Observed)
+from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -26,7 +25,7 @@ _ABOVE_ROUNDING = 50.0
 _EARLY = 20.0
 
 
-class SampledScale(BlockScale):
+class SampledScale:
     """
     Energy scale by which the guards of a run measure: one for all of them.
 
@@ -40,61 +39,44 @@ class SampledScale(BlockScale):
     hamiltonian : Hamiltonian
         H of the run.
 
+    Attributes
+    ----------
+    value : float
+        The scale as of the last sample [J].
+
     """
 
     def __init__(self, hamiltonian: Hamiltonian):
+        self.value = math.nan
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
-        self._last: Observed | None = None
-        self._first, self._newest, self._size, self._value = 0, 0, 0.0, 0.0
-        # The block that ``over`` was last asked for, its scales, and what follows from it.
+        self._first: int | None = None
+        self._newest, self._size = 0, 0.0
+        # The block that it was last asked for, and its scales.
         self._block: Block | None = None
-        self._values: np.ndarray | None = None
-        self._then: tuple[float, tuple[float, float, float, int]] | None = None
+        self._values = np.zeros(0)
 
-    def __call__(self, sample: Observed) -> float:
-        """Return the scale [J] as of a sample, the newest one or that before it again."""
-        if sample is not self._last:
-            if self._last is None:
-                self._first = self._newest = sample.step
-            weight = max(sample.step - self._newest, 1)
-            self._last, self._newest = sample, sample.step
-            scale = self._scale.add(sample.q, sample.p, sample.dH_dq, sample.dH_dp, weight)
-            steps = sample.step - self._first + 1
-            if not self._scale.turned:
-                scale *= 1.0 + _EARLY / steps
-            size = abs(accounted_energy(sample)) + abs(sample.work) + self._rounding
-            if math.isfinite(size) and size > self._size:
-                self._size = size
-            floor = float(_ABOVE_ROUNDING * rounding_walk(self._size, steps))
-            self._value = floor if floor > scale else scale
-        return self._value
-
-    def over(self, block: Block) -> np.ndarray | None:
-        """See BlockScale."""
+    def __call__(self, block: Block) -> np.ndarray:
+        """Return the scale at each sample of the next block [J], or of that before it again."""
         if block is not self._block:
-            self._block, self._values, self._then = block, None, None
-            if self._last is not None and block.first is not self._last:
-                self._values = self._look_ahead(block)
+            self._block, self._values = block, self._take(block)
+            self.value = float(self._values[-1])
         return self._values
 
-    def _look_ahead(self, block: Block) -> np.ndarray | None:
+    def _take(self, block: Block) -> np.ndarray:
+        if self._first is None:
+            self._first = self._newest = int(block.step[0])
         weights = np.maximum(np.diff(block.step, prepend=self._newest), 1)
-        ahead = self._scale.ahead(block.p, block.dH_dp, weights)
+        self._newest = int(block.step[-1])
+        # The energies of trajectories that step together add up.
+        potential, virial = (each.reshape(len(weights), -1).sum(axis=1) for each in
+                             self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp))
+        scales, turned = self._scale.add(potential, virial, weights)
+        steps = block.step - self._first + 1
         sizes = np.abs(block.accounted) + np.abs(block.work) + self._rounding
-        if ahead is None or not np.isfinite(sizes).all():
-            return None
-        sizes = np.maximum.accumulate(np.concatenate([[self._size], sizes]))[1:]
-        self._then = float(sizes[-1]), ahead[1]
-        return np.maximum(_ABOVE_ROUNDING * rounding_walk(
-            sizes, block.step - self._first + 1), ahead[0])
-
-    def take(self, block: Block) -> None:
-        """See BlockScale."""
-        if block is self._block and self._then is not None and self._values is not None:
-            (self._size, ahead), self._then = self._then, None
-            self._scale.take(ahead)
-            self._last, self._newest = block.last, block.last.step
-            self._value = float(self._values[-1])
+        sizes = running(np.maximum, self._size, np.where(np.isfinite(sizes), sizes, 0.0))
+        self._size = float(sizes[-1])
+        floor: np.ndarray = _ABOVE_ROUNDING * rounding_walk(sizes, steps)
+        return np.fmax(floor, np.where(turned, scales, scales * (1.0 + _EARLY / steps)))
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
@@ -143,7 +125,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
     share = PLAIN * BAND_LIMIT if known is modified else BAND_LIMIT
     # Written so that what is not finite is suspect. A change for good is less than the band.
     with np.errstate(invalid='ignore', over='ignore'):
-        scale = EnergyScale(hamiltonian).least(weights, q, p, *hamiltonian.gradient(q, p))
+        scale = scales_along(hamiltonian, q, p, weights)[1:].min(axis=0)
         good = np.ptp(known, axis=0) <= min(BAND_LIMIT, CHANGE_LIMIT) * scale
         good &= np.ptp(energy, axis=0) <= share * scale
         if hamiltonian.barrier is not None:
@@ -158,6 +140,8 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
 # Most samples of a path that the guards see, besides its extremes. They need half as many to
 # recognise a lasting change; see EnergyGuard.
 _SHOWN = 10_000
+# Coordinates of the looks that wait until guards look at them together.
+_WAITING = 4096
 # Trajectories that are screened at a time, which takes several times the memory of their states.
 _SCREENED = 1024
 
@@ -179,8 +163,6 @@ class Watch:
 
     Attributes
     ----------
-    alarms : list of Alarm
-        The first of each kind, in the order in which they were raised.
     works : dict of int to float
         The work done [J] after each number of steps at which it was looked at.
 
@@ -189,21 +171,34 @@ class Watch:
     def __init__(self, simulation: Simulation, barrier: tuple[str, float] | None,
                  band_limit: float = BAND_LIMIT, change_limit: float = CHANGE_LIMIT,
                  kinds: tuple[type[Guard], ...] = (Guard,)):
-        self.alarms: list[Alarm] = []
         self.works: dict[int, float] = {}
-        self._guards = [guard for guard in make_guards(
+        guards = [guard for guard in make_guards(
             simulation, SampledScale(simulation.hamiltonian), band_limit, change_limit, barrier)
             if isinstance(guard, kinds)]
-        self._heard: set[str] = set()
+        self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
+        self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
+        # What was found in which step, by kind, and looks that wait for others.
+        self._found: dict[str, tuple[int, Alarm]] = {}
+        self._pending: list[Look] = []
+
+    @property
+    def alarms(self) -> list[Alarm]:
+        """Return the first alarm of each kind, in the order in which they were raised."""
+        pending, self._pending = self._pending, []
+        for alarm, look in judge(self._of_blocks, pending):
+            self._found.setdefault(alarm.kind, (look.step, alarm))
+        return [alarm for _, alarm in sorted(self._found.values(), key=lambda one: one[0])]
 
     def update(self, look: Look) -> None:
         """Show the next state to all guards."""
         self.works[look.step] = look.work
-        for guard in self._guards:
-            alarm = guard.update(look)
-            if alarm is not None and alarm.kind not in self._heard:
-                self._heard.add(alarm.kind)
-                self.alarms.append(alarm)
+        for guard in self._of_states:
+            if (alarm := guard.update(look)) is not None:
+                self._found.setdefault(alarm.kind, (look.step, alarm))
+        if self._of_blocks:
+            self._pending.append(look)
+            if len(self._pending) * look.q.size >= _WAITING:
+                _ = self.alarms
 
     def show(self, simulation: Simulation, steps: np.ndarray, states: tuple[np.ndarray, ...],
              energies: tuple[np.ndarray, np.ndarray], most: int = _SHOWN) -> None:

@@ -8,7 +8,7 @@ import time
 
 from hnn_vi_ros.accuracy.diagnostics import secular_change
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, time_scale, Tolerance
-from hnn_vi_ros.guards.base import Alarm, Block, Guard
+from hnn_vi_ros.guards.base import Alarm, BlockGuard, Guard, judge, StateGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import Sample, Simulation
@@ -119,8 +119,8 @@ class EnergyRecord:
         return error / self._steepest if self._steepest else 0.0
 
 
-# Samples that guards look at together: at most, and so few that each is cheaper by itself.
-_MOST, _FEW = 256, 8
+# Samples that guards look at together, at most.
+_MOST = 256
 # Wall time between two warnings of the same thing [s].
 _REPEATED = 10.0
 
@@ -171,9 +171,10 @@ class Monitor:
         # Samples that the guards have not looked at, and what they have found meanwhile.
         self._pending: list[Sample] = []
         self._found: list[tuple[Alarm, Sample]] = []
+        # Those that must be asked at each sample.
+        self._each: list[StateGuard] = []
         # Accounted energies between which a sample can wait.
         self._lowest, self._highest = math.inf, -math.inf
-        self._order()
         self._simulation, self._warn = simulation, warn
         self._warned, self._due = False, 0.0
 
@@ -215,66 +216,37 @@ class Monitor:
 
         """
         self._pending.append(sample)
-        if at_once or not self._together or len(self._pending) >= _MOST:
-            return self.look()
+        self._found += _ask(self._each, sample)
         # As accounted_energy, without a call of it.
         energy = sample.modified_energy
         if energy != energy:
             energy = sample.energy
         # Written so that NaN is looked at.
-        if self._lowest <= energy - sample.work <= self._highest:
-            return []
-        return self.look()
+        if at_once or self._found or len(self._pending) >= _MOST or not (
+                self._lowest <= energy - sample.work <= self._highest):
+            return self.look()
+        return []
 
     def look(self) -> list[tuple[Alarm, Sample]]:
         """Let the guards look at all samples so far; return what they have found."""
-        self._order()
         found, self._found = self._found, []
         pending, self._pending = self._pending, []
-        sample = pending[-1] if pending else None
-        while pending:
-            n = int(min([len(pending), *(guard.ahead for guard in self._by_sample)]))
-            if not (self._together and n >= _FEW and self._take(pending[:n])):
-                n = max(n, 1)
-                for each in pending[:n]:
-                    found += self._ask(self._by_sample, each)
-            pending = pending[n:]
-        if sample is not None:
-            found += self._ask([one for one in self.guards if not one.by_sample], sample)
-        calm = [guard.calm for guard in self._by_sample]
+        of_blocks = [guard for guard in self.guards if isinstance(guard, BlockGuard)]
+        of_states = [guard for guard in self.guards if isinstance(guard, StateGuard)]
+        found += judge(of_blocks, pending)
+        if pending:
+            found += _ask((guard for guard in of_states if not guard.each), pending[-1])
+        self._each = [guard for guard in of_states if guard.each]
+        calm = [guard.calm for guard in of_blocks]
         self._lowest = max((low for low, _ in calm), default=-math.inf)
         self._highest = min((high for _, high in calm), default=math.inf)
         return found
 
-    def _take(self, samples: list[Sample]) -> bool:
-        """Let the guards take samples together, if none raises an alarm; return whether."""
-        block, takers = Block.of(samples), []
-        for guard in self._by_sample:
-            take = guard.quiet(block)
-            if take is None:
-                return False
-            takers.append(take)
-        for take in takers:
-            take()
-        return True
-
-    def _ask(self, guards: list[Guard], sample: Sample) -> list[tuple[Alarm, Sample]]:
-        return [(alarm, sample) for guard in guards
-                if (alarm := guard.update(sample)) is not None]
-
-    def _order(self) -> None:
-        """Sort the guards, to which others may have been added, by how they look."""
-        self._by_sample = [guard for guard in self.guards if guard.by_sample]
-        self._together = all(type(guard).quiet is not Guard.quiet for guard in self._by_sample)
-
     @property
     def energy_scale(self) -> float:
-        """Return the size of the energies in play as of the newest sample [J]."""
-        if self.newest is None:
-            return math.nan
-        # The scale takes each sample once, in their order.
+        """Return the size of the energies in play, NaN before the guards saw a sample [J]."""
         self._found = self.look()
-        return self._scale(self.newest)
+        return self._scale.value
 
     def add(self, sample: Sample) -> None:
         """Look at the next sample."""
@@ -303,3 +275,7 @@ class Monitor:
         return (f'the tolerance is exceeded: {tolerance.kind} {least}{self.energy.largest:.3g}, '
                 f'allowed is {tolerance.error:g} up to {tolerance.horizon:g} s; use a smaller '
                 'step_size, or ask for a smaller error or a longer horizon')
+
+
+def _ask(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, Sample]]:
+    return [(alarm, sample) for guard in guards if (alarm := guard.update(sample)) is not None]

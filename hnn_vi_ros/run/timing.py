@@ -10,7 +10,7 @@ import time
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.files.standard_streams import rewrite_line
-from hnn_vi_ros.guards.base import Alarm, Guard, Observed
+from hnn_vi_ros.guards.base import Alarm, Observed, StateGuard
 from hnn_vi_ros.simulation import Sample
 import numpy as np
 
@@ -113,7 +113,7 @@ class Pacer:
         return True
 
 
-class OverrunGuard(Guard):
+class OverrunGuard(StateGuard):
     """
     The run keeps up with the clock.
 
@@ -124,7 +124,6 @@ class OverrunGuard(Guard):
 
     """
 
-    by_sample = False
     kind = 'real-time overrun'
     remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
               'cheaper integrator; results are not affected')

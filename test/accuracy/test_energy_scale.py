@@ -4,7 +4,7 @@
 
 from helpers import kepler_orbit
 from hnn_vi_ros.accuracy.diagnostics import (
-    energy_band, energy_scale, EnergyScale, rounding_walk, secular_change)
+    energy_band, energy_scale, EnergyScale, rounding_walk, scales_along, secular_change)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -79,9 +79,7 @@ def test_energy_scale_of_a_motion_that_rests_near_a_saddle_is_not_that_of_its_re
     # the time here at least.
     depth = np.ptp(motion.hamiltonian.energy(*path(motion, 0.0))) or 0.25
     q, p = path(motion, 2.0)
-    scale = EnergyScale(motion.hamiltonian)
-    values = np.array([scale.add(*z) for z in zip(
-        q, p, *motion.hamiltonian.gradient(q, p), strict=True)])
+    values = scales_along(motion.hamiltonian, q, p, np.ones(len(q)))
     assert values[len(values) // 2:].min() > 0.1 * depth
 
 
@@ -91,11 +89,11 @@ def test_energy_scale_is_proportional_to_the_mass(name):
     motion = MOTIONS[name]
     q, p = path(motion._replace(period=0.3 * motion.period), 0.5)
     H_q, H_p = motion.hamiltonian.gradient(q, p)
-    one, other = EnergyScale(motion.hamiltonian), EnergyScale(motion.hamiltonian)
-    for sample in zip(q, p, H_q, H_p, strict=True):
-        one.add(*sample)
-        other.add(sample[0], 8.0 * sample[1], 8.0 * sample[2], sample[3])
-    assert other.value == 8.0 * one.value > 0.0
+    scale, ones = EnergyScale(motion.hamiltonian), np.ones(len(q))
+    one = scale.add(*scale.virials(q, p, H_q, H_p), ones)[0]
+    heavy = EnergyScale(motion.hamiltonian)
+    other = heavy.add(*heavy.virials(q, 8.0 * p, 8.0 * H_q, H_p), ones)[0]
+    assert other[-1] == 8.0 * one[-1] > 0.0
 
 
 @pytest.mark.parametrize('name', MOTIONS)
@@ -104,14 +102,12 @@ def test_least_energy_scale_of_many_paths_is_that_of_each(name, every):
     motion = MOTIONS[name]
     q, p = (x[::every] for x in path(motion._replace(period=0.3 * motion.period), 2.0))
     many_q, many_p = (np.stack([x, 0.7 * x, 1.1 * x[::-1]], axis=1) for x in (q, p))
-    slopes = motion.hamiltonian.gradient(many_q, many_p)
     weights = np.random.default_rng(1).integers(1, 5, len(q)).astype(float)
     expected = []
     for k in range(3):
-        scale = EnergyScale(motion.hamiltonian)
-        expected.append(min([scale.add(*sample, weight) for *sample, weight in zip(
-            many_q[:, k], many_p[:, k], *(x[:, k] for x in slopes), weights, strict=True)][1:]))
-    found = EnergyScale(motion.hamiltonian).least(weights, many_q, many_p, *slopes)
+        own = scales_along(motion.hamiltonian, many_q[:, k], many_p[:, k], weights)
+        expected.append(own[1:].min())
+    found = scales_along(motion.hamiltonian, many_q, many_p, weights)[1:].min(axis=0)
     # Sums of n terms in two orders.
     assert found == pytest.approx(expected, rel=4 * len(q) * np.finfo(float).eps)
 

@@ -4,8 +4,9 @@
 
 import math
 
+from helpers import alarm_of
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard
-from hnn_vi_ros.guards.base import accounted_energy, Guard
+from hnn_vi_ros.guards.base import accounted_energy, Block, BlockGuard, judge
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation import Sample
 import numpy as np
@@ -22,15 +23,15 @@ def sample(step: int = 0, q: tuple = (0.0, 1.0), p: tuple = (0.0, 0.0), energy: 
                   0.0, work)
 
 
-def one_joule(look: Sample) -> float:
+def one_joule(block: Block) -> float:
     """Return a scale that is the same at all samples [J]."""
     return 1.0
 
 
-def alarms(guard: Guard, energies: np.ndarray) -> list:
+def alarms(guard: BlockGuard, energies: np.ndarray) -> list:
     """Show energies to a guard; return its alarms."""
-    found = (guard.update(sample(step, energy=energy)) for step, energy in enumerate(energies))
-    return [alarm for alarm in found if alarm is not None]
+    samples = [sample(step, energy=energy) for step, energy in enumerate(energies)]
+    return [alarm for alarm, _ in judge([guard], samples)]
 
 
 @pytest.mark.parametrize('q, p, excess', [
@@ -38,8 +39,8 @@ def alarms(guard: Guard, energies: np.ndarray) -> list:
     ((0.0, 1.0), (-3.0, 0.0), 0.5), ((2.0, 5.0), (0.0, 0.0), 1.0)])
 def test_box_guard_says_how_far_outside_the_state_is(q, p, excess):
     guard = BoxGuard(BOX)
-    assert guard.update(sample(0)) is None
-    alarm = guard.update(sample(1, q, p))
+    assert alarm_of(guard, sample(0)) is None
+    alarm = alarm_of(guard, sample(1, q, p))
     assert (alarm.kind, alarm.step, alarm.limit) == ('out of the training box', 1, 0.0)
     assert alarm.value == guard.excess == pytest.approx(excess)
 
@@ -47,21 +48,21 @@ def test_box_guard_says_how_far_outside_the_state_is(q, p, excess):
 def test_box_guard_speaks_at_each_leaving_and_not_while_it_lasts():
     guard = BoxGuard(BOX)
     path = [0.0, 1.1, 1.2, 0.9, 1.3, 1.0]
-    said = [guard.update(sample(i, (x, 1.0))) is not None for i, x in enumerate(path)]
+    said = [alarm_of(guard, sample(i, (x, 1.0))) is not None for i, x in enumerate(path)]
     assert said == [False, True, False, False, True, False]
     assert guard.excess == 0.0
 
 
 def test_box_guard_counts_the_edge_as_inside():
-    assert BoxGuard(BOX).update(sample(0, (1.0, 4.0), (2.0, -2.0))) is None
+    assert alarm_of(BoxGuard(BOX), sample(0, (1.0, 4.0), (2.0, -2.0))) is None
 
 
 def test_box_guard_looks_at_the_kinetic_momentum_in_a_magnetic_field():
     gauge = np.array([[0.0, -2.0], [2.0, 0.0]])
     guard = BoxGuard(BOX, gauge)
     # p - gauge q = (0, 0), and beyond the edge -2 of the first.
-    assert guard.update(sample(0, (1.0, 1.5), (-3.0, 2.0))) is None
-    assert guard.update(sample(1, (1.0, 1.5), (-6.0, 2.0))) is not None
+    assert alarm_of(guard, sample(0, (1.0, 1.5), (-3.0, 2.0))) is None
+    assert alarm_of(guard, sample(1, (1.0, 1.5), (-6.0, 2.0))) is not None
 
 
 def test_accounted_energy_is_the_modified_one_less_the_work():
@@ -80,7 +81,7 @@ def test_barrier_guard_speaks_where_the_modified_energy_is_beyond_what_h_is_belo
     """What is conserved is H~: 1.2 J at first, over a barrier of 1.1 J; and 0.9 J below it."""
     for modified, said in ((1.2, True), (0.9, False)):
         guard = BarrierGuard('separatrix', 1.1)
-        assert said == any(guard.update(sample(
+        assert said == any(alarm_of(guard, sample(
             step, energy=1.0, modified_energy=modified + 0.01 * step)) for step in range(3))
 
 
@@ -88,7 +89,7 @@ def test_barrier_guard_judges_methods_of_order_2_by_the_energy_itself():
     """H~ is kept, but H comes as far as the barrier: the motion may leave where it is confined."""
     for order, said in ((1, False), (2, True)):
         guard = BarrierGuard('escape barrier', 1.1, order)
-        assert said == any(guard.update(sample(
+        assert said == any(alarm_of(guard, sample(
             step, energy=1.0 + 0.06 * step, modified_energy=1.0)) for step in range(3))
 
 
@@ -128,5 +129,5 @@ def test_energy_guard_takes_an_energy_that_is_not_finite_for_a_jump(value: float
 
 def test_energy_guard_leaves_out_the_work_that_was_done():
     guard = EnergyGuard(0.02, one_joule)
-    assert all(guard.update(sample(i, energy=1.0 + 0.1 * i, work=0.1 * i)) is None
+    assert all(alarm_of(guard, sample(i, energy=1.0 + 0.1 * i, work=0.1 * i)) is None
                for i in range(3000))

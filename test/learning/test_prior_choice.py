@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
+from helpers import alarm_of
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.learning.data.runs import Run, smoothed
@@ -203,7 +204,7 @@ def test_domain_says_what_goes_beyond():
     def look(step: int, velocity: float) -> Look:
         return Look(step, inside[0][0], np.zeros(2), np.zeros(2), np.array([0.0, velocity]),
                     0.0, 0.0)
-    assert guard.update(look(0, 3.0)) is None
-    alarm = guard.update(look(1, 30.0))
+    assert alarm_of(guard, look(0, 3.0)) is None
+    alarm = alarm_of(guard, look(1, 30.0))
     assert 'elbow to 30 rad/s, seen 15 at most), 50 % of the samples' in alarm.message
-    assert guard.update(look(2, 31.0)) is None and guard.share == pytest.approx(2 / 3)
+    assert alarm_of(guard, look(2, 31.0)) is None and guard.share == pytest.approx(2 / 3)

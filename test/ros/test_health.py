@@ -9,6 +9,7 @@ import time
 from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
+from helpers import alarm_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
@@ -262,7 +263,7 @@ def test_energy_guard_measures_a_loss_by_the_work_that_was_turned_over():
     for n in range(10_000):
         # 100 J go in and out; the account is short of 1 J, a hundredth of that.
         work = 50.0 if n % 2 else 0.0
-        found.append(guard.update(replace(
+        found.append(alarm_of(guard, replace(
             sample, modified_energy=0.5 + work - min(1.0, 1e-3 * n), work=work)))
     assert found == [None] * 10_000
 
@@ -332,7 +333,7 @@ def watched(guard: Guard, samples: Sequence[Sample]) -> Parts:
     """Return what was told of samples, the last one being the newest."""
     parts = Parts([guard])
     for sample in samples:
-        if (found := guard.update(sample)) is not None:
+        if (found := alarm_of(guard, sample)) is not None:
             parts.health.add(found, sample.stamp)
     return parts
 
