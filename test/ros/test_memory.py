@@ -21,9 +21,9 @@ step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
 # Allocators settle in the first ones.
-WARM, COUNT = 20, 60
+WARM, COUNT = 20, 120
 # What a reset of before left was 2.1 MB; one that leaves nothing is lost in what comes and goes,
-# some 2 MB, of which this is five times the share of one.
+# some 2 MB, on a busy machine 6, of which this is twice the share of one.
 MOST_EACH = 0.1
 
 
