@@ -159,7 +159,8 @@ CASES = {
          'RMS error [rad] after 0.5 s, test': [.124, .248],
          'RMS error [rad] after 0.1 s, later acrobot': [.011, .019],
          'RMS error [rad] after 0.1 s, later pendubot': [.025, .020]},
-        {NETWORKS: {'RMS error [rad] after 0.5 s, test': [.090, .140],
+        {DEFAULT: {},
+         NETWORKS: {'RMS error [rad] after 0.5 s, test': [.090, .140],
                     'RMS error [rad] after 0.1 s, later acrobot': [.0085, .0120],
                     'RMS error [rad] after 0.1 s, later pendubot': [.030, .037]},
          WITH_PRIOR: {'RMS error [rad] after 0.5 s, test': [.110, .205],
@@ -171,12 +172,13 @@ CASES = {
         {'RMS error [rad] over 0.5 s, validation': [.0038, .0045],
          'RMS error [rad] over 1 s, validation': [.0039, .0054],
          'RMS error [rad] over 2 s, validation': [.0044, .0064]},
-        {NETWORKS: {'RMS error [rad] over 2 s, validation': [.0050, .0072]},
+        {DEFAULT: {},
+         NETWORKS: {'RMS error [rad] over 2 s, validation': [.0050, .0072]},
          WITH_PRIOR: {'RMS error [rad] over 2 s, validation': [.0036, .0055]}},
         prior='double_pendulum', prior_config='multiarm_rigid_body'),
     'simulated arm with friction': Case(
         'two_link_arm_chirps', write_arm, followed_times,
-        {MEAN: [20.0], LEAST: [20.0]}, {NETWORKS: {}, WITH_PRIOR: {}},
+        {MEAN: [20.0], LEAST: [20.0]}, {DEFAULT: {}, NETWORKS: {}, WITH_PRIOR: {}},
         prior='double_pendulum', longer=True),
 }
 
@@ -286,8 +288,7 @@ def read_case(case: Case, data: Path) -> CaseMotions:
 
 def models_of(case: Case) -> list[str]:
     """Return the names of a case's models in the tables."""
-    return [*([DEFAULT] if case.prior else []), NETWORKS,
-            *([WITH_PRIOR, RIGID_BODY] if case.prior else []), PLAIN]
+    return [*case.goals, *([RIGID_BODY] if case.prior else []), PLAIN]
 
 
 def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int, quick: bool
@@ -356,11 +357,11 @@ def rows_of(name: str, case: Case, results: dict[str, list[Measures]]
             ) -> Iterator[dict[str, Any]]:
     """Yield a row for each model and measure: means over seeds, and whether the goal is met."""
     sign = -1.0 if case.longer else 1.0
-    models = [model for model in (DEFAULT, NETWORKS, WITH_PRIOR) if model in results]
+    models = [model for model in case.goals if model in results]
     for model, measure in itertools.product(models, case.references):
         seeds = [measures[measure] for measures in results[model]]
         ours = np.mean(seeds, axis=0)
-        goal = case.goals.get(model, {}).get(measure, case.references[measure])
+        goal = case.goals[model].get(measure, case.references[measure])
         worst = np.min(seeds, axis=0) if case.longer else np.max(seeds, axis=0)
         others = {baseline: [measures[measure] for measures in results[baseline]]
                   for baseline in (RIGID_BODY, PLAIN) if baseline in results}

@@ -178,6 +178,14 @@ def test_friction_that_is_named_is_left_as_it_is():
     assert not any('friction' in one.name for one in card.candidates)
 
 
+def test_motions_too_short_to_choose_by_train_networks_alone(capsys):
+    whole = carriage(1, 1.0)
+    short = smoothed('short', whole.t[:60], whole.q[:60], whole.v_smooth[:60], whole.tau[:60], 40.0)
+    chosen, card = selected(sliding(), [short], problem_of)
+    assert card is None and chosen.family.prior is None
+    assert '1 short motions leave nothing to choose by' in capsys.readouterr().out
+
+
 def test_windows_last_as_many_steps_however_rare_samples_are():
     rare = carriage(1, 1.0)
     rare = smoothed('rare', rare.t[::5], rare.q[::5], rare.v_smooth[::5], rare.tau[::5], 10.0)

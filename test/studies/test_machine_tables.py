@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from studies import machine_tables, published_tables, simulated_arm
 from studies.machine_tables import (
-    CASES, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY, rows_of,
-    RUNS, valid_times, WITH_PRIOR)
+    CASES, DEFAULT, dfki_errors, measure_machines, multiarm_errors, NETWORKS, PLAIN, RIGID_BODY,
+    rows_of, RUNS, valid_times, WITH_PRIOR)
 
 
 def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Run:
@@ -92,7 +92,7 @@ def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
     done, out = [], tmp_path / 'machines.json'
 
     def run_case(_case, model, _motions, _data, seed, _quick):
-        if len(done) == 5:
+        if len(done) == 6:
             done.append('stopped')
             raise KeyboardInterrupt
         done.append((model, seed))
@@ -104,11 +104,11 @@ def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
         measure_machines(tmp_path, out, range(2), False)
     # As many seeds stand there as were measured.
     assert {row['model']: len(row['seeds']) for row in json.loads(out.read_text())} == {
-        NETWORKS: 2, WITH_PRIOR: 1}
+        DEFAULT: 2, NETWORKS: 1, WITH_PRIOR: 1}
     measure_machines(tmp_path, out, range(2), False)
     # Least squares know no seed.
-    expected = [(NETWORKS, 0), (WITH_PRIOR, 0), (RIGID_BODY, 0), (PLAIN, 0), (NETWORKS, 1),
-                'stopped', (WITH_PRIOR, 1), (PLAIN, 1)]
+    expected = [(DEFAULT, 0), (NETWORKS, 0), (WITH_PRIOR, 0), (RIGID_BODY, 0), (PLAIN, 0),
+                (DEFAULT, 1), 'stopped', (NETWORKS, 1), (WITH_PRIOR, 1), (PLAIN, 1)]
     assert done == expected
     measure_machines(tmp_path, out, range(2), False)
     assert done == expected

@@ -85,7 +85,8 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
                 config.loss is None or isinstance(config.loss, Trajectory)):
             return _named(config, ALONE), None
     kept, furthest, ordinary = held_out(motions)
-    if not furthest or not ordinary:
+    shortest = 1.05 * slowness(motions) * min(_HORIZONS)
+    if any(all(run.t[-1] - run.t[0] < shortest for run in part) for part in (furthest, ordinary)):
         print(f'{AUTO}: {len(motions)} short motions leave nothing to choose by; '
               f'{else_takes}', flush=True)
         return _named(config, else_takes), None
