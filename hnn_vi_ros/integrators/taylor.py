@@ -177,7 +177,9 @@ def _rates(kernel: Kernel) -> tuple[Graph, list[int]]:
     z = np.array([Symbol(graph, graph.name(name)) for name in _names(d)])
     slopes = np.array([Symbol(graph, graph.number(0.0))] * (2 * d))
     _fill(kernel, z[:d], z[d:], slopes[:d], slopes[d:])
-    return graph, [*(one.node for one in slopes[d:]), *((-one).node for one in slopes[:d])]
+    # Of a cyclic coordinate, on which H does not depend, the slope is a number.
+    return graph, [one.node if isinstance(one, Symbol) else graph.number(one)
+                   for one in (*slopes[d:], *-slopes[:d])]
 
 
 def _fill(kernel: Kernel, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray

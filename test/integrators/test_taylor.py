@@ -78,6 +78,17 @@ def test_taylor_agrees_with_gauss16_on_a_rich_formula(effects):
     assert np.abs(np.append(ours.q - other.q, ours.p - other.p)).max() < 1e-13
 
 
+def test_taylor_takes_a_formula_with_a_cyclic_coordinate():
+    """H of a spherical pendulum does not depend on its azimuth; its momentum stays as it is."""
+    H = Formula(['a', 'b'], 'p_a^2 / 2 + p_b^2 / (2 * sin(a)^2) + 9.81 * cos(a)')
+    found = []
+    for method, h in ((Taylor(1e-15), 1.0), (INTEGRATORS['gauss16'](), 0.01)):
+        simulation = Simulation(H, method, h, [2.0, 0.0], [0.3, 0.8])
+        simulation.advance(round(2.0 / h))
+        found.append(np.append(simulation.q, simulation.p))
+    assert found[0][3] == 0.8 and np.abs(found[0] - found[1]).max() < 1e-12
+
+
 def test_taylor_holds_a_command_over_a_step_and_counts_its_work():
     ends, works = [], []
     for method, h in ((Taylor(1e-15), 1.0), (INTEGRATORS['gauss16'](), 0.05)):
