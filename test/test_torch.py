@@ -288,6 +288,18 @@ def test_gradient_is_that_of_the_commands_at_the_time_of_the_run(pendulum):
     assert torch.equal(found, expected)
 
 
+def test_gradient_without_commands_is_that_under_the_initial_command(pendulum):
+    force = {'kind': 'external_force', 'coordinates': ['angle'], 'initial': [2.0]}
+    drive = {'kind': 'periodic_drive', 'coordinate': 'angle', 'amplitude': 2.0, 'frequency': 0.0}
+    found = []
+    for effect in (force, drive):
+        q0 = torch.ones(1, dtype=torch.float64, requires_grad=True)
+        motion = simulate(pendulum.changed({'effects': [effect]}), q0,
+                          torch.ones(1).double(), duration=1.0, every=10)
+        found += torch.autograd.grad(motion.q[-1, 0], q0)
+    assert torch.allclose(*found, rtol=1e-12)
+
+
 @pytest.mark.parametrize('changes, error, message', [
     ({'duration': 1.003}, ValueError, 'duration = 1.003 s is 100.3 samples, one every 0.01 s: '),
     ({'duration': 1e30}, ValueError, 'duration = 1e\\+30 s would make 1e\\+32 samples, '),

@@ -197,6 +197,9 @@ class Commanded(ABC):
 
         """
 
+    def begin(self, parameters: Any) -> None:
+        """Put into effect what acts before the first command; most effects have nothing."""
+
     def aim(self, parameters: Any) -> Aim | None:
         """Return the present targets; None if the effect follows none."""
         return None

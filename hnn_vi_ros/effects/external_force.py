@@ -33,7 +33,9 @@ class ExternalForce(Force, Commanded):
     coordinates : list of str, optional
         The coordinates of the numbers of a command, in this order.
     timeout : float
-        How long a command is active, > 0 [s].
+        How long a command is active, > 0 [s]; then no force acts.
+    initial : list of float, optional
+        The command that acts from the start of a run until the first one; without it no force.
     model : str, optional
         A model with an input map (family control_affine, or mechanical or lie_group with
         ``input_map: learned``), instead of the coordinates; an ensemble acts by its mean.
@@ -43,8 +45,8 @@ class ExternalForce(Force, Commanded):
     Raises
     ------
     ModelError, ValueError
-        The model has no input map or no such member, the time-out is not positive, or
-        coordinates, model and member do not fit together.
+        The model has no input map or no such member, the time-out is not positive, ``initial`` is
+        no command, or coordinates, model and member do not fit together.
 
     References
     ----------
@@ -56,7 +58,8 @@ class ExternalForce(Force, Commanded):
     depends_on_momentum, single, turns = False, True, True
 
     def __init__(self, coordinates: list[str] | None = None, timeout: float = 0.5,
-                 model: str | None = None, member: int | None = None):
+                 model: str | None = None, member: int | None = None,
+                 initial: list[float] | None = None):
         check_positive(timeout=timeout)
         if (coordinates is None) == (model is None):
             raise ValueError('coordinates is required, or a model in its place')
@@ -65,6 +68,7 @@ class ExternalForce(Force, Commanded):
         if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
             raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
+        self.initial = initial
         self.held = model is None
         self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
         # The input map of a model depends on q.
@@ -77,22 +81,33 @@ class ExternalForce(Force, Commanded):
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> 'InputParameters':
         """Return the command, the clock, the columns, and the function that adds forces."""
         from hnn_vi_ros.effects.input_map import by_map, by_name
-        if self._model is not None:
-            return by_map(state, self._model, coordinates)
-        return by_name(state, coordinates, self.names)
+        parameters = by_name(state, coordinates, self.names) if self._model is None else by_map(
+            state, self._model, coordinates)
+        if self.initial is not None:
+            self._checked('initial', np.array(self.initial, dtype=np.float64), parameters.columns)
+        return parameters
+
+    def begin(self, parameters: 'InputParameters') -> None:
+        """Put the initial command into effect, until another comes."""
+        if self.initial is not None:
+            parameters.hold(parameters.columns, np.array(self.initial), np.inf)
 
     def prepare(self, command: Command, parameters: 'InputParameters', q: np.ndarray
                 ) -> Callable[[], None]:
         """Return a function that sets forces [N], [N m], of all or of the named joints."""
-        columns, names = parameters.columns, self.names
+        columns = parameters.columns
         values = np.array(getattr(command, EFFORT, command), dtype=np.float64)
         if isinstance(command, JointCommand):
             given = ~np.isnan(values)
             columns, values = columns[indices_of(command.names, names, given)], values[given]
-        if values.shape != columns.shape or not (np.abs(values) <= LARGEST).all():
-            raise ValueError(f'command {values.tolist()!s:.80}: expected {columns.size} finite '
-                             f'numbers{", for " * bool(names)}{", ".join(names)}, <= {LARGEST:g}')
+        self._checked('command', values, columns)
         return lambda: parameters.hold(columns, values, self.timeout)
+
+    def _checked(self, what: str, values: np.ndarray, columns: np.ndarray) -> None:
+        if values.shape != columns.shape or not (np.abs(values) <= LARGEST).all():
+            raise ValueError(f'{what} {values.tolist()!s:.80}: expected {columns.size} finite '
+                             f'numbers{", for " * bool(self.names)}{", ".join(self.names)}, '
+                             f'<= {LARGEST:g}')
 
     @staticmethod
     @inlined

@@ -70,6 +70,10 @@ class ActingEffects:
         rows = np.zeros((*times.shape, state.command.size))
         if commands.shape[-1]:
             rows[..., :-1], rows[..., -1] = commands @ self._system.places, np.inf
+        else:
+            state.command[:] = 0.0
+            self._system.motors.begin()
+            rows[:] = state.command
         return Acting(state.clock, state.command, times, rows, self._flow)
 
     def padded(self, states: np.ndarray) -> np.ndarray:

@@ -181,8 +181,9 @@ class BagOutput(Sink):
         attachments = {
             'scene.yaml': scene.encode(),
             'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
-        # Steps that were taken, a command that is held already: what the scene does not tell.
-        if (state := state_file(simulation)) != self._begun_at:
+        # Steps that were taken, a command that is held already: what the topics do not hold.
+        state, held = state_file(simulation), simulation.snapshot()['live.command']
+        if state != self._begun_at or held.any():
             attachments[STATE_FILE] = state
         sink = McapSink(
             self._bags[-1], self._topics.tick, attachments, distribution() or 'unknown')

@@ -123,6 +123,8 @@ class Simulation(Stepping):
         """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
         q, p = self._system.check_state(q, p)
         self._system.effect_state.reset(stream, step * self.step_size, held)
+        if held is None:
+            self.motors.begin()
         self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
         self._shape, self._momenta = q.shape, p.shape[-1]
         self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]

@@ -63,6 +63,11 @@ class Motors:
         self.names: Sequence[str] = driven[0][0] if driven else ()
         self.size: int = driven[0][1] if driven else 0
 
+    def begin(self) -> None:
+        """Put into effect what acts before the first command."""
+        for effect, own in self._effects:
+            effect.begin(own)
+
     def command(self, command: Command, q: np.ndarray, limited: bool = True) -> None:
         """
         Pass a command to the effects that take it.

@@ -309,6 +309,31 @@ def test_external_force_holds_over_steps_and_ends_in_simulated_time(integrator):
         assert simulation.p[1] - before == pytest.approx(0.2 * force, abs=1e-12)
 
 
+def test_external_force_begins_with_its_initial_command_until_another_comes():
+    effect = EFFECTS['external_force'](['x'], timeout=0.2, initial=[2.0])
+    simulation = Simulation(free('y', 'x'), INTEGRATORS['rk4'](), 0.1, [0.0, 0.0], [0.0, 0.0],
+                            [effect])
+    for _ in range(2):
+        assert simulation.dH_dq.tolist() == [0.0, -2.0]
+        impulses = []
+        for step in range(14):
+            if step == 8:
+                simulation.set_command([-1.0])
+            before = simulation.p[1]
+            simulation.advance(1)
+            impulses.append(simulation.p[1] - before)
+        # Far beyond the time-out, which ends commands only; after one no force acts.
+        assert impulses == pytest.approx([0.2] * 8 + [-0.1] * 2 + [0.0] * 4, abs=1e-12)
+        simulation.restart([0.0, 0.0], [0.0, 0.0])
+
+
+@pytest.mark.parametrize('initial', [[], [1.0, 2.0], [NAN], [1e13]])
+def test_external_force_refuses_a_bad_initial_command(initial):
+    with pytest.raises(ValueError, match='initial .*: expected 1 finite numbers, for x, '):
+        Simulation(free('x'), INTEGRATORS['rk4'](), 0.1, [0.0], [0.0],
+                   [EFFECTS['external_force'](['x'], initial=initial)])
+
+
 def test_external_force_shows_at_once_in_the_public_gradient():
     simulation = pushed('generalized_leapfrog', 0.5)
     simulation.set_command([2.0])

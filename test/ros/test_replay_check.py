@@ -14,6 +14,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.learning.data.bag_signals import SignalReader
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays
@@ -71,6 +72,17 @@ def test_driven_run_agrees_bit_by_bit_by_the_commands_in_its_bag(tmp_path, drive
     bag = record_run(tmp_path / 'bag', driven, 100, commands=COMMANDS)
     verdict = check_replay(bag)
     assert verdict.good and '100 samples agree bit by bit' in verdict.text, verdict.text
+
+
+@pytest.mark.parametrize('begin', [None, 30])
+def test_run_from_an_initial_command_agrees_bit_by_bit(tmp_path, driven, begin):
+    force = {'kind': 'external_force', 'coordinates': ['angle1'], 'timeout': 0.05,
+             'initial': [0.7]}
+    bag = record_run(tmp_path / 'bag', driven.changed({'effects': [force]}), 100,
+                     commands={80: [[-1.0]]}, begin=begin)
+    assert check_replay(bag).good
+    # Its topics do not hold that force.
+    assert SignalReader(bag, ['angle1', 'angle2'], [], 'header').commanded_before
 
 
 def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):

@@ -212,6 +212,12 @@ def test_last_part_of_a_run_takes_the_command_of_its_own_row(tmp_path, more):
     assert run.p[:, 0] == pytest.approx([0.0, 0.1, 0.3, 0.3 + 3.0 * 0.055], abs=1e-14)
 
 
+def test_quadrotor_hovers_until_the_first_command():
+    run = simulate('quadrotor', 10.0)
+    # The thrust is its weight to a rounding, 1e-15 N, in each of 5000 steps.
+    assert abs(run.q - run.q[0]).max() < 1e-12
+
+
 def test_commands_of_a_run_hold_a_quadrotor_where_it_is():
     run = simulate('quadrotor', 0.1, commands=lambda t: [0.8 * 9.81, 0.0, 0.0, 0.0], every=10)
     assert run.q.shape == (6, 7) and run.p.shape == (6, 6)
