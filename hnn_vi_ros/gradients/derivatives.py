@@ -175,13 +175,10 @@ class DifferentiableRun:
             commands = commands.copy()
         q, p = np.split(z, 2, axis=1)
         self._system.check_state(q, p)
-        if self._simulation is None:
-            self._simulation = Simulation(
-                self._hamiltonian, self._integrator, self._h, q[0], p[0], self._effects, 'stop')
         begin = np.zeros(len(z), dtype=int) if first is None else np.array(first, dtype=int)
         recorded = Recorded(z.copy(), every, begin, commands, segments_of(samples * every), [],
                             z[None])
-        rows = self._simulation.rows(z, step=begin)
+        rows = self._stepper(z).rows(z, step=begin)
         sampled = np.empty((samples + 1, *z.shape))
         sampled[0], states = z, recorded.last
         for segment in recorded.segments:
@@ -326,10 +323,17 @@ class DifferentiableRun:
 
     def _advance(self, recorded: Recorded, rows: np.ndarray, segment: Segment) -> np.ndarray:
         """Take a segment's steps from rows on; return the states, shape (K + 1, m, 2 d)."""
-        assert self._simulation is not None, 'record() has made it'
         commands = recorded.commands_in(segment).swapaxes(0, 1)
-        path = self._simulation.follow_on(rows, np.ascontiguousarray(commands))
+        path = self._stepper(recorded.z).follow_on(rows, np.ascontiguousarray(commands))
         return np.ascontiguousarray(path.swapaxes(0, 1))
+
+    def _stepper(self, z: np.ndarray) -> Simulation:
+        """Return what takes steps; its own state, one of z at first, does not matter."""
+        if self._simulation is None:
+            q, p = np.split(z[0], 2)
+            self._simulation = Simulation(
+                self._hamiltonian, self._integrator, self._h, q, p, self._effects, 'stop')
+        return self._simulation
 
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
                      stages: np.ndarray, states: np.ndarray, times: np.ndarray) -> None:

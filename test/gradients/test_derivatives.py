@@ -109,3 +109,14 @@ def test_too_many_unknowns_are_refused():
     with pytest.raises(UnsupportedSystem, match='8 stages of 64 coordinates, 1024 unknowns, of '
                                                 'which up to 512 are'):
         DifferentiableRun(chain, INTEGRATORS['gauss16'](), H)
+
+
+def test_run_of_another_instance_is_gone_back_through_bit_by_bit():
+    """Of instances in a pool the first free one goes back, which may have taken no step yet."""
+    one, other = (DifferentiableRun(HAMILTONIANS['pendulum'](), INTEGRATORS['gauss4'](), H)
+                  for _ in range(2))
+    z = np.array([[1.0, 0.5]])
+    cotangents = np.ones_like(one.record(z, 300))
+    assert len(one.recorded.segments) > 2
+    other.go_back_to(one.recorded)
+    assert np.array_equal(other.pull_back(cotangents)[0], one.pull_back(cotangents)[0])
