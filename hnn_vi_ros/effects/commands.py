@@ -199,6 +199,7 @@ class Commanded(ABC):
 
     def begin(self, parameters: Any) -> None:
         """Put into effect what acts before the first command; most effects have nothing."""
+        return
 
     def aim(self, parameters: Any) -> Aim | None:
         """Return the present targets; None if the effect follows none."""

@@ -99,7 +99,7 @@ class ExternalForce(Force, Commanded):
         values = np.array(getattr(command, EFFORT, command), dtype=np.float64)
         if isinstance(command, JointCommand):
             given = ~np.isnan(values)
-            columns, values = columns[indices_of(command.names, names, given)], values[given]
+            columns, values = columns[indices_of(command.names, self.names, given)], values[given]
         self._checked('command', values, columns)
         return lambda: parameters.hold(columns, values, self.timeout)
 

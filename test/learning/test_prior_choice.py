@@ -180,7 +180,8 @@ def test_friction_that_is_named_is_left_as_it_is():
 
 def test_motions_too_short_to_choose_by_train_networks_alone(capsys):
     whole = carriage(1, 1.0)
-    short = smoothed('short', whole.t[:60], whole.q[:60], whole.v_smooth[:60], whole.tau[:60], 40.0)
+    short = smoothed(
+        'short', whole.t[:60], whole.q[:60], whole.v_smooth[:60], whole.tau[:60], 40.0)
     chosen, card = selected(sliding(), [short], problem_of)
     assert card is None and chosen.family.prior is None
     assert '1 short motions leave nothing to choose by' in capsys.readouterr().out
