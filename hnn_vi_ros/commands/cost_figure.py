@@ -130,8 +130,10 @@ def _styles() -> dict[str, tuple[str, str]]:
     for name in dict.fromkeys(kind.removeprefix('lie_') for kind in INTEGRATORS):
         family = name.rstrip(digits)
         met[family] += 1
-        # Steps of the golden ratio around the circle of hues leave no two families close together.
-        hue, value = list(met).index(family) / golden % 1.0, 0.95 - 0.07 * met[family]
+        # Steps of the golden ratio around the circle of hues leave no two of eight families close
+        # together; each eight that follow are darker.
+        number = list(met).index(family)
+        hue, value = number / golden % 1.0, 0.95 - 0.07 * met[family] - 0.25 * (number // 8)
         styles[name] = [to_hex(hsv_to_rgb((hue, saturation, value)).tolist())
                         for saturation in (0.75, 0.45)], next(markers)
     found = {}

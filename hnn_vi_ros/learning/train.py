@@ -55,8 +55,9 @@ def main(argv: Sequence[str]) -> None:
         (*outputs, *member_files(model, arguments.ensemble or 0)), arguments.resume)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *(
         part for part in argv if part != '--resume')])
-    task = task_class(source, config, arguments.data, count > 1)
+    # A model that is chosen is trained from here on.
     begun, members = time.perf_counter(), list[Checkpoint]()
+    task = task_class(source, config, arguments.data, count > 1)
     with members_kept(model, members):
         for k in range(count):
             own = config.model_copy(update={'seed': config.seed + k})
