@@ -35,7 +35,8 @@ class ExternalForce(Force, Commanded):
     timeout : float
         How long a command is active, > 0 [s]; then no force acts.
     initial : list of float, optional
-        The command that acts from the start of a run until the first one; without it no force.
+        The command that acts from the start of a run until the first one, in the units of the
+        coordinates' forces [N, N m] or of the model's inputs; without it no force.
     model : str, optional
         A model with an input map (family control_affine, or mechanical or lie_group with
         ``input_map: learned``), instead of the coordinates; an ensemble acts by its mean.

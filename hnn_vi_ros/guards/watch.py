@@ -177,17 +177,19 @@ class Watch:
             if isinstance(guard, kinds)]
         self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
         self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
+        self._kinds = [guard.kind for guard in guards]
         # What was found in which step, by kind, and looks that wait for others.
         self._found: dict[str, tuple[int, Alarm]] = {}
         self._pending: list[Look] = []
 
     @property
     def alarms(self) -> list[Alarm]:
-        """Return the first alarm of each kind, in the order in which they were raised."""
+        """Return the first alarm of each kind by its step, in the order of the guards."""
         pending, self._pending = self._pending, []
         for alarm, look in judge(self._of_blocks, pending):
             self._found.setdefault(alarm.kind, (look.step, alarm))
-        return [alarm for _, alarm in sorted(self._found.values(), key=lambda one: one[0])]
+        return [alarm for _, alarm in sorted(
+            self._found.values(), key=lambda one: (one[0], self._kinds.index(one[1].kind)))]
 
     def update(self, look: Look) -> None:
         """Show the next state to all guards."""

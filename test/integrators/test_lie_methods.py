@@ -422,6 +422,9 @@ def test_polynomial_through_a_step_on_a_group_is_of_order_3():
 @pytest.mark.parametrize('name', ['heavy_top', 'quadrotor', 'turning_pendulum'])
 def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: str):
     times, scene = [0.0, 0.0137, 0.05, 0.1, 0.3333, 0.4999], load_scene(name)
+    if name == 'quadrotor':
+        # It hovers; here it turns.
+        scene.initial_state.p[3:] = [0.01, 0.02, 0.03]
     runs = [simulate(scene, 0.5, step_size=scene.known_step_size / parts, times=times)
             for parts in (1, 2, 8)]
     assert runs[0].t.tolist() == times
