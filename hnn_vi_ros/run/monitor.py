@@ -145,7 +145,7 @@ class Monitor:
     guards : iterable of Guard, optional
         What must hold.
     scale : SampledScale, optional
-        By which those measure energies.
+        By which those measure energies; NaN is told where none does.
 
     Attributes
     ----------
@@ -170,6 +170,7 @@ class Monitor:
         self.guards = list(guards)
         # Samples that the guards have not looked at, and what they have found meanwhile.
         self._pending: list[Sample] = []
+        self._queued: Sample | None = None
         self._found: list[tuple[Alarm, Sample]] = []
         # Those that must be asked at each sample.
         self._each: list[StateGuard] = []
@@ -215,8 +216,7 @@ class Monitor:
             What was found, and in which sample.
 
         """
-        self._pending.append(sample)
-        self._found += _ask(self._each, sample)
+        self._queue(sample)
         # As accounted_energy, without a call of it.
         energy = sample.modified_energy
         if energy != energy:
@@ -226,6 +226,12 @@ class Monitor:
                 self._lowest <= energy - sample.work <= self._highest):
             return self.look()
         return []
+
+    def _queue(self, sample: Sample) -> None:
+        if sample is not self._queued:
+            self.newest = self._queued = sample
+            self._pending.append(sample)
+            self._found += _ask(self._each, sample)
 
     def look(self) -> list[tuple[Alarm, Sample]]:
         """Let the guards look at all samples so far; return what they have found."""
@@ -244,7 +250,9 @@ class Monitor:
 
     @property
     def energy_scale(self) -> float:
-        """Return the size of the energies in play, NaN before the guards saw a sample [J]."""
+        """Return the size of the energies in play as of the newest sample, NaN before it [J]."""
+        if self.newest is not None:
+            self._queue(self.newest)
         self._found = self.look()
         return self._scale.value
 

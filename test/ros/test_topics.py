@@ -9,6 +9,8 @@ import time
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.diagnostics import local_error
+from hnn_vi_ros.guards.bands import EnergyGuard
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import Material
@@ -96,7 +98,9 @@ def sample_of(simulation: Simulation, **changes: float) -> Sample:
 
 
 def open_topics(topics: Topics, simulation: Simulation, mechanism: str | None = None) -> Monitor:
-    monitor = Monitor(simulation, 10, 0.1, None, pytest.fail)
+    scale = SampledScale(simulation.hamiltonian)
+    monitor = Monitor(simulation, 10, 0.1, None, pytest.fail,
+                      [EnergyGuard(0.02, scale)], scale)
     topics.open(Material(simulation, monitor, BOX, mechanism), lambda: 0,
                 lambda topic, stamp, payload: None)
     return monitor
@@ -312,7 +316,7 @@ def test_scene_report_names_effects_and_what_they_cost(tmp_path):
     report = scene_report(scene, simulation, origin=5)
     assert report['effects'] == [
         {'kind': 'external_force', 'coordinates': ['x'], 'timeout': TIMEOUT, 'model': None,
-         'member': None}]
+         'member': None, 'initial': None}]
     assert report['conservative'] is False
     assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
