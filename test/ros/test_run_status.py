@@ -68,6 +68,8 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     process = start(tmp_path, duration=25, real_time_factor=5, discovery_time=5,
                     record_path='bag', rerun_sink='none', publish_accuracy='true')
     assert listen(process, executor) == 0
+    # What a busy machine makes the node report at once, a real-time overrun, comes by itself.
+    messages = [message for message in messages if len(message.status) > 1]
     # 5 s of wall time, and one at the end; a late timer may cost some.
     assert 3 <= len(messages) <= 7
     for message in messages:
