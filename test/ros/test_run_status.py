@@ -65,13 +65,16 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     accuracy: list[Float64MultiArray] = []
     node.create_subscription(Float64MultiArray, '/hnn_simulator/accuracy', accuracy.append, 3000)
     (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    begin = time.monotonic()
     process = start(tmp_path, duration=25, real_time_factor=5, discovery_time=5,
                     record_path='bag', rerun_sink='none', publish_accuracy='true')
     assert listen(process, executor) == 0
+    seconds = time.monotonic() - begin
     # What a busy machine makes the node report at once, a real-time overrun, comes by itself.
     messages = [message for message in messages if len(message.status) > 1]
-    # 5 s of wall time, and one at the end; a late timer may cost some.
-    assert 3 <= len(messages) <= 7
+    # One a second, and one at the end. The run takes 5 s, or longer on a busy machine; a late timer
+    # may cost some.
+    assert 3 <= len(messages) <= seconds + 1.0
     for message in messages:
         assert [status.name for status in message.status] == [
             f'hnn_simulator: {component}' for component in COMPONENTS]
