@@ -79,7 +79,7 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
         assert [status.name for status in message.status] == [
             f'hnn_simulator: {component}' for component in COMPONENTS]
         assert {status.hardware_id for status in message.status} == {'oscillator'}
-        assert message.header.stamp.sec > 0
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) > (0, 0)
     timing, integrator, energy, recorder, model, health = map(values_of, messages[-1].status)
     median, p99 = (float(timing[f'microseconds_per_step_{name} [us]'])
                    for name in ('median', 'p99'))
