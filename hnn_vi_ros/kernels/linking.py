@@ -12,7 +12,7 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 """
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
@@ -388,6 +388,9 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
             except BaseException as problem:
                 found.set_exception(problem)
         Thread(target=run).start()
+        # A signal that arrives just before a wait begins is handled after it.
+        while not wait([found], 0.5).done:
+            pass
         return found.result()
     dispatcher.compile = compile_aside
     return dispatcher
