@@ -72,8 +72,8 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     seconds = time.monotonic() - begin
     # What a busy machine makes the node report at once, a real-time overrun, comes by itself.
     messages = [message for message in messages if len(message.status) > 1]
-    # One a second, and one at the end. The run takes 5 s, or longer on a busy machine; a late timer
-    # may cost some.
+    # One a second, and one at the end. The run takes 5 s, or longer on a busy machine; a late
+    # timer may cost some.
     assert 3 <= len(messages) <= seconds + 1.0
     for message in messages:
         assert [status.name for status in message.status] == [
