@@ -86,3 +86,20 @@ def test_scale_that_is_asked_for_takes_each_sample_once_and_in_order():
         simulation.advance(1)
     together.look()
     assert state_of(together) == state_of(alone)
+
+
+def test_scale_of_a_sample_that_is_published_first_is_its_own_and_counts_it_once():
+    simulation = build(load_scene('exact_pendulum'))
+    sampler = Sampler(simulation, 1.0 / simulation.step_size)
+    alone, published = monitor_of(simulation), monitor_of(simulation)
+    for _ in range(500):
+        sample = sampler.sample()
+        alone.watch(sample)
+        # As in a message, which is out before the guards look.
+        published.add(sample)
+        scale = published.energy_scale
+        published.watch(sample, at_once=False)
+        assert scale == alone.energy_scale
+        simulation.advance(1)
+    published.look()
+    assert state_of(published) == state_of(alone)
