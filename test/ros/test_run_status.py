@@ -72,9 +72,10 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     seconds = time.monotonic() - begin
     # What a busy machine makes the node report at once, a real-time overrun, comes by itself.
     messages = [message for message in messages if len(message.status) > 1]
-    # One a second, and one at the end. The run takes 5 s, or longer on a busy machine; a late
-    # timer may cost some.
-    assert 3 <= len(messages) <= seconds + 1.0
+    # One a second, and one at the end. The run takes 5 s, or longer where a busy machine makes it
+    # give up time; a late timer may cost some.
+    overruns = int(values_of(messages[-1].status[0])['overruns [1]'])
+    assert 3 <= len(messages) <= (seconds + 1.0 if overruns else 7)
     for message in messages:
         assert [status.name for status in message.status] == [
             f'hnn_simulator: {component}' for component in COMPONENTS]
