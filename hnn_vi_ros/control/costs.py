@@ -151,15 +151,20 @@ class Quadratic(Cost):
         self._z, self._u = (np.array(part, dtype=np.float64) for part in at)
         self._q, self._r = (_weights(name, matrix, at.size) for name, matrix, at in (
             ('q', q, self._z), ('r', r, self._u)))
+        self._of_state = bool(self._q.any())
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the cost; see Cost."""
-        x, effort = deviation(self._hamiltonian, z, self._z), u - self._u
+        x, effort = self._away(z), u - self._u
         return ((x @ self._q) * x).sum(axis=-1) + ((effort @ self._r) * effort).sum(axis=-1)
+
+    def _away(self, z: np.ndarray) -> np.ndarray:
+        """Return z - z*, or z where no weight falls on it."""
+        return deviation(self._hamiltonian, z, self._z) if self._of_state else z
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
         """Return the expansion; see Cost."""
-        x, effort = deviation(self._hamiltonian, z, self._z), u - self._u
+        x, effort = self._away(z), u - self._u
         by_x, by_u = x @ self._q, effort @ self._r
         return Expansion((by_x * x).sum(axis=-1) + (by_u * effort).sum(axis=-1), 2.0 * by_x,
                          2.0 * by_u, _each(2.0 * self._q, z), _each(2.0 * self._r, z))
@@ -239,19 +244,25 @@ class Kinetic(_OfState):
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the cost; see Cost."""
-        q, p = np.split(z, 2, axis=-1)
-        return self._hamiltonian.energy(q, p) - self._hamiltonian.energy(q, np.zeros_like(p))
+        moving, rest = self._hamiltonian.energy(*_and_at_rest(*np.split(z, 2, axis=-1)))
+        return moving - rest
 
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        model, rest = self._hamiltonian, np.zeros_like(p)
-        n, d = q.shape
+        model, (n, d) = self._hamiltonian, q.shape
+        both = _and_at_rest(q, p)
+        units = np.broadcast_to(np.eye(d)[:, None], (d, n, d))
         by_zz = np.zeros((n, 2 * d, 2 * d))
-        for k, unit in enumerate(np.eye(d)):
-            by_zz[:, d:, d + k] = model.hessian_vector(q, p, rest, rest + unit)[1]
-        slopes = (a - b for a, b in zip(model.gradient(q, p), model.gradient(q, rest),
-                                        strict=True))
-        return (model.energy(q, p) - model.energy(q, rest),
-                np.concatenate(list(slopes), axis=-1), by_zz)
+        by_zz[:, d:, d:] = model.hessian_vector(
+            *(np.broadcast_to(x, units.shape) for x in (q, p)), np.zeros(units.shape),
+            units)[1].transpose(1, 2, 0)
+        moving, rest = model.energy(*both)
+        slopes = (moved - kept for moved, kept in model.gradient(*both))
+        return moving - rest, np.concatenate(list(slopes), axis=-1), by_zz
+
+
+def _and_at_rest(q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return states, and then the same at rest."""
+    return np.stack([q, q]), np.stack([p, np.zeros_like(p)])
 
 
 class _Path(NamedTuple):

@@ -164,7 +164,7 @@ class Scene(StrictModel):
         """Return this scene with other values of some keys, or raise SceneError."""
         # The code that it names was admitted when it was read.
         scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
-                           f'{self.source} with other {", ".join(changes)}')
+                           f'{self.name} as changed')
         scene._origin = replace(
             self._origin, replaced=self._origin.replaced | changes.keys())
         return scene

@@ -148,6 +148,10 @@ def _energy_panels(trajectory: TrajectoryData) -> list[_Panel]:
     return panels
 
 
+# Alarms of a run differ by their dashes [points].
+_DASHES = (1, 2), (5, 2), (9, 2, 1, 2)
+
+
 def _draw_instants(rows: np.ndarray, trajectory: TrajectoryData) -> None:
     """Draw a line at each event, in every panel, and at each alarm that tells its step."""
     for number, axes in enumerate(rows):
@@ -158,9 +162,9 @@ def _draw_instants(rows: np.ndarray, trajectory: TrajectoryData) -> None:
             named.add(event.when)
         if trajectory.q.ndim == 3 or trajectory.scene is None:
             continue
-        for alarm in trajectory.alarms:
+        for k, alarm in enumerate(trajectory.alarms):
             axes.axvline(alarm.step * trajectory.scene.known_step_size, color=ALARM,
-                         linewidth=1.2, linestyle=':', zorder=0,
+                         linewidth=1.2, linestyle=(0, _DASHES[k % len(_DASHES)]), zorder=0,
                          label=f'alarm: {alarm.kind}' if number == len(rows) - 1 else None)
 
 

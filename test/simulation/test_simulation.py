@@ -83,7 +83,7 @@ def test_simulate_bad_arguments_are_refused(scene):
     ({'initial_state': {'q': [1.0]}}, TypeError, 'initial_state must be a pair'),
     ({'initial_state': 3}, TypeError, r'such as \(\[1.0\], \[0.0\]\), not 3'),
     ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError, 'initial_state.*2 values'),
-    ({'effects': [{'kind': 'dampin'}]}, SceneError, 'with other effects: effects'),
+    ({'effects': [{'kind': 'dampin'}]}, SceneError, 'as changed: effects'),
     ({'commands': [[1.0]]}, ValueError, r'commands has shape \(1, 1\), expected \(100, c\)'),
     ({'commands': lambda t: [1.0]}, ValueError, 'takes no commands')])
 def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error, message):

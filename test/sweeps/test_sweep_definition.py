@@ -35,7 +35,7 @@ VALUES = 'vary: [{kind: values, key: hamiltonian.length, values: [1.0]}]'
     ('hamiltonian.length', 'uncertainty', 'changes no trajectory'),
     ('[1.0]', '[]', 'a.yaml:3: vary.0.*values: .*1 or more'),
     ('[1.0]', '[.nan]', 'a.yaml:3: vary.0.*finite'),
-    ('[1.0]', '["long"]', 'exact_pendulum.yaml with other hamiltonian: .*length'),
+    ('[1.0]', '["long"]', 'exact_pendulum as changed: hamiltonian.*length'),
     ('[1.0]', '[-1.0]', 'length'),
     (VALUES, 'vary: []', 'a.yaml:3: vary: .*1 or more'),
     (VALUES, 'vary: [{kind: dice}]', "unknown kind 'dice'; valid kinds: box, file, grid"),
