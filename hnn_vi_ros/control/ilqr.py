@@ -155,6 +155,9 @@ class Ilqr(Planner):
             return None
         # The same state, with the angles next to the equilibrium's.
         near = own.at[0] + deviation(self._steps.hamiltonian, z, own.at[0])
+        first = np.clip(own.at[1] - own.gain @ (near - own.at[0]), self._low, self._high)
+        if not self._running.value(near, first) <= own.below:
+            return None
         count = max(self._horizon, round(own.duration / self._steps.duration))
         states, commands = self._steps.rollout(
             near, np.broadcast_to(own.at[1], (1, count, own.at[1].size)), -own.gain, own.at[0],

@@ -374,18 +374,20 @@ def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarra
 @inlined
 def _fill_slopes(kernel: Kernel, x: np.ndarray, work: StageWork) -> None:
     """Fill H'' at each stage, column by column."""
-    n, d = work.v_q.size, kernel.dimension
-    for column in range(2 * d):
-        if column % d >= _own(kernel):
-            continue  # its column is zero
-        for i in range(n):
-            work.v_q[i] = 1.0 if i % d == column else 0.0
-            work.v_p[i] = 1.0 if i % d == column - d else 0.0
+    n, d, own = work.v_q.size, kernel.dimension, _own(kernel)
+    # Columns of channels are zero.
+    for c in range(2 * own):
+        column = c if c < own else d + c - own
+        for j in range(n // d):
+            for k in range(d):
+                work.v_q[j * d + k] = 1.0 if k == column else 0.0
+                work.v_p[j * d + k] = 1.0 if k == column - d else 0.0
         kernel.hessian_vector(kernel.parameters, x[:n], x[n:], work.v_q, work.v_p,
                               work.product_q, work.product_p)
-        for i in range(n):
-            work.slopes[i // d, i % d, column] = work.product_q[i]
-            work.slopes[i // d, d + i % d, column] = work.product_p[i]
+        for j in range(n // d):
+            for k in range(d):
+                work.slopes[j, k, column] = work.product_q[j * d + k]
+                work.slopes[j, d + k, column] = work.product_p[j * d + k]
 
 
 @inlined
