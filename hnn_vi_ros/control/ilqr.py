@@ -109,11 +109,11 @@ class Ilqr(Planner):
         """Return the command from t on, shape (c,); see Planner."""
         end = self._clock() + self._budget
         z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
-        plans = self._candidates(z, t)
         regulated = self._regulated(z, t)
         if regulated is not None:
             self.mode, self._others = 'regulate', []
             return self._take(regulated, t)
+        plans = self._candidates(z, t)
         for _ in range(self._iterations):
             going = [one for one in plans if not one.done]
             if not going or self._clock() >= end:
@@ -126,26 +126,40 @@ class Ilqr(Planner):
     def _candidates(self, z: np.ndarray, t: float) -> list[Plan]:
         """Return the plans to go on from: those of the last call, or the best of random ones."""
         last, since = self._last, self._steps_since(t)
-        going = [self._shifted(one, t) for one in (last, *self._others)]
         self.mode = 'plan'
-        if last is not None and since < len(last.states):
-            rows = np.stack([going[0], *going])
-            planned, found, *others = self._rolled(
-                np.stack([last.states[since], *[z] * len(going)]), rows, t)
+        if last is not None and since < self._horizon:
+            going = [last, *self._others]
+            planned, found, *others = self._continued(
+                np.stack([last.states[since], *[z] * len(going)]), [last, *going], t)
             # A jump is further away than the plan moves in any of its steps.
             moves = np.abs(np.diff(last.states, axis=0)).max(axis=0)
             if found.cost <= _WORSE * planned.cost + _NOTHING and (
                     np.abs(z - planned.states[0]) <= moves + _NOTHING).all():
                 return [found, *others]
         self.mode = 'restart'
-        return self._fresh(z, t, going)
+        return self._fresh(z, t)
 
-    def _fresh(self, z: np.ndarray, t: float, going: list[np.ndarray]) -> list[Plan]:
+    def _continued(self, z: np.ndarray, plans: list[Plan], t: float) -> list[Plan]:
+        """Return plans of the last call from now on, each from a state, with their feedback."""
+        since, n = self._steps_since(t), z.shape[1]
+        commands = np.stack([self._shifted(plan, t) for plan in plans])
+        gains, about = np.zeros((*commands.shape, n)), np.zeros((*commands.shape[:2], n))
+        for plan, own, states in zip(plans, gains, about, strict=True):
+            if plan.gains is not None:
+                own[:self._horizon - since] = plan.gains[since:]
+                states[:self._horizon - since] = plan.states[since:-1]
+        states, commands = self._steps.rollout(
+            z, commands, gains, about, (self._low, self._high), t)
+        return [Plan(*parts) for parts in zip(
+            commands, states, self._costs(states, commands).tolist(), gains, strict=True)]
+
+    def _fresh(self, z: np.ndarray, t: float) -> list[Plan]:
         """Return the best of plans with random commands that last a part of the horizon each."""
         count, size = self._restarts, (self._horizon, self._steps.commands)
         pieces = self._rng.uniform(self._low, self._high, (count, 6, size[1]))
         guesses = np.repeat(pieces, -(-self._horizon // 6), axis=1)[:, :self._horizon]
-        last, *plans = self._rolled(z, np.concatenate([going, guesses]), t)
+        last, *plans = self._rolled(z, np.concatenate([[self._shifted(self._last, t)], guesses]),
+                                    t)
         return [last, *sorted(plans, key=lambda one: one.cost)[:self._refined - 1]]
 
     def _regulated(self, z: np.ndarray, t: float) -> Plan | None:
@@ -167,7 +181,8 @@ class Ilqr(Planner):
             return None
         states = states[:, :self._horizon + 1] + (z - near)
         commands = commands[:, :self._horizon]
-        return Plan(commands[0], states[0], float(self._costs(states, commands)[0]))
+        return Plan(commands[0], states[0], float(self._costs(states, commands)[0]),
+                    np.broadcast_to(-own.gain, (self._horizon, *own.gain.shape)))
 
     def _improve(self, plans: list[Plan], t: float) -> None:
         """Change plans by an iteration of iLQR; those are done where that gains nothing."""
@@ -192,7 +207,7 @@ class Ilqr(Planner):
                     kept.append(m)
                     continue
                 plan.done = bool(gain < _LITTLE * abs(plan.cost))
-                plan.commands, plan.states = taken[row], moved[row]
+                plan.commands, plan.states, plan.gains = taken[row], moved[row], gains[m]
                 plan.cost = float(costs[i, best[i]])
                 plan.damping = 0.0 if plan.damping <= _LEAST else 0.1 * plan.damping
             rest = np.array(kept, dtype=int)

@@ -25,6 +25,8 @@ class Plan:
         That they lead to.
     cost : float
         Infinite where a step fails.
+    gains : np.ndarray, shape (N, c, 2 d), or None
+        Feedback on what a state deviates from these.
     damping : float
         See ``sweep``.
     done : bool
@@ -35,6 +37,7 @@ class Plan:
     commands: np.ndarray
     states: np.ndarray
     cost: float
+    gains: np.ndarray | None = None
     damping: float = 0.0
     done: bool = False
 
