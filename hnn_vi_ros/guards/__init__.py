@@ -4,7 +4,8 @@
 
 from collections.abc import Iterator
 
-from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, InvariantGuard, ResolutionGuard
+from hnn_vi_ros.guards.bands import (
+    BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
 from hnn_vi_ros.guards.base import Guard, Scale
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
@@ -36,7 +37,7 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     if hamiltonian.box is not None:
         yield BoxGuard(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
     if simulation.conservative:
-        yield ResolutionGuard(band_limit, scale, simulation.modification is not None)
+        yield ResolutionGuard(band_limit, scale, plain_share(simulation))
     yield EnergyGuard(change_limit, scale)
     if simulation.usual_gradients:
         yield CostGuard(simulation)

@@ -9,6 +9,7 @@ import math
 from hnn_vi_ros.accuracy.diagnostics import running, state_scales
 from hnn_vi_ros.guards.base import accounted_energy, Alarm, Block, BlockGuard, Observed, Scale
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 
@@ -74,16 +75,21 @@ class BandGuard(BlockGuard):
         """Return what to say of a band that is beyond the limit."""
 
 
-# H may go this many times as far as the modified energy that the method keeps: that it does is
-# the method's own, and no loss, but beyond a fifth of the energies in play it is no resolution.
-PLAIN = 4.0
+def plain_share(simulation: Simulation) -> float:
+    """
+    Return how many times as far as the modified energy H may go, 1 where none is known.
+
+    That H swings is the method's own, and no loss, but beyond a fifth of the energies in play it
+    is no resolution; beyond a tenth with order 2, with which H swings as the square of the step.
+    """
+    if simulation.modification is None:
+        return 1.0
+    return 4.0 if simulation.integrator.order == 1 else 2.0
 
 
 class ResolutionGuard(BandGuard):
     """
-    The step resolves the motion: the modified energy stays within a share of the energy scale.
-
-    H itself stays within four times that share; where no modified energy is known, within it.
+    The step resolves the motion: H, and H~ where known, stay within a share of the energy scale.
 
     Parameters
     ----------
@@ -91,8 +97,8 @@ class ResolutionGuard(BandGuard):
         The band that is allowed, over the scale.
     scale : callable
         Returns the energy scale at each sample of a block [J]; see SampledScale.
-    modified : bool, optional
-        Whether a modified energy is known.
+    plain : float, optional
+        How many times that share is allowed for H; see ``plain_share``.
 
     """
 
@@ -100,9 +106,9 @@ class ResolutionGuard(BandGuard):
     remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
               'method of higher order')
 
-    def __init__(self, share: float, scale: Scale, modified: bool = False):
+    def __init__(self, share: float, scale: Scale, plain: float = 1.0):
         super().__init__()
-        self._share, self._scale, self._modified = share, scale, modified
+        self._share, self._scale, self._plain = share, scale, plain
 
     def allow(self, band: float, change: float) -> None:
         """See Guard."""
@@ -112,20 +118,20 @@ class ResolutionGuard(BandGuard):
         return np.stack([block.accounted, block.energy], axis=1)
 
     def _judged(self, bands: np.ndarray) -> np.ndarray:
-        """Return the range of the modified energy, or a quarter of that of H if larger [J]."""
-        return np.maximum(bands[:, 0], bands[:, 1] / PLAIN) if self._modified else bands[:, 0]
+        """Return the range of the modified energy, or the part of that of H that counts [J]."""
+        return np.maximum(bands[:, 0], bands[:, 1] / self._plain)
 
     def _limits(self, block: Block) -> np.ndarray:
         return self._share * self._scale(block)
 
     def _alarm(self, step: int) -> Alarm:
         # Report H, if H went too far.
-        plain = self._modified and self.band > self._high[0] - self._low[0]
-        band, limit = (PLAIN * x if plain else x for x in (self.band, self.limit))
+        times = self._plain if self.band > self._high[0] - self._low[0] else 1.0
+        band, limit = times * self.band, times * self.limit
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
                          'under-resolved; use a smaller step_size, or start elsewhere')
-        share = self._share * self.band / limit * (PLAIN if plain else 1.0)
+        share = self._share * times * band / limit
         return Alarm(self.kind, step, band, limit,
                      f'the energy is kept only to {share:.2g} of the energies in play: '
                      'under-resolved; use a smaller step_size, or a method of higher order')

@@ -8,7 +8,7 @@ import warnings
 from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk, running, scales_along
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, PLAIN
+from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
@@ -122,12 +122,11 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
         return found
     known = modified if simulation.modification is not None else energy
     weights = np.maximum(np.diff(np.round(steps), prepend=steps[0]), 1.0)
-    share = PLAIN * BAND_LIMIT if known is modified else BAND_LIMIT
     # Written so that what is not finite is suspect. A change for good is less than the band.
     with np.errstate(invalid='ignore', over='ignore'):
         scale = scales_along(hamiltonian, q, p, weights)[1:].min(axis=0)
         good = np.ptp(known, axis=0) <= min(BAND_LIMIT, CHANGE_LIMIT) * scale
-        good &= np.ptp(energy, axis=0) <= share * scale
+        good &= np.ptp(energy, axis=0) <= plain_share(simulation) * BAND_LIMIT * scale
         if hamiltonian.barrier is not None:
             _, height = hamiltonian.barrier
             kept = energy if simulation.integrator.order > 1 else known

@@ -5,7 +5,7 @@
 import math
 
 from helpers import alarm_of
-from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard
+from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import accounted_energy, Block, BlockGuard, judge
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation import Sample
@@ -68,6 +68,16 @@ def test_box_guard_looks_at_the_kinetic_momentum_in_a_magnetic_field():
 def test_accounted_energy_is_the_modified_one_less_the_work():
     assert accounted_energy(sample(energy=2.0, work=0.5)) == 1.5
     assert accounted_energy(sample(energy=2.0, modified_energy=3.0, work=0.5)) == 2.5
+
+
+@pytest.mark.parametrize('plain, said', [(1.0, [1]), (4.0, [3])])
+def test_resolution_guard_says_to_what_share_h_is_kept_where_h_went_too_far(plain, said):
+    guard = ResolutionGuard(0.05, one_joule, plain)
+    samples = [sample(step, energy=1.0 + 0.1 * step, modified_energy=1.0) for step in range(4)]
+    found = [alarm for alarm, _ in judge([guard], samples)]
+    assert [alarm.step for alarm in found] == said
+    assert found[0].value == pytest.approx(0.1 * said[0])
+    assert f'kept only to {0.1 * said[0]:.2g} of the energies' in found[0].message
 
 
 def test_barrier_guard_speaks_when_the_band_reaches_the_gap():
