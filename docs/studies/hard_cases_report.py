@@ -131,15 +131,19 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
 
 
 def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return for each set-up of a case how those runs ended that were not stable."""
+    """Return for each set-up of a case how those runs ended that were not stable, and times."""
     found: dict[str, dict[str, list[str]]] = {}
+    times: dict[str, list[float]] = {}
     for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):
         set_up = f'{row.set_up}, {row.hamiltonian}' if row.set_up else row.hamiltonian
         ends = found.setdefault(set_up, {})
         if row.verdict != 'stable':
             end, step = _end(row)
             ends.setdefault(end, []).append(f'{row.method} {step}'.rstrip())
-    return {'ends': found}
+        elif 'Lyapunov time' in row.measures:
+            times.setdefault(set_up, []).append(row.measures['Lyapunov time'])
+    return {'ends': found, 'lyapunov_times': {
+        set_up: f'{min(own):.3g} to {max(own):.3g} s' for set_up, own in times.items()}}
 
 
 def _end(row: CaseRow) -> tuple[str, str]:
