@@ -252,9 +252,9 @@ class Kinetic(_OfState):
         both = _and_at_rest(q, p)
         units = np.broadcast_to(np.eye(d)[:, None], (d, n, d))
         by_zz = np.zeros((n, 2 * d, 2 * d))
-        by_zz[:, d:, d:] = model.hessian_vector(
-            *(np.broadcast_to(x, units.shape) for x in (q, p)), np.zeros(units.shape),
-            units)[1].transpose(1, 2, 0)
+        q_each, p_each = (np.broadcast_to(x, units.shape) for x in (q, p))
+        by_zz[:, d:, d:] = model.hessian_vector(q_each, p_each, np.zeros(units.shape),
+                                                units)[1].transpose(1, 2, 0)
         moving, rest = model.energy(*both)
         slopes = (moved - kept for moved, kept in model.gradient(*both))
         return moving - rest, np.concatenate(list(slopes), axis=-1), by_zz
