@@ -122,6 +122,9 @@ EFFECT_ROWS = [
     EffectRow('holonomic_constraint', (_ROD, _WEIGHT), **_ON_A_ROD),
     EffectRow('joint_friction', (('joint_friction', {
         'damping': {'angle': 0.3}, 'friction': {'angle': 1.0}, 'speed': 1.0}),)),
+    EffectRow('joint_friction under load', (
+        ('joint_friction', {'load': {'angle': 0.5}, 'speed': 1.0}),
+        ('external_force', {'coordinates': ['angle'], 'timeout': 100.0}))),
     EffectRow('impact', (_IMPACT,), **_FALLING),
     EffectRow('joint_limits', (('joint_limits', {
         'lower': {'angle': 0.3}, 'restitution': 0.7}),), **_FALLING),

@@ -317,6 +317,8 @@ class Force(Effect):
         Whether it depends on p, for given t and q.
     depends_on_state : bool
         Whether it depends on q or p, for given t.
+    feels_command : bool
+        Whether it depends on the command of another force; see EffectState.
     held : bool
         Whether it is the same all through a step.
     add_force : callable
@@ -332,6 +334,7 @@ class Force(Effect):
     acts = Place.NODES
     depends_on_momentum: ClassVar[bool]
     depends_on_state: bool = True
+    feels_command: bool = False
     held: bool = False
     add_force: Callable[..., None]
 

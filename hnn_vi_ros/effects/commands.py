@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 
@@ -228,6 +229,15 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
         raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
                          f'is beyond {_LARGEST_OBSERVED:g}')
     return position, velocity
+
+
+@inlined
+def plus_motors(force: float, matrix: np.ndarray, fade: np.ndarray, command: np.ndarray, i: int
+                ) -> float:
+    """Return a force plus (A u / (1 + g abs(u)))_i, where u is the beginning of the command."""
+    for k in range(matrix.shape[1]):
+        force += matrix[i, k] * command[k] / (1.0 + fade[k] * abs(command[k]))
+    return force
 
 
 def indices_of(names: Sequence[str], known: Sequence[str], wanted: np.ndarray) -> np.ndarray:

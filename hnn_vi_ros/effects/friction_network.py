@@ -5,7 +5,9 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
+from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
@@ -24,6 +26,15 @@ class FrictionNetwork(NamedTuple):
     product: np.ndarray
 
 
+class Load(NamedTuple):
+    """k of each coordinate, (d,), what motors make of commands, and these; see EffectState."""
+
+    share: np.ndarray
+    motors: InputMatrix
+    command: np.ndarray
+    clock: np.ndarray
+
+
 class LearnedFrictionParameters(NamedTuple):
     """
     Parameters of the compiled function of learned friction.
@@ -38,6 +49,8 @@ class LearnedFrictionParameters(NamedTuple):
         c where v > 0, where v < 0, and 1/w of each term.
     stribeck : np.ndarray, shape (l, 3, d)
         c, 1/w and 1/s of each term.
+    load : Load
+        What grows with the force of motors.
     add : callable
         The function that adds the friction of the network; see add_by_network.
     own : FrictionNetwork, BodyNetwork or tuple of int
@@ -50,18 +63,21 @@ class LearnedFrictionParameters(NamedTuple):
     viscous: np.ndarray
     coulomb: np.ndarray
     stribeck: np.ndarray
+    load: Load
     add: Callable[..., None]
     own: FrictionNetwork | BodyNetwork | tuple[int]
 
 
-def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> LearnedFrictionParameters:
+def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate], state: EffectState
+                ) -> LearnedFrictionParameters:
     """Return the friction of a model, or raise ValueError if its coordinates do not fit."""
     d, card = len(columns(coordinates)[0]), model.card
+    none = Load(np.zeros(d), InputMatrix(np.zeros((d, 0)), np.zeros(0)), np.zeros(1), np.zeros(2))
     if card.mechanical is None:
         nothing = np.zeros((0, 3, d))
         return LearnedFrictionParameters(
-            np.zeros(d), np.zeros(d), np.zeros((2, d)), nothing, nothing.copy(), add_body_drag,
-            body_network(model, 'dissipation', coordinates))
+            np.zeros(d), np.zeros(d), np.zeros((2, d)), nothing, nothing.copy(), none,
+            add_body_drag, body_network(model, 'dissipation', coordinates))
     friction = card.mechanical.friction
     if len(friction.viscous) != d or rotations(coordinates):
         kinds = ' and '.join(sorted({coordinate.kind for coordinate in coordinates}))
@@ -77,7 +93,10 @@ def friction_of(model: Checkpoint, coordinates: Sequence[Coordinate]) -> Learned
         np.zeros(d) if friction.switch is None else np.reciprocal(friction.switch),
         np.array(friction.offset or np.zeros(d)),
         np.array([friction.viscous, friction.viscous_back or friction.viscous]),
-        np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 3, d)), *network_of(model))
+        np.reshape(coulomb, (-1, 3, d)), np.reshape(stribeck, (-1, 3, d)),
+        none if friction.load is None else Load(
+            np.array(friction.load), motors_of(card.mechanical), state.command, state.clock),
+        *network_of(model))
 
 
 def network_of(model: Checkpoint) -> tuple[Callable[..., None], FrictionNetwork | tuple[int]]:

@@ -8,9 +8,11 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.attitudes import turned
 from hnn_vi_ros.effects.base import coordinate_index, EffectState
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
+from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import listed, ModelError
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
+from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs, PackedOutputs
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
@@ -159,19 +161,26 @@ def by_map(state: EffectState, model: Checkpoint, coordinates: Sequence[Coordina
         raise ValueError('the model maps numbers to scalar coordinates, which those of H are not '
                          'all; give coordinates')
     if mechanical is not None:
-        matrix = np.array(mechanical.input_map, dtype=np.float64)
-        if len(matrix) != d:
-            raise ValueError(f'the model maps {matrix.shape[1]} numbers to {len(matrix)} '
-                             f'coordinates; H has {d} coordinates')
-        return InputParameters(state.command, state.clock, np.arange(matrix.shape[1]),
-                               add_by_matrix, InputMatrix(
-                                   matrix, np.array(mechanical.fade or np.zeros(matrix.shape[1]))))
+        motors = motors_of(mechanical)
+        rows, count = motors.matrix.shape
+        if rows != d:
+            raise ValueError(f'the model maps {count} numbers to {rows} coordinates; H has {d} '
+                             'coordinates')
+        return InputParameters(
+            state.command, state.clock, np.arange(count), add_by_matrix, motors)
     inputs, *_, entries = model.card.layout['input_map']
     if inputs != d or entries > d * d:
         raise ValueError(f'the model maps {entries // inputs} numbers to {inputs} coordinates; '
                          f'H has {d} coordinates, and takes at most as many numbers')
     own = InputMap(pack_outputs(model, 'input_map'), np.zeros(entries))
     return InputParameters(state.command, state.clock, np.arange(entries // d), add_by_map, own)
+
+
+def motors_of(card: MechanicalCard) -> InputMatrix:
+    """Return what the motors of a machine make of commands: by default each its own force."""
+    matrix = np.eye(len(card.kinds)) if card.input_map is None else np.array(
+        card.input_map, dtype=np.float64)
+    return InputMatrix(matrix, np.array(card.fade or np.zeros(matrix.shape[1])))
 
 
 @kept(error_model='numpy')
@@ -216,10 +225,8 @@ def add_by_map(own: InputMap, command: np.ndarray, q: np.ndarray, p: np.ndarray,
 def add_by_matrix(own: InputMatrix, command: np.ndarray, q: np.ndarray, p: np.ndarray,
                   f_p: np.ndarray) -> None:
     """Add A u / (1 + g abs(u)), where u is the beginning of the command."""
-    matrix, fade = own
     for i in range(f_p.size):
-        for k in range(matrix.shape[1]):
-            f_p[i] += matrix[i, k] * command[k] / (1.0 + fade[k] * abs(command[k]))
+        f_p[i] = plus_motors(f_p[i], own.matrix, own.fade, command, i)
 
 
 for _function in (add_by_column, add_by_axis, add_by_map, add_by_matrix):

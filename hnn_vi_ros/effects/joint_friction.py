@@ -15,20 +15,26 @@ import numpy as np
 
 
 class JointFrictionParameters(NamedTuple):
-    """The viscous coefficients b and the forces F, each of shape (d,), and the speed u."""
+    """b, F and k, each of shape (d,), the speed u, and command and clock of EffectState."""
 
     damping: np.ndarray
     friction: np.ndarray
+    load: np.ndarray
     speed: float
+    command: np.ndarray
+    clock: np.ndarray
 
 
 class JointFriction(Force):
     """
-    Viscous and dry friction in joints, f = -b v - F tanh(v / u), where v = H_p of each.
+    Viscous and dry friction in joints, f = -b v - (F + k abs(a)) tanh(v / u), v = H_p of each.
 
     A URDF calls b damping and F friction. Well above the speed u dry friction has the constant
     size F; below, it is viscous with F / u, so that a joint under load creeps instead of
-    sticking. Energy account: the power f . v <= 0.
+    sticking. In a gear it grows with the load: the force a that external_force commands on this
+    coordinate passes through its teeth. Hamon et al. take the force that leaves the gear, which is
+    a less friction and inertia of the rotor, and would have to be solved for: the same to first
+    order in k. Energy account: the power f . v <= 0.
 
     Parameters
     ----------
@@ -38,6 +44,8 @@ class JointFriction(Force):
         b >= 0 by coordinate, in addition to the URDF's or replacing them [N m s/rad], [N s/m].
     friction : dict of str to float, optional
         F >= 0, likewise [N m], [N].
+    load : dict of str to float, optional
+        k >= 0 by coordinate [1].
     speed : float
         u > 0 [rad/s], [m/s]; steps h should resolve m u / F for a joint with the inertia m.
 
@@ -49,7 +57,8 @@ class JointFriction(Force):
     References
     ----------
     E. Pennestrì et al., Review and comparison of dry friction force models, Nonlinear Dynamics
-    83 (2016), section 2.2.
+    83 (2016), section 2.2. P. Hamon, M. Gautier, P. Garrec, Dynamic identification of robots
+    with a dry friction model depending on load and velocity, IROS 2010.
 
     """
 
@@ -57,34 +66,38 @@ class JointFriction(Force):
 
     def __init__(self, from_: Literal['urdf'] | None = None,
                  damping: dict[str, float] | None = None,
-                 friction: dict[str, float] | None = None, speed: float = 0.01):
-        check_given(from_, damping=damping, friction=friction)
+                 friction: dict[str, float] | None = None, speed: float = 0.01,
+                 load: dict[str, float] | None = None):
+        check_given(from_, damping=damping, friction=friction, load=load)
         check_positive(speed=speed)
-        for name, values in (('damping', damping), ('friction', friction)):
+        for name, values in (('damping', damping), ('friction', friction), ('load', load)):
             for joint, value in (values or {}).items():
                 if value < 0.0:
                     raise ValueError(f'{name} of {joint} = {value} must not be negative')
         self.source, self.speed = from_, float(speed)
-        self.damping, self.friction = damping, friction
+        self.damping, self.friction, self.load = damping, friction, load
+        self.feels_command = bool(load)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> JointFrictionParameters:
-        """Return b and F of each coordinate, and u."""
-        damping = joint_numbers(
-            coordinates, self.source, lambda joint: joint.damping, self.damping)
-        friction = joint_numbers(
-            coordinates, self.source, lambda joint: joint.friction, self.friction)
-        if not (np.nan_to_num(damping).any() or np.nan_to_num(friction).any()):
+        """Return b, F and k of each coordinate, u, and the command."""
+        damping, friction, load = (np.nan_to_num(joint_numbers(
+            coordinates, self.source, of, given)) for of, given in (
+                (lambda joint: joint.damping, self.damping),
+                (lambda joint: joint.friction, self.friction), (lambda joint: None, self.load)))
+        if not (damping.any() or friction.any() or load.any()):
             raise ValueError(
                 'no joint has damping or friction; give them, or leave the effect out')
         return JointFrictionParameters(
-            np.nan_to_num(damping), np.nan_to_num(friction), self.speed)
+            damping, friction, load, self.speed, state.command, state.clock)
 
     @staticmethod
     @inlined
     def add_force(own: JointFrictionParameters, t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
-        """Add -b v - F tanh(v / u)."""
+        """Add -b v - (F + k abs(a)) tanh(v / u)."""
+        acts = own.clock[0] < own.command[own.command.size - 1]
         for i in range(own.damping.size):
-            v = velocity[i]
-            f_p[i] -= own.damping[i] * v + own.friction[i] * math.tanh(v / own.speed)
+            v, load = velocity[i], abs(own.command[i]) if acts else 0.0
+            f_p[i] -= own.damping[i] * v + (
+                own.friction[i] + own.load[i] * load) * math.tanh(v / own.speed)

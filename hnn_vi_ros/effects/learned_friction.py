@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING
 
 from hnn_vi_ros.effects.base import EffectState, Force
+from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -21,10 +22,12 @@ class LearnedFriction(Force):
     """
     The friction of a model of the family mechanical or lie_group, where v = H_p.
 
-        f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2) - D(q) v
+        f = -b v - sum_k c_k tanh(v / w_k) - sum_l c_l tanh(v / w_l) exp(-(v / s_l)^2)
+            - k abs(a) tanh(v / s) - D(q) v
 
-    The terms are viscous, Coulomb (smoothed where v changes its sign), Stribeck, and a network
-    B(q), if the model has it. All b, c >= 0 and w > 0, and D = B B^T, so that friction can only
+    The terms are viscous, Coulomb (smoothed where v changes its sign), Stribeck, that of a gear
+    which passes on the commanded force a of its motor (see JointFriction), and a network B(q), if
+    the model has it. All b, c, k >= 0 and w, s > 0, and D = B B^T, so that friction can only
     dissipate. Of a model with directed friction b and c are those of the sign of v, and go over
     into each other by tanh; the constant offset of its motors is added. A body that rotates has D
     alone, in its own frame. Energy account: the power f . H_p, of friction <= 0.
@@ -61,24 +64,27 @@ class LearnedFriction(Force):
                              'its own; take one of the family mechanical, or lie_group with '
                              'dissipation, or the effects damping and dry_friction')
         self._model = checkpoint
+        self.feels_command = card.mechanical is not None and \
+            card.mechanical.friction.load is not None
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> 'LearnedFrictionParameters':
         """Return the coefficients, and the function that adds the friction of the network."""
         # Imported here, since it loads the compiler, which reading a scene does not need.
         from hnn_vi_ros.effects.friction_network import friction_of
-        return friction_of(self._model, coordinates)
+        return friction_of(self._model, coordinates, state)
 
     @staticmethod
     @inlined
     def add_force(parameters: 'LearnedFrictionParameters', t: float, q: np.ndarray, p: np.ndarray,
                   velocity: np.ndarray, f_q: np.ndarray, f_p: np.ndarray) -> None:
         """Add the friction at each coordinate, and that of the network."""
-        switch, offset, viscous, coulomb, stribeck, add, own = parameters
+        switch, offset, viscous, coulomb, stribeck, load, add, own = parameters
+        acts = load.clock[0] < load.command[load.command.size - 1]
         for i in range(q.size):
-            v = velocity[i]
+            v, side = velocity[i], math.tanh(velocity[i] * switch[i])
             # Of friction that is the same in both directions the differences are exactly zero.
-            ahead = 0.5 + 0.5 * math.tanh(v * switch[i])
+            ahead = 0.5 + 0.5 * side
             friction = (viscous[1, i] + ahead * (viscous[0, i] - viscous[1, i])) * v
             for k in range(coulomb.shape[0]):
                 force = coulomb[k, 1, i] + ahead * (coulomb[k, 0, i] - coulomb[k, 1, i])
@@ -87,5 +93,8 @@ class LearnedFriction(Force):
                 ratio = v * stribeck[k, 2, i]
                 friction += (stribeck[k, 0, i] * math.tanh(v * stribeck[k, 1, i])
                              * math.exp(-ratio * ratio))
+            if acts:
+                passed = plus_motors(0.0, load.motors.matrix, load.motors.fade, load.command, i)
+                friction += load.share[i] * abs(passed) * side
             f_p[i] += offset[i] - friction
         add(own, q, velocity, f_p)

@@ -125,6 +125,9 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
     for effect in effects:
         place = effect.place(integrator)
         if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
+            if getattr(effect, 'feels_command', False):
+                raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet '
+                                        'with friction that grows with the load: leave load out')
             if getattr(effect, 'names', None) == ():
                 raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet '
                                         'by the input map of a model: give it coordinates')

@@ -55,24 +55,28 @@ class FrictionCard(StrictModel):
     viscous_back: list[NotNegative] | None = Field(None, description=(
         'b where v < 0; null: the same'))
     switch: list[Positive] | None = Field(None, description=(
-        's, the speed at which one direction goes over into the other; null: they are the same'))
+        's, the speed at which one direction goes over into the other, and friction under load '
+        'is full; null: there is neither'))
     offset: list[float] | None = Field(None, description=(
         'a constant force, in the unit of the generalised force'))
+    load: list[NotNegative] | None = Field(None, description=(
+        'k of the friction -k abs(a) tanh(v / s) under the force a of a motor; null: 0'))
     # The mean of an ensemble has the terms of all members.
     coulomb: list[CoulombTerm] = Field([], max_length=8 * MOST_MEMBERS)
     stribeck: list[StribeckTerm] = Field([], max_length=8 * MOST_MEMBERS)
 
     @model_validator(mode='after')
     def _check(self) -> 'FrictionCard':
-        own = {name: getattr(self, name) for name in ('viscous_back', 'switch', 'offset')}
+        own = {name: getattr(self, name) for name in (
+            'viscous_back', 'switch', 'offset', 'load')}
         for part in (own, *(dict(term) for term in (*self.coulomb, *self.stribeck))):
             for name, values in part.items():
                 if values is not None and len(values) != len(self.viscous):
                     raise ValueError(f'friction: {name} has {len(values)} entries, expected '
                                      f'{len(self.viscous)}, one for each coordinate')
         if self.switch is None and any(back is not None for back in (
-                self.viscous_back, *(term.back for term in self.coulomb))):
-            raise ValueError('friction: numbers of v < 0 need switch')
+                self.load, self.viscous_back, *(term.back for term in self.coulomb))):
+            raise ValueError('friction: numbers of v < 0, and load, need switch')
         return self
 
 
@@ -300,7 +304,7 @@ def mean_card(cards: Sequence[MechanicalCard]) -> MechanicalCard:
         return None if values[0] is None else np.mean(values, axis=0).tolist()
     friction = FrictionCard(
         **{name: mean([getattr(card.friction, name) for card in cards])
-           for name in ('viscous', 'viscous_back', 'switch', 'offset')},
+           for name in ('viscous', 'viscous_back', 'switch', 'offset', 'load')},
         coulomb=[term for card in cards for term in shared(card.friction.coulomb)],
         stribeck=[term for card in cards for term in shared(card.friction.stribeck)])
     prior, priors = first.prior, [card.prior for card in cards if card.prior is not None]

@@ -98,6 +98,27 @@ def test_friction_of_the_urdf_acts_but_where_the_scene_gives_other(tmp_path):
     assert not f_q.any()
 
 
+def test_friction_grows_with_the_commanded_force_while_it_acts(tmp_path):
+    robot, state = tree(tmp_path), EffectState.empty(1, 5)
+    (plain, own), velocity = ([EFFECTS['joint_friction'](
+        None, {'hip': 0.7}, {'rail': 0.2}, 0.05, load).resolve(robot.coordinates, state)
+        for load in (None, {'rail': 0.1})]), np.array([1.0, -2.0, 0.03, 3.0, 1.0])
+
+    def force(parameters: object) -> np.ndarray:
+        f_q, f_p = np.zeros((2, 5))
+        EFFECTS['joint_friction'].add_force(parameters, 0.0, f_q, f_q, velocity, f_q, f_p)
+        return f_p
+    rest = force(plain)
+    assert (force(own) == rest).all()
+    for pull in (4.0, -4.0):
+        state.command[2], state.command[-1] = pull, 1.0
+        assert (force(plain) == rest).all()
+        assert force(own) - rest == pytest.approx([0, 0, -0.4 * np.tanh(0.6), 0, 0], rel=1e-14)
+    # Expired.
+    state.clock[0] = 1.0
+    assert (force(own) == rest).all()
+
+
 @pytest.mark.parametrize('kind, arguments, message', [
     ('joint_limits', {'from_': 'urdf', 'upper': {'tail': -1.0}},
      'limits of tail, -1 and -1, leave no room'),

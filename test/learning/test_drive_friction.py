@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Friction of drives: by direction, with offsets and fading gains; delays; what is dropped."""
+"""Friction of drives: by direction and load, offsets, fading gains; delays; what is dropped."""
 
 from pathlib import Path
 
@@ -17,21 +17,23 @@ import pytest
 import torch
 
 MASS, VISCOUS, COULOMB, OFFSET, FADE = 2.0, (1.5, 2.5), (0.5, 0.8), 0.3, 0.04
-SPACING, SPEED = 0.01, 0.05
+LOAD, SPACING, SPEED = 0.12, 0.01, 0.05
 WINDOWS = [{'duration': 0.2, 'steps': 1}, {'duration': 1.0, 'steps': 1}]
 
 
-def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE) -> Run:
+def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE, load: float = 0.0,
+          size: float = 3.0) -> Run:
     """Return 20 s of a drive on a rail, by the classical method with 10 steps a sample."""
     rng, t = np.random.default_rng(seed), SPACING * np.arange(2001)
     rates, phases = rng.uniform(0.5, 6.0, 6), rng.uniform(0.0, 6.0, 6)
-    tau = 3.0 * np.sin(t[:, None] * rates + phases).sum(axis=1)
+    tau = size * np.sin(t[:, None] * rates + phases).sum(axis=1)
 
     def rate(z: np.ndarray, force: float) -> np.ndarray:
         ahead = 0.5 + 0.5 * np.tanh(z[1] / SPEED)
         b, c = (back + ahead * (front - back) for front, back in (VISCOUS, COULOMB))
-        force = force / (1.0 + fade * abs(force)) + offset
-        return np.array([z[1], (force - b * z[1] - c * np.tanh(z[1] / SPEED)) / MASS])
+        force = force / (1.0 + fade * abs(force))
+        dry = (c + load * abs(force)) * np.tanh(z[1] / SPEED)
+        return np.array([z[1], (force + offset - b * z[1] - dry) / MASS])
     states, h = [np.zeros(2)], SPACING / 10
     for force in tau[:-1]:
         z = states[-1]
@@ -89,14 +91,42 @@ def test_compiled_model_moves_as_the_network(fitted):
     assert np.abs(whole(network, setting, motion)[1:] - q).max() <= 1e-7
 
 
-def test_directed_friction_dissipates_at_every_velocity(fitted):
-    friction = fitted[2].module.friction
+@pytest.fixture(scope='module')
+def geared():
+    # A gear that loses 12 % of the force that it passes on.
+    setting = config({'coulomb': 1, 'directed': True, 'load': True})
+    motion = drive(0, 0.0, 0.0, LOAD)
+    return setting, motion, problem_of(setting, [motion])
+
+
+def test_fit_finds_friction_that_grows_with_the_load(geared):
+    friction = geared[2].module.card('kg m/s').friction
+    # Widths are not fitted, as above.
+    assert friction.load == pytest.approx([LOAD], rel=0.05)
+    assert friction.coulomb[0].force == pytest.approx([COULOMB[0]], rel=0.05)
+
+
+def test_load_friction_holds_under_larger_forces_than_were_learned_from(geared):
+    faster, errors = drive(7, 0.0, 0.0, LOAD, size=6.0), []
+    for setting, problem in (geared[::2], (config({'coulomb': 1, 'directed': True}), None)):
+        problem = problem or problem_of(setting, [geared[1]])
+        q = whole(problem.module, setting, faster)
+        errors.append(float(np.sqrt(np.mean((q - faster.q)**2))))
+    # After 20 s, 6 mm and 266 mm: a wrong k does not shrink with more data.
+    assert errors[0] < 0.1 * errors[1]
+
+
+@pytest.mark.parametrize('kind', ['fitted', 'geared'])
+def test_friction_dissipates_at_every_velocity_and_load(kind, request):
+    friction = request.getfixturevalue(kind)[2].module.friction
     v = torch.linspace(-3.0, 3.0, 601, dtype=torch.float64)[:, None]
-    with torch.no_grad():
-        power = (friction(v, v) + friction.offset()) * v
-        assert (power >= 0.0).all()
-        # Linear in its numbers, which the first fit uses.
-        assert torch.allclose(friction.columns(v) @ friction.values(), friction(v, v))
+    for tau in (0.0 * v, v, 5.0 - v):
+        with torch.no_grad():
+            power = (friction(v, v, tau) + friction.offset().sum(dim=0)) * v
+            assert (power >= 0.0).all()
+            # Linear in its numbers, which the first fit uses.
+            assert torch.allclose(
+                friction.columns(v, tau) @ friction.values(), friction(v, v, tau))
 
 
 def test_delay_is_estimated_in_samples_and_parts():

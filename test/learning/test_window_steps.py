@@ -30,7 +30,7 @@ STRUCTURES = {
                        prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]],
                        friction_features=[[1.0, 0.0]]),
     'three': Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0]],
-                       [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+                       [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], load=True),
 }
 
 
@@ -89,9 +89,9 @@ def test_derivatives_that_are_written_out_are_those_of_the_momenta(structure):
         ['prismatic'], [[1.0]], [], prior='harmonic_oscillator'))
     network = random_network(given if structure in STRUCTURES else replace(
         given, residual=False, friction_features=None))
-    q, v = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (2, 5, network.d)))
+    q, v, tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (3, 5, network.d)))
     at = q.clone().requires_grad_(), v.clone().requires_grad_()
-    p, rate = network.momenta(*at)
+    p, rate = network.momenta(*at, tau)
     slopes = [torch.stack(torch.autograd.grad(part[:, i].sum(), at, retain_graph=True,
                                               materialize_grads=True))
               for part in (p, rate) for i in range(network.d)]
@@ -99,7 +99,7 @@ def test_derivatives_that_are_written_out_are_those_of_the_momenta(structure):
         torch.stack(rows, dim=2) for rows in (slopes[:network.d], slopes[network.d:]))
     # Some ten operations on numbers of up to ten.
     for found, expected in zip(
-            network.linearised(q, v), (p, rate, p_v, p_q, rate_q, rate_v), strict=True):
+            network.linearised(q, v, tau), (p, rate, p_v, p_q, rate_q, rate_v), strict=True):
         size = max(1.0, expected.detach().abs().max().item())
         assert (found - expected).abs().max() < 1e-13 * size
 
@@ -206,12 +206,13 @@ class Steps(torch.nn.Module):
 
 def machine_of(momenta, by_v) -> SimpleNamespace:
     """Return a machine of one coordinate, which its momenta do not depend on."""
-    def linearised(q: torch.Tensor, v: torch.Tensor) -> Linearised:
+    def linearised(q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
         p_v, rate_v = (slope[:, :, None] for slope in by_v(v))
         zero = torch.zeros_like(p_v)
         return Linearised(*momenta(q, v), p_v, zero, zero, rate_v)
     return SimpleNamespace(
-        scales=SimpleNamespace(v=np.ones(1), inertia=np.ones(1)), momenta=momenta,
+        scales=SimpleNamespace(v=np.ones(1), inertia=np.ones(1)),
+        momenta=lambda q, v, tau=None: momenta(q, v),
         linearised=linearised, velocities=lambda q, p: p)
 
 

@@ -55,7 +55,7 @@ class Structure:
         Which of the networks, ``mass`` and ``potential``, add nothing.
     angles : list of list of float, optional
         Of the links of a prior that is a chain, from the vertical; None: those that fit best.
-    directed, offset, fade : bool
+    directed, offset, fade, load : bool
         See FrictionChoice.
 
     """
@@ -77,6 +77,7 @@ class Structure:
     directed: bool = False
     offset: bool = False
     fade: bool = False
+    load: bool = False
 
 
 @dataclass(frozen=True)
@@ -319,6 +320,9 @@ class FrictionChoice(StrictModel):
     offset: bool = Field(False, description='whether the motors add a constant force')
     fade: bool = Field(False, description=(
         'whether the gain of a motor falls with its command u: u / (1 + g abs(u)), g >= 0'))
+    load: bool = Field(False, description=(
+        'whether dry friction grows with the force f of the motor of a joint, as in a gear: '
+        '-k abs(f) tanh(v / s), k >= 0'))
     network: bool = Field(False, description=(
         '-D(q) v with a network D = B B^T, which couples the joints and depends on where they '
         'are'))
@@ -401,7 +405,8 @@ class MechanicalChoice(FamilyChoice):
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
                 name for name in parts if name not in (self.residual or parts)), angles=angles,
-            directed=friction.directed, offset=friction.offset, fade=friction.fade)
+            directed=friction.directed, offset=friction.offset, fade=friction.fade,
+            load=friction.load)
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
@@ -497,7 +502,7 @@ class RigidBodyChoice(FamilyChoice):
             kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
             self.friction.stribeck, self.prior, bool(residual),
             rows if 'friction' in residual else None, tree, values_of(tree, robot.bodies),
-            left_out, directed=self.friction.directed)
+            left_out, directed=self.friction.directed, load=self.friction.load)
 
 
 def combination(text: str, names: Sequence[str], key: str) -> list[float]:

@@ -24,12 +24,13 @@ _FIRST_ROOT = 0.2
 
 class JointFriction(torch.nn.Module):
     """
-    b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + D(q) v, with D = B B^T.
+    b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + k abs(tau) tanh(v / s) + D(q) v, D = B B^T.
 
     The entries of the lower triangular B are outputs of ``network``, so that D is positive
     semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
     each b and of each c of the first terms, and the offset of a motor is a friction that does not
-    depend on v.
+    depend on v. The force tau of a joint's motor is a load on its gear. Numbers of that friction
+    are its size at a usual force, which fits take for one more c.
 
     Parameters
     ----------
@@ -58,8 +59,8 @@ class JointFriction(torch.nn.Module):
         self.raw_viscous = torch.nn.Parameter(
             torch.full((sides, d), -3.0, dtype=torch.float64))
         self.raw_force = torch.nn.Parameter(
-            torch.full((structure.coulomb * sides + structure.stribeck, d), -3.0,
-                       dtype=torch.float64))
+            torch.full((structure.coulomb * sides + structure.stribeck + structure.load, d),
+                       -3.0, dtype=torch.float64))
         self.raw_offset = torch.nn.Parameter(
             torch.zeros((int(structure.offset), d), dtype=torch.float64))
         # Widths at first spread over their bounds.
@@ -86,21 +87,24 @@ class JointFriction(torch.nn.Module):
 
     def coefficients(self) -> tuple[torch.Tensor, ...]:
         """
-        Return b, c, w and s.
+        Return b, c, w, s and k.
 
         b is of shape (n, d) for n signs of v; c has a row for each of them of each Coulomb term,
-        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l.
+        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l; k is
+        of shape (1, d), or (0, d) without friction that grows with the load.
         """
         positive = torch.nn.functional.softplus
         span = math.log(_WIDEST / _NARROWEST)
         width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
+        shares = positive(self.raw_force)
+        terms = len(shares) - self.structure.load
         return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
-                self.force_unit * positive(self.raw_force), width,
-                self.speed_unit * torch.sigmoid(self.raw_speed))
+                self.force_unit * shares[:terms], width,
+                self.speed_unit * torch.sigmoid(self.raw_speed), shares[terms:])
 
     @property
     def switch(self) -> torch.Tensor:
-        """Return the speeds at which directions go over into each other, shape (d,)."""
+        """Return the speeds of load friction, and of one direction into the other, shape (d,)."""
         return self.speed_unit * math.sqrt(_NARROWEST * _WIDEST)
 
     def shares(self, v: torch.Tensor) -> torch.Tensor:
@@ -119,9 +123,10 @@ class JointFriction(torch.nn.Module):
         d = q.shape[1]
         return (self.network(self.features(q)[0]) @ self.place).reshape(-1, d, d)
 
-    def forward(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return the friction that is taken from tau, all of shape (N, d)."""
-        b, c, w, s = self.coefficients()
+    def forward(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None = None
+                ) -> torch.Tensor:
+        """Return the friction that is taken from tau, by default 0, all of shape (N, d)."""
+        b, c, w, s, load = self.coefficients()
         shares = self.shares(v)
         total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
         if len(c):
@@ -134,6 +139,8 @@ class JointFriction(torch.nn.Module):
                 ends = torch.exp(-(v[:, None, :] / s).square())
                 terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
             total = total + terms.sum(dim=1)
+        if self.structure.load and tau is not None:
+            total = total + load[0] * tau.abs() * torch.tanh(v / self.switch)
         if self.structure.friction_features is not None:
             B = self.roots(q)
             total = total + (B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0]
@@ -141,18 +148,19 @@ class JointFriction(torch.nn.Module):
 
     def values(self) -> torch.Tensor:
         """Return all b, c and offsets, shape (k,), in the order of ``columns``."""
-        b, c, *_ = self.coefficients()
+        b, c, _, _, load = self.coefficients()
         return torch.cat([b[:self.structure.viscous * len(b)].flatten(), c.flatten(),
-                          self.offset().flatten()])
+                          (self.force_unit * load).flatten(), self.offset().flatten()])
 
-    def columns(self, v: torch.Tensor) -> torch.Tensor:
-        """Return the friction of each of ``values`` where it alone is one, (N, d, k), at v."""
-        _, _, widths, speeds = (part.detach() for part in self.coefficients())
+    def columns(self, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
+        """Return the friction of each of ``values`` where it alone is one, (N, d, k)."""
+        _, _, widths, speeds, _ = (part.detach() for part in self.coefficients())
         n = self.structure.coulomb
         sided = [*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n])]
         found = [one * share for one in sided for share in self.shares(v).unbind(dim=1)]
         found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
                   for w, s in zip(widths[n:], speeds, strict=True)]
+        found += [tau.abs() / self.force_unit * torch.tanh(v / self.switch)] * self.structure.load
         found += [-torch.ones_like(v)] * self.structure.offset
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
@@ -167,12 +175,13 @@ class JointFriction(torch.nn.Module):
 
     def card(self) -> FrictionCard:
         """Return the coefficients for the model card."""
-        b, c, w, s = (part.detach().tolist() for part in self.coefficients())
+        b, c, w, s, load = (part.detach().tolist() for part in self.coefficients())
         n, directed = self.structure.coulomb, self.structure.directed
         sides = 1 + directed
         return FrictionCard(
             viscous=b[0], viscous_back=b[1] if directed else None,
-            switch=self.switch.tolist() if directed else None,
+            switch=self.switch.tolist() if directed or load else None,
+            load=load[0] if load else None,
             offset=self.offset().detach().tolist()[0] if self.structure.offset else None,
             coulomb=[CoulombTerm(force=c[sides * k], width=w[k],
                                  back=c[sides * k + 1] if directed else None) for k in range(n)],
@@ -182,7 +191,7 @@ class JointFriction(torch.nn.Module):
 
 class Linearised(NamedTuple):
     """
-    p = M(q) v and F = dp/dt where tau is zero, with their derivatives.
+    p = M(q) v and F = dp/dt less tau, with their derivatives.
 
     Parameters
     ----------
@@ -209,8 +218,8 @@ class Layer(NamedTuple):
     rates: torch.Tensor
 
 
-def linearised(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
-    """Return p and F of a mechanical network with their derivatives, at q and v, both (N, d)."""
+def linearised(network: Any, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
+    """Return p and F of a mechanical network with their derivatives, at states, (N, d) each."""
     found = []
     if network.prior is None or network.structure.residual:
         found.append(_of_networks(network, q, v))
@@ -223,19 +232,19 @@ def linearised(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
         found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M, rate_v.transpose(1, 2),
                                 rate_q, rate_v))
     both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
-    rubbing, by_q, by_v = _friction(network.friction, q, v)
+    rubbing, by_q, by_v = _friction(network.friction, q, v, tau)
     return both._replace(rate=both.rate - rubbing, rate_q=both.rate_q - by_q,
                          rate_v=both.rate_v - by_v)
 
 
-def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor
+def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return friction, (N, d), and its derivatives by q and v, (N, d, d)."""
     if friction.structure.friction_features is not None:
-        return _differentiated(friction, q, v)
+        return _differentiated(lambda q, v: friction(q, v, tau), q, v)
     with torch.enable_grad():
         at = v.detach().requires_grad_()
-        value = friction(q, at)
+        value = friction(q, at, tau)
         # That of a joint depends on its own velocity alone.
         (slope,) = torch.autograd.grad(value.sum(), at)
     found = torch.diag_embed(slope)
@@ -562,35 +571,40 @@ class MechanicalNetwork(torch.nn.Module):
         tau = self.joint_forces(tau)
         if self.prior is not None and not self.structure.residual:
             values = self.prior.values()
-            force = tau - self.prior.forces(q, v, values) - self.friction(q, v)
+            force = tau - self.prior.forces(q, v, values) - self.friction(q, v, tau)
             return self._solve(self.prior.mass(q, values), force)
-        gram, needed = self._equations(q, v)
+        gram, needed = self._equations(q, v, tau)
         return self._solve(gram, tau / self.root_inertia - needed) / self.root_inertia
 
-    def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the forces on the joints that give accelerations a, all of shape (N, d)."""
-        gram, needed = self._equations(q, v)
+    def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor,
+               tau: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the forces that give accelerations a, with friction under tau, (N, d) each."""
+        gram, needed = self._equations(q, v, tau)
         S = self.root_inertia
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
 
-    def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+    def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, tau: torch.Tensor
+                     ) -> torch.Tensor:
         """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
         assert self.prior is not None
-        rubbing = self.friction.columns(v) @ self.friction.values()
-        return self.forces(q, v, a) - self.prior.needed(q, v, a, self.prior.values()) - rubbing
+        rubbing = self.friction.columns(v, tau) @ self.friction.values()
+        needed = self.prior.needed(q, v, a, self.prior.values())
+        return self.forces(q, v, a, tau) - needed - rubbing
 
-    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
+    def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, tau: torch.Tensor
+                ) -> torch.Tensor:
         """Return the forces of each parameter of prior and friction if it is one, (N, d, k)."""
         assert self.prior is not None
-        return torch.cat([self.prior.columns(q, v, a), self.friction.columns(v)], dim=2)
+        return torch.cat([self.prior.columns(q, v, a), self.friction.columns(v, tau)], dim=2)
 
-    def momenta(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return p = M v and dp/dt where tau is zero, all of shape (N, d)."""
+    def momenta(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None = None
+                ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return p = M v and dp/dt less tau, by default 0, all of shape (N, d)."""
         if self.prior is not None and not self.structure.residual:
             values = self.prior.values()
             p = (self.prior.mass(q, values) @ v[:, :, None])[:, :, 0]
-            return p, self.prior.slopes(q, v, values)[1] - self.friction(q, v)
-        L, _, u, w, rest = self._parts(q, v)
+            return p, self.prior.slopes(q, v, values)[1] - self.friction(q, v, tau)
+        L, _, u, w, rest = self._parts(q, v, tau)
         p = self.root_inertia * (L @ w + self.floor * u)[:, :, 0]
         if self.prior is not None:
             values = self.prior.values()
@@ -598,10 +612,10 @@ class MechanicalNetwork(torch.nn.Module):
             rest = rest + self.prior.slopes(q, v, values)[1]
         return p, rest
 
-    def linearised(self, q: torch.Tensor, v: torch.Tensor) -> Linearised:
+    def linearised(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
         """Return the result of ``momenta`` with its derivatives, not recorded."""
         with torch.no_grad():
-            return linearised(self, q, v)
+            return linearised(self, q, v, tau)
 
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
@@ -610,9 +624,10 @@ class MechanicalNetwork(torch.nn.Module):
         S = self.root_inertia
         return self._solve(self._gram(q, self._factor(q)), p / S) / S
 
-    def _equations(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _equations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None
+                   ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
-        L, slopes, u, w, rest = self._parts(q, v)
+        L, slopes, u, w, rest = self._parts(q, v, tau)
         needed, values = self._turned(L, slopes, u, w, v) - rest / self.root_inertia, None
         if self.prior is not None:
             values = self.prior.values()
@@ -635,10 +650,11 @@ class MechanicalNetwork(torch.nn.Module):
         L_dot = self.matrix(by_time)
         return (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
 
-    def _parts(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def _parts(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None
+               ) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
         *parts, inertial = self._kinetic(q, v)
-        return *parts, inertial - self._potential_slope(q) - self.friction(q, v)
+        return *parts, inertial - self._potential_slope(q) - self.friction(q, v, tau)
 
     def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""

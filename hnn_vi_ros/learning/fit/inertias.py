@@ -77,13 +77,13 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
 
 def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
     """Return errors of forces, the part of networks, and the measured forces, (N, d) each."""
-    states = motion.q_smooth, motion.v_smooth, motion.a_smooth
+    states = motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau
     chunks = zip(*(torch.tensor(part).split(_CHUNK) for part in states), strict=True)
     forces, added = [], []
     with torch.no_grad():
-        for q, v, a in chunks:
-            forces.append(network.forces(q, v, a).numpy())
-            added.append(network.added_forces(q, v, a).numpy())
+        for chunk in chunks:
+            forces.append(network.forces(*chunk).numpy())
+            added.append(network.added_forces(*chunk).numpy())
     return np.concatenate(forces) - motion.tau, np.concatenate(added), motion.tau
 
 
@@ -307,7 +307,7 @@ def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: flo
     for motion in motions:
         with torch.no_grad():
             matrix = network.columns(*map(torch.tensor, (
-                motion.q_smooth, motion.v_smooth, motion.a_smooth))).numpy()
+                motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau))).numpy()
         forces = motion.tau
         if not motion.accelerations:
             # Alike, so that they stay equal.

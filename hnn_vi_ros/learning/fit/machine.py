@@ -119,9 +119,10 @@ def acceleration_errors(network: Network, samples: Samples, rows: torch.Tensor) 
 
 def force_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
     """Return the soft size of the errors of the forces, in units of what usual motions take."""
-    predicted = network.forces(samples.q[rows], samples.v[rows], samples.a[rows])
+    tau = network.joint_forces(samples.tau[rows])
+    predicted = network.forces(samples.q[rows], samples.v[rows], samples.a[rows], tau)
     unit = torch.tensor(network.scales.inertia * network.scales.a)
-    return _soft((predicted - network.joint_forces(samples.tau[rows])) / unit)
+    return _soft((predicted - tau) / unit)
 
 
 def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor
@@ -136,11 +137,11 @@ def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tens
     """
     h, every = samples.step_size, samples.every
     q0, q1, q2 = (samples.measured[rows + k * every] for k in range(3))
+    tau = [network.joint_forces(samples.mean_tau[rows + k * every]) for k in range(2)]
     (p01, rate01), (p12, rate12) = (
-        network.momenta(0.5 * (start + end), (end - start) / h)
-        for start, end in ((q0, q1), (q1, q2)))
-    given = network.joint_forces(samples.mean_tau[rows] + samples.mean_tau[rows + every])
-    residual = p01 - p12 + 0.5 * h * (rate01 + rate12 + given)
+        network.momenta(0.5 * (start + end), (end - start) / h, force)
+        for start, end, force in zip((q0, q1), (q1, q2), tau, strict=True))
+    residual = p01 - p12 + 0.5 * h * (rate01 + rate12 + sum(tau))
     return _soft(network.velocities(q1, residual) / h / torch.tensor(network.scales.a))
 
 

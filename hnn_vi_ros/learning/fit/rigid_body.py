@@ -296,7 +296,7 @@ def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
     # Each joint in units of its own force.
     scales = physical.network.scales
     unit = torch.tensor(scales.inertia * scales.a)
-    matrix = (physical.network.columns(q, v, a) / unit[:, None]).flatten(0, 1).numpy()
+    matrix = (physical.network.columns(q, v, a, tau) / unit[:, None]).flatten(0, 1).numpy()
     right = (tau / unit).flatten().numpy()
     # Columns that are the same, such as the weight of a carriage and the offset of its motor,
     # share their force, instead of cancelling one another in enormous numbers.

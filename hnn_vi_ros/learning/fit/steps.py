@@ -305,7 +305,8 @@ def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return y, w and the next c of all nodes, by a step of Newton's method that is recorded."""
     y = chain._replace(x=found.x).coordinates(found.w)
-    p, rate = (part.view_as(y) for part in machine.momenta(y.flatten(0, 1), found.w.flatten(0, 1)))
+    p, rate = (part.view_as(y) for part in machine.momenta(*(
+        part.flatten(0, 1) for part in (y, found.w, chain.forces))))
     r, c_after = chain.residuals(p, rate)
     # Where c has moved is in the first residual.
     z, dw = found.moves(r, torch.cat([chain.x - found.x, torch.zeros_like(chain.x)], dim=1))
@@ -339,7 +340,8 @@ def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
     y = chain.coordinates(w)
     p, rate, p_v, p_q, rate_q, rate_v = (
         part.unflatten(0, w.shape[:2])
-        for part in machine.linearised(y.flatten(0, 1), w.flatten(0, 1)))
+        for part in machine.linearised(*(
+            part.flatten(0, 1) for part in (y, w, chain.forces))))
     a, b, g, e = chain.numbers[..., None]
     d, one = w.shape[2], torch.eye(w.shape[2], dtype=w.dtype)
     by_x, c_by_x = p_q - b * rate_q, p_q + e * rate_q
@@ -360,7 +362,7 @@ def _one_by_one(machine: MechanicalNetwork, chain: Chain) -> torch.Tensor:
     w = chain.guess[0]
     for force, (a, b, g, e) in zip(chain.forces, chain.numbers[..., 0, 0].T, strict=True):
         w, _ = newton(partial(_residual, machine, x, c, force, a, b), w, None, unit, momentum)
-        p, rate = machine.momenta(x + a * w, w)
+        p, rate = machine.momenta(x + a * w, w, force)
         x, c = x + (a + g) * w, p + e * (rate + force)
         found.append(w)
     return torch.stack(found)
@@ -368,5 +370,5 @@ def _one_by_one(machine: MechanicalNetwork, chain: Chain) -> torch.Tensor:
 
 def _residual(machine: MechanicalNetwork, x: torch.Tensor, c: torch.Tensor, force: torch.Tensor,
               a: torch.Tensor, b: torch.Tensor, w: torch.Tensor) -> torch.Tensor:
-    p, rate = machine.momenta(x + a * w, w)
+    p, rate = machine.momenta(x + a * w, w, force)
     return p - b * (rate + force) - c

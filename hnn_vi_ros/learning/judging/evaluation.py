@@ -93,17 +93,13 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Run) ->
     state = EffectState.empty(len(effects), hamiltonian.dimension)
     # All of them: a magnetic field's gauge is in what others take.
     resolved = [(effect, effect.resolve(hamiltonian.coordinates, state)) for effect in effects]
-    motors = [(effect, own) for effect, own in resolved if isinstance(effect, Commanded)]
-    friction = [(effect, own) for effect, own in resolved
-                if isinstance(effect, Force) and not isinstance(effect, Commanded)]
+    forces = [(effect, own) for effect, own in resolved if isinstance(effect, Force)]
     q = motion.q_smooth
     p = momentum(hamiltonian, q, motion.v_smooth, np.zeros_like(q))
-    none = np.empty((len(q), 0))
-    lost = _power(hamiltonian, friction, motion.t, q, p, none)
-    # A force is the same from one end of an interval to the other.
-    ends = [_power(hamiltonian, motors, motion.t[rows], q[rows], p[rows], motion.forces)
+    # A command is the same from one end of an interval to the other, and friction may feel it.
+    ends = [_power(hamiltonian, forces, motion.t[rows], q[rows], p[rows], motion.forces)
             for rows in (slice(None, -1), slice(1, None))]
-    steps = 0.5 * motion.spacing * (lost[1:] + lost[:-1] + ends[0] + ends[1])
+    steps = 0.5 * motion.spacing * (ends[0] + ends[1])
     return Balance(hamiltonian.energy(q, p), np.concatenate([[0.0], np.cumsum(steps)]))
 
 
@@ -120,6 +116,7 @@ def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.nd
         for effect, own in forces:
             if isinstance(effect, Commanded):
                 effect.prepare(commands[k], own, q[k])()
+        for effect, own in forces:
             effect.add_force(own, t[k], q[k], p[k], H_p[k], f_q, f_p)
         power[k] = H_q[k] @ f_q + H_p[k] @ f_p
     return power

@@ -33,7 +33,7 @@ _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
 _WORSE, _GAIN = 0.02, 0.08
 # Terms of friction that a rigid body has at first, as its configuration has them. One is left out
 # where that makes errors larger by no more than _NEEDED, on the mean.
-_TERMS = {'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
+_TERMS = {'load': True, 'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
 _NEEDED = 0.02
 RIGID, ALONE = 'rigid body', 'networks alone'
 _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
@@ -139,11 +139,12 @@ def _with_friction(
     All terms are there at first; then one after the other is left out that errors do not need.
     Plain friction, viscous and Coulomb's, stays unless these make errors smaller by _GAIN.
     """
-    motors = isinstance(config.family, MechanicalChoice) and any(
-        motion.tau.any() for motion in motions)
+    driven = any(motion.tau.any() for motion in motions)
+    motors = driven and isinstance(config.family, MechanicalChoice)
     # The constant force on a joint that slides is a part of its rigid body already.
     slides = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates)
-    may_be = {'directed': True, 'stribeck': True, 'fade': motors, 'offset': motors and not slides}
+    may_be = {'load': driven, 'directed': True, 'stribeck': True, 'fade': motors,
+              'offset': motors and not slides}
     names = [name for name in _TERMS if may_be[name]]
     cards: list[CandidateCard] = []
 
