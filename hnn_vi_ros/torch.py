@@ -15,10 +15,11 @@ from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.gradients.dependences import Dependence
+from hnn_vi_ros.gradients.dependences import Dependence, States
 from hnn_vi_ros.gradients.derivatives import Change
 from hnn_vi_ros.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
-from hnn_vi_ros.gradients.scene_run import Numbers, SceneRun
+from hnn_vi_ros.gradients.scene_run import (
+    MODEL, model_of, Numbers, numbers_of_model, SceneRun)
 from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.families.base import gradient
@@ -27,7 +28,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.named_numbers import check_names
+from hnn_vi_ros.scene.named_numbers import check_known, check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.trajectory.simulate import check_memory
@@ -47,10 +48,9 @@ _ACTIVATIONS = {
 _ROWS = 4096
 
 
-def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
-                 ) -> LearnedHamiltonian:
+def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]) -> Checkpoint:
     """
-    Return a trained H with other weights.
+    Return the model of a trained H with other weights.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]
             raise ValueError(f'{name} has shape {value.shape}, expected {known[name].shape}')
     checkpoint = hamiltonian.checkpoint
     networks = dict(checkpoint.networks) | _layers(checkpoint, known | dict(weights))
-    return type(hamiltonian)(replace(checkpoint, networks=networks))
+    return replace(checkpoint, networks=networks)
 
 
 def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -107,33 +107,33 @@ class OnWeights:
 
     Parameters
     ----------
-    hamiltonian : LearnedHamiltonian
+    checkpoint : Checkpoint
         From ``with_weights``.
     names : sequence of str
         Of the tensors.
 
     """
 
-    def __init__(self, hamiltonian: LearnedHamiltonian, names: Sequence[str]):
+    def __init__(self, checkpoint: Checkpoint, names: Sequence[str]):
         self._checkpoint, self._names, self._d = (
-            hamiltonian.checkpoint, names, hamiltonian.dimension)
+            checkpoint, names, len(checkpoint.card.coordinates))
         self._tensors = {name: torch.tensor(values)
                          for name, values in _tensors(self._checkpoint)}
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient, shape (W,); see Dependence."""
         total = np.zeros(())
-        for states, directions in zip(self._rows(q, p), self._rows(*weights), strict=True):
+        for states, directions in zip(self._rows(at.q, at.p), self._rows(*weights), strict=True):
             flat, slopes = self._slopes(states)
             (part,) = torch.autograd.grad(
                 slopes, flat, directions, allow_unused=True, materialize_grads=True)
             total = total + part.numpy()
         return total
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change, from one of shape (W,); see Dependence."""
         parts = []
-        for states in self._rows(q, p):
+        for states in self._rows(at.q, at.p):
             flat, slopes = self._slopes(states)
             # Linear in the seed, so that its derivative by it is the change, at any seed.
             seed = torch.zeros_like(slopes, requires_grad=True)
@@ -411,7 +411,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
     parameters : mapping of str to torch.Tensor, optional
         Numbers in place of the scene's, of shape (), by their place in it:
         ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of its model's,
-        under the names in the file: ``'hamiltonian.linear1.weight'``.
+        under the names in the file: ``'hamiltonian.linear1.weight'``. Numbers of the card of a
+        machine's model, in H and in effects of the same model: ``'model.friction.viscous.0'``.
     commands : torch.Tensor, shape (N, c) or (N, m, c), optional
         Of external_force: a row for each of N samples, which holds until the next; for all
         trajectories or for each of m.
@@ -477,8 +478,11 @@ class DifferentiableSimulation:
                              f'{self._scene.name} out')
         self._weights = [name for name in parameters if _WEIGHT.fullmatch(name)]
         self._names = [name for name in parameters if not _WEIGHT.fullmatch(name)]
-        check_names(self._scene, self._names)
+        inside = [name for name in self._names if name.startswith(MODEL)]
+        check_names(self._scene, [name for name in self._names if name not in inside])
         self._parts = self._scene.parts()
+        if inside:
+            check_known(self._scene.name, inside, numbers_of_model(model_of(self._parts)))
         if self._weights:
             check_weights(self._parts.hamiltonian, map(_in_file, self._weights))
         # What no thread is using at the moment.
@@ -587,9 +591,9 @@ class DifferentiableSimulation:
         if name == _STEP:
             return held.run.on_step_size
         if name == _WEIGHTS:
-            assert isinstance(numbers.hamiltonian, LearnedHamiltonian)
-            own: Dependence = OnWeights(numbers.hamiltonian, list(map(_in_file, self._weights)))
-            if numbers.hamiltonian.checkpoint.card.mechanical is not None:
+            assert numbers.model is not None
+            own: Dependence = OnWeights(numbers.model, list(map(_in_file, self._weights)))
+            if numbers.model.card.mechanical is not None:
                 own = OnLagrangian(own, base_of(held.run.kernel))
             return OnHamiltonian(own, held.run.kernel)
         return held.on_number(name)

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 import re
@@ -11,11 +12,13 @@ import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
+from hnn_vi_ros.gradients.scene_run import model_of, numbers_of_model
 from hnn_vi_ros.integrators.gauss import gauss_tableau
+from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
 from hnn_vi_ros.trajectory.simulate import BLOCK
-from mechanical_models import saved, SHAPES
+from mechanical_models import random_mechanical, saved, SHAPES
 import numpy as np
 import pytest
 import torch
@@ -195,6 +198,62 @@ def test_gradient_by_weights_of_a_mechanism_is_that_of_differences(tmp_path, sha
         f'initial_state: {{q: {d * [0.4]}, p: {d * [0.3]}}}\n', encoding='utf-8')
     check_weights(load_scene(tmp_path / 'scene.yaml'), {
         'mass.': 'mass', 'potential.': 'potential'}, d * [0.4])
+
+
+def machine(folder: Path) -> Scene:
+    """Return a machine with a prior, one fading motor on two joints, and friction of all kinds."""
+    model = random_mechanical('double pendulum', input_map=[[0.9], [-0.4]], fade=[0.3])
+    card = model.card.mechanical
+    friction = card.friction.model_copy(update={
+        'viscous_back': [0.3, 0.1], 'switch': [0.4, 0.5], 'offset': [0.1, -0.2],
+        'load': [0.3, 0.5]})
+    path = folder / 'machine.safetensors'
+    save_checkpoint(path, replace(model, card=model.card.model_copy(update={
+        'mechanical': card.model_copy(update={'friction': friction})})))
+    (folder / 'scene.yaml').write_text(
+        f'hamiltonian: {{kind: learned, model: {path}, confine: false}}\n'
+        f'effects: [{{kind: learned_friction, model: {path}}}, '
+        f'{{kind: external_force, model: {path}}}]\n'
+        'integrator: {kind: implicit_midpoint}\nstep_size: 0.02\n'
+        'initial_state: {q: [0.5, -0.3], p: [0.1, 0.2]}\n', encoding='utf-8')
+    return load_scene(folder / 'scene.yaml')
+
+
+def test_derivatives_by_numbers_of_a_machine_and_by_its_commands(tmp_path, measured):
+    scene, random = machine(tmp_path), np.random.default_rng(0)
+    known = numbers_of_model(model_of(scene.parts()))
+    assert {'model.prior.gravity1', 'model.friction.load.1', 'model.friction.coulomb.0.width.0',
+            'model.input_map.1.0', 'model.fade.0'} < known.keys()
+    weight = 'hamiltonian.potential.linear1.weight'
+    start = [np.array([[0.5, -0.3]]), np.array([[0.1, 0.2]]), random.normal(size=(6, 1)),
+             scene.create_hamiltonian().checkpoint.networks['potential'].weights[0],
+             *map(np.array, known.values())]
+    direction = [random.normal(size=part.shape) for part in start]
+
+    def loss(tensors: list[torch.Tensor]) -> torch.Tensor:
+        q, p, commands, weights, *numbers = tensors
+        motion = simulate(scene, q, p, duration=0.6, every=5, commands=commands, parameters={
+            weight: weights, **dict(zip(known, numbers, strict=True))})
+        return (motion.q.square() + motion.p.sin()).sum()
+
+    def along(distance: float) -> float:
+        return float(loss([torch.from_numpy(np.asarray(value + distance * part))
+                           for value, part in zip(start, direction, strict=True)]))
+    # Of order 6: what is cut off is some (1e-3)^6 of powers of coefficients of 0.1.
+    expected = sum(factor * (along(1e-3 * k) - along(-1e-3 * k)) for k, factor in (
+        (1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * 1e-3)
+    tensors = [torch.tensor(value, requires_grad=True) for value in start]
+    loss(tensors).backward()
+    backward = sum(float((tensor.grad.numpy() * part).sum())
+                   for tensor, part in zip(tensors, direction, strict=True))
+    with forward_ad.dual_level():
+        forward = float(forward_ad.unpack_dual(loss([
+            forward_ad.make_dual(torch.tensor(value), torch.tensor(part))
+            for value, part in zip(start, direction, strict=True)])).tangent)
+    error = max(abs(backward - expected), abs(forward - expected)) / abs(expected)
+    measured('error of a derivative by numbers and commands of a machine', '', error, '<= 1e-7')
+    # Second derivatives of forces are differences, of a spacing of 6e-6.
+    assert error <= 1e-7
 
 
 @pytest.mark.parametrize('hamiltonian, effect, names', [

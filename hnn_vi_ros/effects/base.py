@@ -318,7 +318,7 @@ class Force(Effect):
     depends_on_state : bool
         Whether it depends on q or p, for given t.
     feels_command : bool
-        Whether it depends on the command of another force; see EffectState.
+        Whether it depends on a command otherwise than as on a force of its coordinate.
     held : bool
         Whether it is the same all through a step.
     add_force : callable

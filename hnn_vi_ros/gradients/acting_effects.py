@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, Force, Joined, per_coordinate, Place
+from hnn_vi_ros.effects.base import (
+    Effect, EffectState, Force, Joined, per_coordinate, Place)
 from hnn_vi_ros.effects.commands import NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.stages import Acting
@@ -49,6 +50,8 @@ class ActingEffects:
             np.ones(len(self.rates)), np.zeros(self._channels),
             np.exp(-0.5 * h * self.rates), np.zeros(self._channels)])
         self.any = self._channels > 0 or bool(self.rates.any())
+        # Whether commands are more than forces on coordinates, which add up.
+        self.feels = any(getattr(effect, 'feels_command', False) for effect in effects)
         timeouts = [effect.timeout for effect in effects if hasattr(effect, 'timeout')]
         self._timeout = min(timeouts, default=np.inf)
 
@@ -75,6 +78,12 @@ class ActingEffects:
             self._system.motors.begin()
             rows[:] = state.command
         return Acting(state.clock, state.command, times, rows, self._flow)
+
+    def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
+        """Return the system of other numbers, which is under the same commands."""
+        state = EffectState.empty(len(effects), hamiltonian.dimension)
+        return System(hamiltonian, effects, self._system.method, state._replace(
+            command=self._system.effect_state.command))
 
     def padded(self, states: np.ndarray) -> np.ndarray:
         """Return states, shape (..., 2 d), with a channel for each force, shape (..., 2 D)."""
@@ -125,13 +134,8 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
     for effect in effects:
         place = effect.place(integrator)
         if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
-            if getattr(effect, 'feels_command', False):
-                raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet '
-                                        'with friction that grows with the load: leave load out')
-            if getattr(effect, 'names', None) == ():
-                raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet '
-                                        'by the input map of a model: give it coordinates')
-        elif type(effect) is not EFFECTS['damping'] or place is not Place.AROUND:
+            continue
+        if type(effect) is not EFFECTS['damping'] or place is not Place.AROUND:
             able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
             raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; '
                                     f'effects that are: {able}; leave others out')

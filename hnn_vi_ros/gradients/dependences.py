@@ -3,7 +3,7 @@
 """Dependences of runs on more than their states: how H' changes, by differences of H'."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -27,13 +27,36 @@ _NARROWER, _TRIALS = 1.0 / 8.0, 7
 _ROUNDING = 1e-14
 
 
-class Dependence(Protocol):
-    """Dependence of H' on something that is no state, at states one after another, (N,) each."""
+class States(NamedTuple):
+    """
+    States of one step after another, at which H' is asked for.
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    Parameters
+    ----------
+    q, p : np.ndarray, shape (N,)
+        Of all states.
+    gradient : callable
+        Returns (H_q, H_p) of a kernel there, under the command of each step, shape (2, N).
+
+    """
+
+    q: np.ndarray
+    p: np.ndarray
+    gradient: Callable[[Kernel], np.ndarray]
+
+    @classmethod
+    def at(cls, q: np.ndarray, p: np.ndarray) -> 'States':
+        """Return states where no command is felt."""
+        return cls(q, p, lambda kernel: gradient_of(kernel, q, p))
+
+
+class Dependence(Protocol):
+    """Dependence of H' on something that is no state."""
+
+    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient by it of the sum of weights, shape (2, N), times (H_q, H_p)."""
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return how (H_q, H_p) change, shape (2, N), where it changes so."""
 
 
@@ -44,23 +67,23 @@ class OnNumber:
     Parameters
     ----------
     slope : callable
-        Returns the derivative of (H_q, H_p) at states (q, p), shape (2, N).
+        Returns the derivative of (H_q, H_p) at States, shape (2, N).
     rates : np.ndarray, shape (d,), optional
         How rates of damping around the steps change with it.
 
     """
 
-    def __init__(self, slope: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    def __init__(self, slope: Callable[[States], np.ndarray],
                  rates: np.ndarray | None = None):
         self._slope, self.rates = slope, rates
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return a number, shape (); see Dependence."""
-        return np.array((weights * self._slope(q, p)).sum())
+        return np.array((weights * self._slope(at)).sum())
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
-        return change * self._slope(q, p)
+        return change * self._slope(at)
 
 
 def on_number(changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]], value: float
@@ -131,29 +154,29 @@ class _Slope:
         assert problem is not None
         raise problem
 
-    def __call__(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def __call__(self, at: States) -> np.ndarray:
         """Return the derivative at states one after another, shape (2, N)."""
-        slope, apart, rounding = self._differences(q, p)
+        slope, apart, rounding = self._differences(at)
         if apart <= max(_AGREEMENT, rounding):
             return slope
         tried, first = [(apart, self._spacing)], self._spacing
         for k in range(1, _TRIALS):
             self._take(first * _NARROWER**k)
-            slope, apart, rounding = self._differences(q, p)
+            slope, apart, rounding = self._differences(at)
             if apart <= max(_AGREEMENT, rounding):
                 return slope
             tried.append((apart, self._spacing))
         # They differ by rounding, which is more than was thought.
         apart, spacing = min(tried)
         self._take(spacing)
-        self._rounding *= 10.0 * apart / self._differences(q, p)[2]
-        return self._differences(q, p)[0]
+        self._rounding *= 10.0 * apart / self._differences(at)[2]
+        return self._differences(at)[0]
 
-    def _differences(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, float, float]:
+    def _differences(self, at: States) -> tuple[np.ndarray, float, float]:
         """Return that of order 6, by which share that of order 4 differs, and by rounding."""
-        slope, other, size = np.zeros((2, q.size)), np.zeros((2, q.size)), 0.0
+        slope, other, size = np.zeros((2, at.q.size)), np.zeros((2, at.q.size)), 0.0
         for (weight, lower), kernel in self._kernels:
-            both = gradient_of(kernel, q, p)
+            both = at.gradient(kernel)
             slope += weight * both
             other += lower * both
             size = max(size, float(np.abs(both).max(initial=0.0)))
@@ -162,11 +185,11 @@ class _Slope:
                 self._rounding * size / self._spacing / largest)
 
 
-def sum_of(kernels: Sequence[tuple[float, Kernel]], q: np.ndarray, p: np.ndarray) -> np.ndarray:
+def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
     """Return the sum of weights times (H_q, H_p) of kernels, shape (2, N)."""
-    total = np.zeros((2, q.size))
+    total = np.zeros((2, at.q.size))
     for weight, kernel in kernels:
-        total += weight * gradient_of(kernel, q, p)
+        total += weight * at.gradient(kernel)
     return total
 
 

@@ -8,10 +8,10 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, OnNumber
+from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, OnNumber, States
 from hnn_vi_ros.gradients.segments import Recorded, Segment, segments_of
 from hnn_vi_ros.gradients.stages import (
-    Acting, entry_of, find_stages, pull_back, push_forward, StageWork)
+    Acting, entry_of, fill_gradients, find_stages, pull_back, push_forward, StageWork)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
@@ -43,6 +43,10 @@ def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) 
             f'{method_name(integrator)} has {tableau.stages} stages of {d} coordinates, '
             f'{unknowns} unknowns, of which up to {LARGEST_MATRIX} are differentiable; take a '
             'method of fewer stages')
+
+
+# Spacing of differences by commands, and the least one, as shares of a command and of all.
+_SPACING, _LEAST = 2e-3, 1e-3
 
 
 class Change(NamedTuple):
@@ -239,13 +243,14 @@ class DifferentiableRun:
             felt = np.empty((segment.length, 2, *local.shape[1:]))
             self._call(pull_back, acting, stages, local, directions, felt)
             following = local[0]
-            at_stages = self._timed(stages, acting.times)
-            weights = self._halves(directions)
-            others = [total + dependence.contracted(*at_stages, weights)
+            at_stages, weights = self._states_at(stages, acting), self._halves(directions)
+            others = [total + dependence.contracted(at_stages, weights)
                       + self._by_rates(dependence, states, felt)
                       for total, dependence in zip(others, dependences, strict=True)]
             if by_commands is not None:
-                self._add_by_commands(by_commands, directions, segment)
+                felt = np.einsum('kmi,ckmi->kmc', directions, self._by_commands(acting, stages))
+                np.add.at(by_commands, segment.steps // recorded.every,
+                          felt.sum(axis=1) if by_commands.ndim == 2 else felt)
         return (cotangents[0] + self._acting.cut(following),
                 [np.asarray(total) for total in others])
 
@@ -270,11 +275,11 @@ class DifferentiableRun:
             sources = np.zeros((segment.length, *before.shape[:2], stages.shape[2]))
             added = np.zeros((segment.length, 2, *before.shape))
             for r, change in enumerate(changes):
-                self._add_sources(sources[:, r], added[:, :, r], change, stages, states,
-                                  acting.times)
+                self._add_sources(sources[:, r], added[:, :, r], change, stages, states, acting)
                 if change.commands is not None:
-                    self._add_commands(sources[:, r], recorded._replace(
-                        commands=change.commands).commands_in(segment))
+                    sources[:, r] += np.einsum(
+                        'kmc,ckmi->kmi', recorded._replace(commands=change.commands).commands_in(
+                            segment), self._by_commands(acting, stages))
             self._call(push_forward, acting, stages, sources, added, local)
             inside, at = recorded.samples_in(segment)
             sampled[:, at] = self._acting.cut(local[inside]).swapaxes(0, 1)
@@ -305,8 +310,7 @@ class DifferentiableRun:
         acting = self._acting.acting(times, np.broadcast_to(commands, (len(times), m, c)))
         stages = self._found(acting, self._acting.padded(states))[0]
         sources = np.zeros((len(times), n + c, m, stages.shape[2]))
-        for k, unit in enumerate(np.eye(c)):
-            self._add_commands(sources[:, n + k], np.broadcast_to(unit, (len(times), m, c)))
+        sources[:, n:] = self._by_commands(acting, stages).swapaxes(0, 1)
         local = np.zeros((len(times) + 1, n + c, m, 2 * self._d))
         local[0, :n] = self._acting.padded(np.eye(n))[:, None]
         self._run(push_forward, acting, stages, sources, np.zeros((len(times), 2, *local.shape[1:])
@@ -336,10 +340,10 @@ class DifferentiableRun:
         return self._simulation
 
     def _add_sources(self, sources: np.ndarray, added: np.ndarray, change: Change,
-                     stages: np.ndarray, states: np.ndarray, times: np.ndarray) -> None:
+                     stages: np.ndarray, states: np.ndarray, acting: Acting) -> None:
         """Add what changes of all but states do in a segment; see stages.push_forward."""
         for dependence, much in change.others:
-            both = dependence.changed(*self._timed(stages, times), much)
+            both = dependence.changed(self._states_at(stages, acting), much)
             sources += both.reshape(2, *sources.shape[:2], -1).transpose(1, 2, 0, 3).reshape(
                 sources.shape)
             rates = getattr(dependence, 'rates', None)
@@ -353,7 +357,7 @@ class DifferentiableRun:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
         # In a step h occurs only as a factor of H'.
-        return OnNumber(lambda q, p: gradient_of(self._kernel, q, p) / self._h)
+        return OnNumber(lambda at: at.gradient(self._kernel) / self._h)
 
     def _stages(self, segment: Segment, states: np.ndarray
                 ) -> tuple[Acting, np.ndarray, np.ndarray]:
@@ -378,33 +382,39 @@ class DifferentiableRun:
         return np.zeros(()) if rates is None else np.array(float(
             (felt * self._acting.flowed(states) * self._acting.per_momentum(rates)).sum()))
 
-    def _add_by_commands(self, gradient: np.ndarray, directions: np.ndarray, segment: Segment
-                         ) -> None:
-        """Add the gradient by the commands that hold in a segment: a force lessens H_q."""
-        places = self._system.places
-        d, s = places.shape[1], self._tableau.stages
-        on_q = directions[..., :s * self._d].reshape(*directions.shape[:2], s, self._d)
-        felt = -on_q[..., :d].sum(axis=2) @ places.T
-        np.add.at(gradient, segment.steps // self._recorded.every,
-                  felt.sum(axis=1) if gradient.ndim == 2 else felt)
-
-    def _add_commands(self, sources: np.ndarray, change: np.ndarray) -> None:
-        """Add to sources, (K, m, 2 s d), what changes of commands, (K, m, c), make of H_q."""
-        places = self._system.places
-        d, s = places.shape[1], self._tableau.stages
-        view = sources[..., :s * self._d].reshape(*sources.shape[:2], s, self._d)
-        view[..., :d] -= (change @ places)[:, :, None]
+    def _by_commands(self, acting: Acting, stages: np.ndarray) -> np.ndarray:
+        """Return how H' at stages changes with each command of the step, (c, K, m, 2 s d)."""
+        places, s = self._system.places, self._tableau.stages
+        if not self._acting.feels:
+            # A force lessens H_q.
+            found = np.zeros((len(places), 2, s, self._d))
+            found[:, 0, :, :places.shape[1]] = -places[:, None]
+            return np.broadcast_to(found.reshape(len(places), 1, 1, -1),
+                                   (len(places), *stages.shape))
+        found = np.zeros((len(places), *stages.shape))
+        for slopes, place in zip(found, places, strict=True):
+            size = np.abs(acting.commands[..., :-1] @ place)
+            # Narrower than the command, at whose change of sign friction under load has a kink.
+            spacing = _SPACING * np.maximum(size, _LEAST * (size.max(initial=0.0) or 1.0))
+            for offset, (weight, _) in MIDDLE.items():
+                commands = acting.commands.copy()
+                commands[..., :-1] += offset * spacing[..., None] * place
+                both = self._states_at(stages, acting._replace(commands=commands)).gradient(
+                    self._kernel).reshape(2, *stages.shape[:2], -1)
+                slopes += weight / spacing[..., None] * np.concatenate([*both], axis=-1)
+        return found
 
     def _call(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray) -> None:
         """Run a loop of the module stages over steps, or raise."""
         self._check(self._run(loop, acting, *arrays), acting.times,
                     'the matrix of its equation is singular')
 
-    def _run(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray) -> int:
+    def _run(self, loop: Callable[..., int], acting: Acting, *arrays: np.ndarray,
+             kernel: Kernel | None = None) -> int:
         arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
             self._entries[loop] = entry_of(loop, self._kernel, *arguments)
-        return self._entries[loop](self._kernel, *arguments)
+        return self._entries[loop](kernel or self._kernel, *arguments)
 
     @staticmethod
     def _check(failed: int, times: np.ndarray, problem: str) -> None:
@@ -414,15 +424,26 @@ class DifferentiableRun:
                 f'the step at t = {times.flat[failed]:.9g} s has no derivative: {problem}; use a '
                 'smaller step_size or another integrator')
 
-    def _timed(self, stages: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the stages' halves for a kernel whose clock is at the start of the run."""
+    def _states_at(self, stages: np.ndarray, acting: Acting) -> States:
+        """Return the stages, for kernels whose clock is at the start of the run."""
         channels = self._kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)
-            q[..., self._d - channels:] += times[:, :, None, None]
-        q, p = self._halves(stages)
-        return q, p
+            q[..., self._d - channels:] += acting.times[:, :, None, None]
+        at = States.at(*self._halves(stages))
+        if not self._acting.feels:
+            return at
+
+        def gradient(kernel: Kernel) -> np.ndarray:
+            found = np.empty((2, *stages.shape[:2], stages.shape[2] // 2))
+            self._run(fill_gradients, acting, stages, found, kernel=kernel)
+            return found.reshape(2, -1)
+        return at._replace(gradient=gradient)
+
+    def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
+        """Return the system of other numbers, which is under the same commands."""
+        return self._acting.beside(hamiltonian, effects)
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
         """Return the q parts, then the p parts, of all stages one after another: (2, N)."""

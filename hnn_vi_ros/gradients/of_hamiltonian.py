@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, MIDDLE
+from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, MIDDLE, States
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy as base_energy, gradient as base_gradient,
     hessian_vector as base_hessian_vector, original, Target)
@@ -44,32 +44,35 @@ class OnHamiltonian:
         self._own, self._kernel = own, kernel
         self._d = kernel.dimension - kernel.channels
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
         if not self._kernel.channels:
-            return self._own.contracted(q, p, weights)
+            return self._own.contracted(at, weights)
         felt = self._cut(weights)
-        by_velocity = np.einsum('jhni,hni->nj', self._slopes(q, p), felt)
-        return self._own.contracted(self._cut(q).ravel(), self._cut(p).ravel(),
+        by_velocity = np.einsum('jhni,hni->nj', self._slopes(at), felt)
+        return self._own.contracted(self._without_channels(at),
                                     np.stack([felt[0], by_velocity]).reshape(2, -1))
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         if not self._kernel.channels:
-            return self._own.changed(q, p, change)
-        at_q, at_p = self._cut(q), self._cut(p)
-        by_q, by_p = self._own.changed(at_q.ravel(), at_p.ravel(), change).reshape(2, *at_q.shape)
-        found = np.zeros((2, len(at_q), self._kernel.dimension))
-        found[..., :self._d] = np.einsum('jhni,nj->hni', self._slopes(q, p), by_p)
+            return self._own.changed(at, change)
+        by_q, by_p = self._own.changed(self._without_channels(at), change).reshape(
+            2, -1, self._d)
+        found = np.zeros((2, len(by_q), self._kernel.dimension))
+        found[..., :self._d] = np.einsum('jhni,nj->hni', self._slopes(at), by_p)
         found[0, :, :self._d] += by_q
         return found.reshape(2, -1)
+
+    def _without_channels(self, at: States) -> States:
+        return States.at(self._cut(at.q).ravel(), self._cut(at.p).ravel())
 
     def _cut(self, states: np.ndarray) -> np.ndarray:
         """Return states one after another as rows without channels, shape (..., N, d)."""
         rows = states.reshape(*states.shape[:-1], -1, self._kernel.dimension)
         return rows[..., :self._d]
 
-    def _slopes(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+    def _slopes(self, at: States) -> np.ndarray:
         """Return the derivatives of both halves of G by each velocity, shape (d, 2, N, d)."""
         total = original(self._kernel)
         shifted = _Shifted(total.parameters[0], np.zeros(self._d))
@@ -77,13 +80,13 @@ class OnHamiltonian:
                                  (0.0, 0.0), compiled=True))
         kernel = by_address(total._replace(
             parameters=(base.parameters, *total.parameters[1:])))
-        fastest = np.abs(self._cut(gradient_of(kernel, q, p))[1]).max(initial=0.0)
+        fastest = np.abs(self._cut(at.gradient(kernel))[1]).max(initial=0.0)
         spacing = _SPACING * (float(fastest) or 1.0)
-        slopes = np.zeros((self._d, 2, q.size // kernel.dimension, self._d))
+        slopes = np.zeros((self._d, 2, at.q.size // kernel.dimension, self._d))
         for j in range(self._d):
             for offset, (weight, _) in MIDDLE.items():
                 shifted.shift[j] = offset * spacing
-                slopes[j] += weight / spacing * self._cut(gradient_of(kernel, q, p))
+                slopes[j] += weight / spacing * self._cut(at.gradient(kernel))
             shifted.shift[j] = 0.0
         return slopes
 
@@ -107,18 +110,21 @@ class OnLagrangian:
     def __init__(self, own: Dependence, kernel: Kernel):
         self._own, self._kernel = own, kernel
 
-    def contracted(self, q: np.ndarray, p: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
-        v = gradient_of(self._kernel, q, p)[1]
-        changed = self._product(q, p, *weights)[1]
-        return self._own.contracted(q, v, np.stack([weights[0], changed]))
+        changed = self._product(at.q, at.p, *weights)[1]
+        return self._own.contracted(self._moving(at), np.stack([weights[0], changed]))
 
-    def changed(self, q: np.ndarray, p: np.ndarray, change: np.ndarray) -> np.ndarray:
+    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
-        by_q, by_v = self._own.changed(q, gradient_of(self._kernel, q, p)[1], change)
-        found = self._product(q, p, np.zeros_like(by_v), by_v)
+        by_q, by_v = self._own.changed(self._moving(at), change)
+        found = self._product(at.q, at.p, np.zeros_like(by_v), by_v)
         found[0] += by_q
         return found
+
+    def _moving(self, at: States) -> States:
+        """Return the coordinates with velocities in place of momenta."""
+        return States.at(at.q, gradient_of(self._kernel, at.q, at.p)[1])
 
     def _product(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
                  ) -> np.ndarray:

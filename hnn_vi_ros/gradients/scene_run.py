@@ -3,20 +3,27 @@
 """Differentiable runs of one scene, each with its own values of some of the scene's numbers."""
 
 from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.gradients.acting_effects import flow_rates
 from hnn_vi_ros.gradients.dependences import Dependence, on_number
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.scene.named_numbers import with_known_numbers
+from hnn_vi_ros.scene.named_numbers import numbers_in, set_number, with_known_numbers
 from hnn_vi_ros.simulation.system import System
 import numpy as np
+from pydantic import ValidationError
 
-_EFFECTS = 'effects.'
+_EFFECTS, MODEL = 'effects.', 'model.'
+# What of the card of a machine's model its motions depend on.
+_IN_CARD = 'friction', 'prior', 'input_map', 'fade'
 
 
 class Numbers(NamedTuple):
@@ -26,17 +33,17 @@ class Numbers(NamedTuple):
     Parameters
     ----------
     values : mapping of str to float
-        By names of ``numbers_of`` that were checked.
+        By names of ``numbers_of`` that were checked, and of ``numbers_of_model``.
     step_size : float
         h [s].
-    hamiltonian : Hamiltonian or None
-        In place of the scene's, one of the same kind: with other weights.
+    model : Checkpoint or None
+        In place of that of H: with other weights.
 
     """
 
     values: Mapping[str, float]
     step_size: float
-    hamiltonian: Hamiltonian | None = None
+    model: Checkpoint | None = None
 
 
 class SceneRun:
@@ -66,18 +73,21 @@ class SceneRun:
         h = parts.scene.known_step_size
         self.run = DifferentiableRun(parts.hamiltonian, parts.integrator, h, parts.effects)
         self._held: Numbers | None = Numbers({}, h)
+        self._model: Checkpoint | None = None
         self._beside: dict[tuple[str, int], System] = {}
 
     def hold(self, numbers: Numbers) -> None:
         """Let what runs from now on have these values, or raise SceneError."""
-        if numbers is self._held or (self._held is not None and numbers == self._held
-                                     and not numbers.values):
+        held = self._held
+        if numbers is held or (held is not None and numbers.model is held.model
+                               and numbers[:2] == held[:2] and not numbers.values):
             self._held = numbers
             return
         self._held = None
-        made = _changed(self._own, numbers.values)
-        if numbers.hamiltonian is not None:
-            made = made._replace(hamiltonian=numbers.hamiltonian.copy())
+        self._model = numbers.model
+        if any(name.startswith(MODEL) for name in numbers.values):
+            self._model = _with_card(numbers.model or model_of(self._own), numbers.values)
+        made = _changed(self._own, numbers.values, self._model)
         self.run.take_numbers(made.hamiltonian, made.effects, numbers.step_size)
         self._now, self._held = made, numbers
 
@@ -94,21 +104,76 @@ class SceneRun:
     def _beside_now(self, name: str, value: float, offset: int
                     ) -> tuple[Kernel, np.ndarray | None]:
         """Return the kernel with another value, and the rates of damping that depend on it."""
-        _, hamiltonian, integrator, effects = _changed(self._now, {name: value})
+        model = self._model
+        if name.startswith(MODEL):
+            model = _with_card(model or model_of(self._now), {name: value})
+        _, hamiltonian, integrator, effects = _changed(self._now, {name: value}, model)
         system = self._beside.get((name, offset))
         if system is None or not system.take_numbers(hamiltonian, effects):
-            system = System(hamiltonian, effects, integrator)
+            system = self.run.beside(hamiltonian, effects)
             self._beside[name, offset] = system
         return system.kernel, flow_rates(hamiltonian, integrator, effects) \
             if name.startswith(_EFFECTS) else None
 
 
-def _changed(parts: Parts, values: Mapping[str, float]) -> Parts:
+def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None) -> Parts:
     """Return parts with other numbers; of H or of effects alone, where the others stay."""
-    scene = with_known_numbers(parts.scene, values)
+    own = {name: value for name, value in values.items() if not name.startswith(MODEL)}
+    scene = with_known_numbers(parts.scene, own)
     # Numbers of H have no influence on effects, nor these on H.
-    if not all(name.startswith(_EFFECTS) for name in values):
+    if not all(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(hamiltonian=scene.create_hamiltonian())
-    if any(name.startswith(_EFFECTS) for name in values):
+    if any(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(effects=scene.create_effects())
-    return parts._replace(scene=scene)
+    parts = parts._replace(scene=scene)
+    if model is None:
+        return parts
+    H = parts.hamiltonian
+    assert isinstance(H, LearnedHamiltonian), 'its model is of a learned H'
+    before, effects = H.checkpoint, [copy(effect) for effect in parts.effects]
+    for effect in effects:
+        held = getattr(effect, '_model', None)
+        # Friction and input map of the same file, not those of another one.
+        if held is not None and held.sha256 == before.sha256:
+            effect.__dict__['_model'] = model
+    return parts._replace(hamiltonian=type(H)(model), effects=effects)
+
+
+def model_of(parts: Parts) -> Checkpoint:
+    """Return the model of H, or raise ValueError unless it is one of a machine."""
+    checkpoint = getattr(parts.hamiltonian, 'checkpoint', None)
+    if checkpoint is None or checkpoint.card.mechanical is None or checkpoint.members:
+        raise ValueError(f'{MODEL}... are numbers of one model of the family mechanical or '
+                         f'rigid_body, which H of {parts.scene.name} is not')
+    found: Checkpoint = checkpoint
+    return found
+
+
+def numbers_of_model(model: Checkpoint) -> dict[str, float]:
+    """Return the numbers of a machine's card by name, such as ``model.friction.viscous.0``."""
+    assert model.card.mechanical is not None, 'checked by model_of'
+    values = model.card.mechanical.model_dump(include={*_IN_CARD})
+    prior = values['prior']
+    values['prior'] = prior and {
+        name: quantity['value'] for name, quantity in prior['parameters'].items()}
+    return {name: value for key in _IN_CARD
+            for name, value in numbers_in(f'{MODEL}{key}', values[key])}
+
+
+def _with_card(model: Checkpoint, values: Mapping[str, float]) -> Checkpoint:
+    """Return a model with other numbers on its card, or raise SceneError."""
+    assert model.card.mechanical is not None, 'checked by model_of'
+    data = model.card.mechanical.model_dump()
+    for name, value in values.items():
+        if not name.startswith(MODEL):
+            continue
+        key, *path = name.removeprefix(MODEL).split('.')
+        if key == 'prior':
+            data['prior']['parameters']['.'.join(path)]['value'] = value
+        else:
+            set_number(data[key], path, value)
+    try:
+        card = MechanicalCard.model_validate(data)
+    except ValidationError as problem:
+        raise SceneError(f'{", ".join(values)}: {problem.errors()[0]["msg"]}') from problem
+    return replace(model, card=model.card.model_copy(update={'mechanical': card}))

@@ -171,6 +171,36 @@ def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: A
     return failed
 
 
+def fill_gradients(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
+                   stages: np.ndarray, found: np.ndarray, work: StageWork) -> int:
+    """
+    Fill (H_q, H_p) at stages whose channels hold the time, under the command of each step.
+
+    Parameters
+    ----------
+    kernel, h, tableau, acting, stages, work
+        See ``find_stages``; the kernel may be another one of the same commands.
+    found : np.ndarray, shape (2, K, m, s d)
+        Filled.
+
+    Returns
+    -------
+    int
+        -1.
+
+    """
+    kernel, acting, stages, found = bare((kernel, acting, stages, found))
+    acting.clock[:] = 0.0
+    half = stages.shape[2] // 2
+    for n in range(stages.shape[0]):
+        for m in range(stages.shape[1]):
+            for i in range(acting.command.size):
+                acting.command[i] = acting.commands[n, m, i]
+            kernel.gradient(kernel.parameters, stages[n, m, :half], stages[n, m, half:],
+                            found[0, n, m], found[1, n, m])
+    return -1
+
+
 def pull_back(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
               stages: np.ndarray, cotangents: np.ndarray, directions: np.ndarray,
               felt: np.ndarray, work: StageWork) -> int:

@@ -334,7 +334,7 @@ class Prediction:
         if exact and self._run is not None:
             slopes[..., exact] = self._exact(self._run, starts, [
                 Change(np.zeros_like(starts), [(
-                    _OnNumber(self._beside(k), self._integrator), np.array(1.0))])
+                    _OnNumber(self._beside(k), self._integrator, self._run), np.array(1.0))])
                 for k in exact])[1]
         for k in range(len(self._values)):
             if k not in exact:
@@ -415,8 +415,9 @@ class Prediction:
 class _OnNumber(OnNumber):
     """The dependence of H', of rates of damping and of velocities on a number, by differences."""
 
-    def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator):
-        kernels = [(weight, System(other.hamiltonian, other._effects, integrator).kernel)
+    def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator,
+                 run: DifferentiableRun):
+        kernels = [(weight, run.beside(other.hamiltonian, other._effects).kernel)
                    for weight, other in others]
         super().__init__(partial(sum_of, kernels), sum(
             (weight * flow_rates(other.hamiltonian, integrator, other._effects)
