@@ -14,10 +14,12 @@ import re
 from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
+from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence, States
 from hnn_vi_ros.gradients.derivatives import Change
-from hnn_vi_ros.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
+from hnn_vi_ros.gradients.of_hamiltonian import (
+    base_of, OnForce, OnHamiltonian, OnLagrangian, Sum)
 from hnn_vi_ros.gradients.scene_run import (
     MODEL, model_of, Numbers, numbers_of_model, SceneRun)
 from hnn_vi_ros.gradients.segments import Recorded
@@ -111,12 +113,15 @@ class OnWeights:
         From ``with_weights``.
     names : sequence of str
         Of the tensors.
+    of_friction : bool
+        Whether it is that of the friction D(q) v of a mechanism, in place of its -L_q; see
+        OnForce.
 
     """
 
-    def __init__(self, checkpoint: Checkpoint, names: Sequence[str]):
-        self._checkpoint, self._names, self._d = (
-            checkpoint, names, len(checkpoint.card.coordinates))
+    def __init__(self, checkpoint: Checkpoint, names: Sequence[str], of_friction: bool = False):
+        self._checkpoint, self._names, self._of_friction, self._d = (
+            checkpoint, names, of_friction, len(checkpoint.card.coordinates))
         self._tensors = {name: torch.tensor(values)
                          for name, values in _tensors(self._checkpoint)}
 
@@ -159,7 +164,18 @@ class OnWeights:
             followed = {name: part.reshape(tensor.shape) for name, part, tensor in zip(
                 self._names, parts, own, strict=True)}
             layers = _layers(self._checkpoint, self._tensors | followed)
+            if self._of_friction:
+                return flat, self._friction(layers['friction'], *states.chunk(2, dim=1))
             return flat, gradient(lambda z: self._energy(layers, z), states)
+
+    def _friction(self, layers: Layers, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return D(q) v = B B^T v with zeros, shape (N, 2 d); see LearnedFriction."""
+        card = self._checkpoint.card
+        assert card.mechanical is not None and card.mechanical.friction_features is not None
+        seen = Features(card.mechanical.kinds, card.mechanical.friction_features)(q)[0]
+        B = torch.zeros(len(q), self._d, self._d, dtype=q.dtype)
+        B[:, *np.tril_indices(self._d)] = _outputs(layers, seen, card.activation)
+        return torch.cat([(B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0], 0.0 * v], dim=1)
 
     def _energy(self, layers: Mapping[str, Layers], z: torch.Tensor) -> torch.Tensor:
         """Return the networks' part of H, shape (N,), at states z, shape (N, 2 d)."""
@@ -198,7 +214,8 @@ def _lagrangian(card: MechanicalCard, outputs: Callable[[str, torch.Tensor], tor
 
 def _names(checkpoint: Checkpoint) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     """Yield each network of H, with the names of weight and bias of each of its layers."""
-    for network in _SEES[checkpoint.card.family]:
+    of_forces = checkpoint.networks.keys() & {'friction'}
+    for network in (*_SEES[checkpoint.card.family], *of_forces):
         prefix = '' if checkpoint.card.networks is None else f'{network}.'
         yield network, [(f'{prefix}linear{k}.weight', f'{prefix}linear{k}.bias')
                         for k in range(1, len(checkpoint.networks[network].weights) + 1)]
@@ -485,6 +502,10 @@ class DifferentiableSimulation:
             check_known(self._scene.name, inside, numbers_of_model(model_of(self._parts)))
         if self._weights:
             check_weights(self._parts.hamiltonian, map(_in_file, self._weights))
+            if any(name.startswith('hamiltonian.friction.') for name in self._weights) and not any(
+                    isinstance(effect, LearnedFriction) for effect in self._parts.effects):
+                raise ValueError(f'{self._scene.name} has no learned_friction, in which alone '
+                                 'weights of friction act')
         # What no thread is using at the moment.
         self._idle = [SceneRun(self._parts)]
 
@@ -592,10 +613,14 @@ class DifferentiableSimulation:
             return held.run.on_step_size
         if name == _WEIGHTS:
             assert numbers.model is not None
-            own: Dependence = OnWeights(numbers.model, list(map(_in_file, self._weights)))
+            names, kernel = list(map(_in_file, self._weights)), held.run.kernel
+            own: Dependence = OnWeights(numbers.model, names)
             if numbers.model.card.mechanical is not None:
-                own = OnLagrangian(own, base_of(held.run.kernel))
-            return OnHamiltonian(own, held.run.kernel)
+                own = OnLagrangian(own, base_of(kernel))
+            own = OnHamiltonian(own, kernel)
+            rubs = any(name.startswith('friction.') for name in names)
+            return Sum(own, OnForce(OnWeights(numbers.model, names, True), kernel)) \
+                if rubs else own
         return held.on_number(name)
 
 

@@ -197,7 +197,8 @@ def test_gradient_by_weights_of_a_mechanism_is_that_of_differences(tmp_path, sha
         'integrator: {kind: implicit_midpoint}\nstep_size: 0.05\n'
         f'initial_state: {{q: {d * [0.4]}, p: {d * [0.3]}}}\n', encoding='utf-8')
     check_weights(load_scene(tmp_path / 'scene.yaml'), {
-        'mass.': 'mass', 'potential.': 'potential'}, d * [0.4])
+        f'{network}.': network for network in ('mass', 'potential', *['friction'] * rubs)},
+        d * [0.4])
 
 
 def machine(folder: Path) -> Scene:
