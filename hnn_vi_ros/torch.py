@@ -14,7 +14,7 @@ import re
 from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
-from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence, States
 from hnn_vi_ros.gradients.derivatives import Change
@@ -24,11 +24,9 @@ from hnn_vi_ros.gradients.scene_run import (
     MODEL, model_of, Numbers, numbers_of_model, SceneRun)
 from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.families.base import gradient
-from hnn_vi_ros.learning.families.choices import Features
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
+from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_known, check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
@@ -166,13 +164,15 @@ class OnWeights:
             layers = _layers(self._checkpoint, self._tensors | followed)
             if self._of_friction:
                 return flat, self._friction(layers['friction'], *states.chunk(2, dim=1))
-            return flat, gradient(lambda z: self._energy(layers, z), states)
+            z = states.detach().requires_grad_()
+            return flat, *torch.autograd.grad(
+                self._energy(layers, z).sum(), z, create_graph=True)
 
     def _friction(self, layers: Layers, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return D(q) v = B B^T v with zeros, shape (N, 2 d); see LearnedFriction."""
         card = self._checkpoint.card
         assert card.mechanical is not None and card.mechanical.friction_features is not None
-        seen = Features(card.mechanical.kinds, card.mechanical.friction_features)(q)[0]
+        seen = _seen(card.mechanical, card.mechanical.friction_features, q)
         B = torch.zeros(len(q), self._d, self._d, dtype=q.dtype)
         B[:, *np.tril_indices(self._d)] = _outputs(layers, seen, card.activation)
         return torch.cat([(B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0], 0.0 * v], dim=1)
@@ -198,11 +198,19 @@ def _outputs(layers: Layers, a: torch.Tensor, activation: str) -> torch.Tensor:
     return a @ weights[-1].T + biases[-1]
 
 
+def _seen(card: MechanicalCard, rows: Sequence[Sequence[float]], q: torch.Tensor) -> torch.Tensor:
+    """Return the inputs of a network that sees these combinations of q, shape (N, n)."""
+    found = []
+    for row in rows:
+        y = q @ torch.tensor(row, dtype=q.dtype)
+        found += [y.sin(), y.cos()] if is_periodic(card.kinds, row) else [y]
+    return torch.stack(found, dim=1) if found else torch.zeros_like(q[:, :1])
+
+
 def _lagrangian(card: MechanicalCard, outputs: Callable[[str, torch.Tensor], torch.Tensor],
                 q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     """Return the networks' part of V - v . M v / 2, shape (N,); see MechanicalHamiltonian."""
-    potential, mass = (Features(card.kinds, rows)(q)[0]
-                       for rows in (card.features, card.mass_features))
+    potential, mass = (_seen(card, rows, q) for rows in (card.features, card.mass_features))
     entries, (rows, columns) = outputs('mass', mass), np.array(card.entries).T
     rises = torch.logaddexp(entries, torch.zeros_like(entries))
     L = torch.zeros(len(q), *2 * [q.shape[1]], dtype=q.dtype)
@@ -503,7 +511,8 @@ class DifferentiableSimulation:
         if self._weights:
             check_weights(self._parts.hamiltonian, map(_in_file, self._weights))
             if any(name.startswith('hamiltonian.friction.') for name in self._weights) and not any(
-                    isinstance(effect, LearnedFriction) for effect in self._parts.effects):
+                    isinstance(effect, EFFECTS['learned_friction'])
+                    for effect in self._parts.effects):
                 raise ValueError(f'{self._scene.name} has no learned_friction, in which alone '
                                  'weights of friction act')
         # What no thread is using at the moment.

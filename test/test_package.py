@@ -30,7 +30,7 @@ FLOORS = (
     'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
     'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
     'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'trajectory', 'gradients',
-    'control', 'companions', 'run', 'learning', 'torch', 'sweeps', 'envs', 'ros', 'commands',
+    'torch', 'control', 'companions', 'run', 'learning', 'sweeps', 'envs', 'ros', 'commands',
     'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {

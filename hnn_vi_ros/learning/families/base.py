@@ -168,6 +168,16 @@ class Perceptron(torch.nn.Module):
             g = (g * (1.0 - a.square())) @ linear.weight
         return g / self.scale
 
+    def folded(self) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Return weights and biases of a plain tanh perceptron of x that is f."""
+        weights, biases = ([getattr(linear, part) for linear in self.linears]
+                           for part in ('weight', 'bias'))
+        weights[0] = weights[0] / self.scale
+        biases[0] = biases[0] - weights[0] @ self.centre
+        weights[-1] = self.output_scale[:, None] * weights[-1]
+        biases[-1] = self.output_scale * biases[-1]
+        return weights, biases
+
     def layers(self, x0: np.ndarray | None = None, value: float = 0.0, factor: float = 1.0
                ) -> Layers:
         """
@@ -183,13 +193,9 @@ class Perceptron(torch.nn.Module):
             Of f.
 
         """
-        weights = [linear.weight.detach().numpy().copy() for linear in self.linears]
-        biases = [linear.bias.detach().numpy().copy() for linear in self.linears]
-        weights[0] /= self.scale.numpy()
-        biases[0] -= weights[0] @ self.centre.numpy()
-        scale = self.output_scale.numpy()
-        weights[-1] = factor * (scale[:, None] * weights[-1])
-        biases[-1] = factor * (scale * biases[-1])
+        weights, biases = ([part.detach().numpy().copy() for part in parts]
+                           for parts in self.folded())
+        weights[-1], biases[-1] = factor * weights[-1], factor * biases[-1]
         if x0 is not None:
             a = x0
             for weight, bias in zip(weights[:-1], biases[:-1], strict=True):

@@ -619,8 +619,8 @@ class Trajectory(StrictModel):
         'of their steps: that of the scene in which the model is to run, or rk4, which conserves '
         'nothing'))
     records: bool = Field(False, description=(
-        'whether a prior with its friction is fitted to the positions of whole motions in the '
-        'end, each simulated from its first state'))
+        'whether the positions of whole motions are fitted in the end, each simulated from its '
+        'first state: by a prior with its friction, then by the networks, which end no worse'))
     batch: int = Field(256, ge=1, description='windows in each of their steps')
     time_scale: float = Field(0.1, gt=0.0, description=(
         'an error of q counts as one of v does that makes it in this time [s]'))

@@ -694,6 +694,16 @@ class MechanicalNetwork(torch.nn.Module):
         return found if self.structure.friction_features is None else \
             found | {'friction': self.friction.network.layers()}
 
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the weights of the networks that are trained, as a simulation names them."""
+        found = {'mass': self.mass, 'potential': self.potential}
+        if self.structure.friction_features is not None:
+            found['friction'] = self.friction.network
+        return {f'hamiltonian.{name}.linear{k}.{kind}': part for name, network in found.items()
+                if any(one.requires_grad for one in network.parameters())
+                for kind, parts in zip(('weight', 'bias'), network.folded(), strict=True)
+                for k, part in enumerate(parts, 1)}
+
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
         structure, input_map = self.structure, self.input_map()

@@ -99,11 +99,8 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
         The root mean square error, in units of the spread of each coordinate.
 
     """
-    every, physical = samples_of(motions, loss.step_size).every, _Physical(network)
+    physical, (records, size) = _Physical(network), thinned(motions, loss.step_size)
     scale = physical.scale
-    records = [replace(part_of(motion, slice(None, None, every)), held=True,
-                       tau=mean_forces(motion, every)[::every]) for motion in motions]
-    size = np.concatenate([motion.q for motion in motions]).std(axis=0)
 
     def errors(x: np.ndarray) -> np.ndarray:
         physical.give((x - 1.0) * scale)
@@ -114,6 +111,14 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
     fit = least_squares(errors, np.maximum(start, least + _ABOVE), diff_step=_DIFFERENCE,
                         bounds=(least, most), x_scale='jac', max_nfev=_EVALUATIONS // 2)
     return float(np.sqrt(np.mean(errors(fit.x)**2)))
+
+
+def thinned(motions: Sequence[Run], step_size: float | None) -> tuple[list[Run], np.ndarray]:
+    """Return motions by steps of this size, of held forces, and the spread of q, shape (d,)."""
+    every = samples_of(motions, step_size).every
+    return [replace(part_of(motion, slice(None, None, every)), held=True,
+                    tau=mean_forces(motion, every)[::every]) for motion in motions
+            ], np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
 def best_rigid_body(loss: Trajectory, motions: Sequence[Run], structure: Structure | None = None,

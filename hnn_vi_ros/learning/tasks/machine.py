@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train models of machines from measured motions, and judge them by others."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     simulation_of, table, variance_of, verdict)
 from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import selected
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import energy_spread, interval_text
@@ -197,8 +198,8 @@ def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | N
                         'joints; take input_map: learned')
     structure, scales = config.structure(), scales_of(motions, learns_map)
     if structure.prior is None:
-        return MachineProblem(MechanicalNetwork(structure, config.hidden, scales, config.seed),
-                              config, motions)
+        return _with_records(MachineProblem(MechanicalNetwork(
+            structure, config.hidden, scales, config.seed), config, motions), config, motions)
     if rigid is None:
         rigid = _rigid(config, structure, motions)
     if not structure.residual:
@@ -206,8 +207,18 @@ def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | N
     network = MechanicalNetwork(replace(structure, angles=rigid.module.structure.angles),
                                 config.hidden, scales, config.seed)
     network.begin_with(rigid.module)
-    return MachineProblem(network, config, motions, Fading(
-        network, motions, family.residual_weight, family.fade_weight), rigid.losses)
+    fading = Fading(network, motions, family.residual_weight, family.fade_weight)
+    return _with_records(MachineProblem(network, config, motions, fading, rigid.losses), config,
+                         motions, lambda: fading(torch.Generator().manual_seed(config.seed)))
+
+
+def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[Run],
+                  penalty: Callable[[], torch.Tensor] = lambda: torch.zeros(())) -> Problem:
+    """Return a problem that ends with whole motions, where the loss asks for these."""
+    if config.windows.records:
+        problem.stages += Records(problem.module, config.windows, motions, lambda: describe(
+            problem.module, config, motions, '', {}, 'draft', ''), penalty).stages()
+    return problem
 
 
 def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[Run]) -> Problem:
