@@ -389,7 +389,7 @@ class DifferentiableRun:
             # A force lessens H_q.
             found = np.zeros((len(places), 2, s, self._d))
             found[:, 0, :, :places.shape[1]] = -places[:, None]
-            return np.broadcast_to(found.reshape(len(places), 1, 1, -1),
+            return np.broadcast_to(found.reshape(len(places), 1, 1, stages.shape[2]),
                                    (len(places), *stages.shape))
         found = np.zeros((len(places), *stages.shape))
         for slopes, place in zip(found, places, strict=True):
