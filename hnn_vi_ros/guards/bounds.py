@@ -44,10 +44,15 @@ class BoxGuard(BlockGuard):
         self._samples = self._outside = 0
         self._what = ''
         self._low, self._high = np.concatenate(box).T
+        self._half = 0.5 * (self._high - self._low)
+
+    def outside(self, sample: Observed) -> bool:
+        """Return whether a sample is outside."""
+        return bool(self._excess(sample.q, sample.p, sample.dH_dp) > 0.0)
 
     def take(self, block: Block) -> list[Alarm]:
         """See BlockGuard."""
-        excess = self._excess(block)
+        excess = self._excess(block.q, block.p, block.dH_dp)
         before = np.concatenate([[self.excess], excess[:-1]])
         alarms, first = [], 0
         for left in [*np.flatnonzero((excess > 0.0) & (before == 0.0)), None]:
@@ -68,14 +73,13 @@ class BoxGuard(BlockGuard):
             first = last
         return alarms
 
-    def _excess(self, block: Block) -> np.ndarray:
-        """Return how far samples are outside, in half-widths, shape (k,)."""
+    def _excess(self, q: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return how far states (..., d) are outside, in half-widths, shape (...)."""
         if self._domain is not None:
-            return self._domain.excess(block.q, block.dH_dp).max(axis=1)
-        p = block.p if self._gauge is None else block.p - block.q @ self._gauge.T
-        z, width = np.concatenate([block.q, p], axis=1), self._high - self._low
-        beyond: np.ndarray = 2.0 * np.maximum(z - self._high, self._low - z) / width
-        return np.maximum(beyond.max(axis=1), 0.0)
+            return self._domain.excess(q, v).max(axis=-1)
+        z = np.concatenate([q, p if self._gauge is None else p - q @ self._gauge.T], axis=-1)
+        beyond = np.maximum(z - self._high, self._low - z) / self._half
+        return np.maximum(beyond.max(axis=-1), 0.0)
 
     @property
     def share(self) -> float:

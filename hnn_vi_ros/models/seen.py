@@ -57,22 +57,24 @@ class Domain:
 
     def excess(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
         """
-        Return how far samples are outside, in half-widths, shape (N, k); 0 inside.
+        Return how far samples are outside, in half-widths, shape (..., k); 0 inside.
 
         Parameters
         ----------
-        q, v : np.ndarray, shape (N, d)
+        q, v : np.ndarray, shape (..., d)
             Coordinates and velocities.
-        tau : np.ndarray, shape (N, m), optional
+        tau : np.ndarray, shape (..., m), optional
             Forces; they count if there were as many in the data.
 
         """
-        x = np.hstack([q, v] if tau is None or tau.shape[1] != self._motors else [q, v, tau])
-        low, high, half = (part[:x.shape[1]] for part in (self._low, self._high, self._half))
+        x = np.concatenate(
+            [q, v] if tau is None or tau.shape[-1] != self._motors else [q, v, tau], axis=-1)
+        low, high, half = (part[:x.shape[-1]] for part in (self._low, self._high, self._half))
         # The turn of an angle that is least beyond.
         turns = self._turns
         middle = 0.5 * (low + high)[turns]
-        x[:, turns] = middle + np.remainder(x[:, turns] - middle + np.pi, 2.0 * np.pi) - np.pi
+        x[..., turns] = middle + np.remainder(
+            x[..., turns] - middle + np.pi, 2.0 * np.pi) - np.pi
         return np.maximum(np.maximum(low - x, x - high), 0.0) / half
 
     def beyond(self, q: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> list[str]:

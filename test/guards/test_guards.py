@@ -39,8 +39,9 @@ def alarms(guard: BlockGuard, energies: np.ndarray) -> list:
     ((0.0, 1.0), (-3.0, 0.0), 0.5), ((2.0, 5.0), (0.0, 0.0), 1.0)])
 def test_box_guard_says_how_far_outside_the_state_is(q, p, excess):
     guard = BoxGuard(BOX)
-    assert alarm_of(guard, sample(0)) is None
+    assert alarm_of(guard, sample(0)) is None and not guard.outside(sample(0))
     alarm = alarm_of(guard, sample(1, q, p))
+    assert guard.outside(sample(1, q, p))
     assert (alarm.kind, alarm.step, alarm.limit) == ('out of the training box', 1, 0.0)
     assert alarm.value == guard.excess == pytest.approx(excess)
 

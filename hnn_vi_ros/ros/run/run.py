@@ -258,9 +258,14 @@ class Run:
         evaluated = self._monitor.evaluate()
         if evaluated:
             self.recording.timing(self._monitor.timing.figures)
-        self.watch(sample, evaluated or self._settings.stop_outside_box or self.status.paused)
+        self.watch(sample, evaluated or self.status.paused or self._must_stop(sample))
         self._status.show(sample, self.pacer.overruns)
         self._monitor.timing.add_sample(time.perf_counter() - begin)
+
+    def _must_stop(self, sample: Sample) -> bool:
+        return self._settings.stop_outside_box and any(
+            guard.outside(sample) for guard in self._monitor.guards
+            if isinstance(guard, BoxGuard))
 
     def _sample(self) -> Sample:
         """Return a sample of the state, with the spread if there are members."""
