@@ -7,6 +7,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.phase_space import angle_columns
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -55,6 +56,37 @@ _SCALE_SPACING = 1e-5
 # With this many samples, their mean represents the mean over the path; fewer may all lie at a
 # turning point.
 _MEAN = 8
+# Entries of the record of a path: integral of the virial, time, largest virial, samples, first
+# scale, whether energy has been turned over.
+RECORD = 6
+
+
+@kept(error_model='numpy')
+def follow(record: np.ndarray, potential: float, virial: float, weight: float
+           ) -> tuple[float, bool]:
+    """Take the next sample of a path; return its scale, and whether energy is turned over."""
+    # A value that is not finite is not in play; the energy itself shows it.
+    if math.isfinite(virial):
+        record[0] += weight * virial
+        record[1] += weight
+        record[2] = max(record[2], virial)
+        record[3] += 1.0
+        if 0.5 * (potential + virial) > record[4]:
+            record[4] = 0.5 * (potential + virial)
+        mean = record[0] / record[1]
+        if record[3] >= _MEAN and record[2] - virial >= mean > 0.0:
+            record[5] = 1.0
+    turned = record[5] > 0.0
+    return (record[0] / record[1] if turned else record[4]), turned
+
+
+@kept(error_model='numpy')
+def _follow_all(records: np.ndarray, potential: np.ndarray, virial: np.ndarray,
+                weights: np.ndarray, scales: np.ndarray, turned: np.ndarray) -> None:
+    for i in range(len(weights)):
+        for k in range(len(records)):
+            scales[i, k], turned[i, k] = follow(
+                records[k], potential[i, k], virial[i, k], weights[i])
 
 
 class EnergyScale:
@@ -95,10 +127,7 @@ class EnergyScale:
         self._middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
         self._angles = angle_columns(hamiltonian.coordinates)
         self._gauge = hamiltonian.gauge
-        # As of the last sample; arrays where there are several paths.
-        self._sum = self._time = self._largest = self._first = np.zeros(())
-        self._count = np.zeros((), dtype=np.int64)
-        self._turned = np.zeros((), dtype=bool)
+        self._records: np.ndarray | None = None
 
     def add(self, potential: np.ndarray, virial: np.ndarray, weights: np.ndarray
             ) -> tuple[np.ndarray, np.ndarray]:
@@ -118,21 +147,13 @@ class EnergyScale:
             The scale at each of them [J], and whether energy has been turned over by then.
 
         """
-        # A value that is not finite is not in play; the energy itself shows it.
-        finite = np.isfinite(virial)
-        weights = np.where(finite.T, weights, 0.0).T
-        virial = np.where(finite, virial, 0.0)
-        sums = running(np.add, self._sum, weights * virial)
-        times = running(np.add, self._time, weights)
-        largest = running(np.maximum, self._largest, virial)
-        counts = running(np.add, self._count, finite.astype(np.int64))
-        first = running(np.fmax, self._first, np.where(finite, 0.5 * (potential + virial), 0.0))
-        mean = sums / np.where(times > 0.0, times, 1.0)
-        falls = finite & (counts >= _MEAN) & (largest - virial >= mean) & (mean > 0.0)
-        turned = running(np.logical_or, self._turned, falls)
-        self._sum, self._time, self._largest, self._count, self._first, self._turned = (
-            one[-1] for one in (sums, times, largest, counts, first, turned))
-        return np.where(turned, mean, first), turned
+        shape, k = virial.shape, len(weights)
+        potential, virial = potential.reshape(k, -1), virial.reshape(k, -1)
+        if self._records is None:
+            self._records = np.zeros((virial.shape[1], RECORD))
+        scales, turned = np.empty(virial.shape), np.empty(virial.shape, bool)
+        _follow_all(self._records, potential, virial, weights, scales, turned)
+        return scales.reshape(shape), turned.reshape(shape)
 
     def virials(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:

@@ -56,11 +56,12 @@ class Block(NamedTuple):
     @classmethod
     def of(cls, samples: Sequence[Sample] | Sequence[Look]) -> 'Block':
         """Return samples as a block."""
-        step, energy, modified, work = np.array([
-            (one.step, one.energy, one.modified_energy, one.work) for one in samples]).T
         q, p, dH_dq, dH_dp = (np.array([getattr(one, name) for one in samples])
                               for name in ('q', 'p', 'dH_dq', 'dH_dp'))
-        return cls(np.rint(step).astype(np.int64), q, p, dH_dq, dH_dp, energy,
+        energy, modified, work = np.array([
+            [one.energy for one in samples], [one.modified_energy for one in samples],
+            [one.work for one in samples]])
+        return cls(np.array([one.step for one in samples]), q, p, dH_dq, dH_dp, energy,
                    np.where(np.isnan(modified), energy, modified) - work, work)
 
 

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The guards of a run outside of ROS: its energy scale, a screening, and what they find."""
 
+from collections.abc import Sequence
 import math
 import warnings
 
-from hnn_vi_ros.accuracy.diagnostics import EnergyScale, rounding_walk, running, scales_along
+from hnn_vi_ros.accuracy.diagnostics import (
+    EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
@@ -13,16 +15,35 @@ from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Guard, judge, Look,
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import domain_of
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Sample, Simulation
 import numpy as np
 
 # An error of energy must be this many times larger, over the scale, to differ from rounding: a
 # share of a fiftieth is the smallest that can be watched.
-_ABOVE_ROUNDING = 50.0
+_FLOOR = 50.0 * rounding_walk(1.0, 1.0)
 # From rest, energies grow as the square of the time, and an error of the first order in h by the
 # share 1 / (2 n) of them in n steps: less than a fortieth beyond this many.
 _EARLY = 20.0
+
+
+@kept(error_model='numpy')
+def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, potential: np.ndarray,
+                    virial: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return the scales of the next samples; own are first and newest step, and largest size."""
+    scales = np.empty(len(step))
+    for i in range(len(step)):
+        if math.isnan(own[0]):
+            own[0] = own[1] = step[i]
+        scale, turned = follow(record, potential[i], virial[i], max(step[i] - own[1], 1.0))
+        own[1] = step[i]
+        if own[2] < size[i] < math.inf:
+            own[2] = size[i]
+        steps = step[i] - own[0] + 1.0
+        scales[i] = max(_FLOOR * own[2] * math.sqrt(steps),
+                        scale if turned else scale * (1.0 + _EARLY / steps))
+    return scales
 
 
 class SampledScale:
@@ -49,34 +70,37 @@ class SampledScale:
     def __init__(self, hamiltonian: Hamiltonian):
         self.value = math.nan
         self._scale, self._rounding = EnergyScale(hamiltonian), hamiltonian.kernel.energy_scale
-        self._first: int | None = None
-        self._newest, self._size = 0, 0.0
-        # The block that it was last asked for, and its scales.
+        self._record, self._own = np.zeros(RECORD), np.array([math.nan, math.nan, 0.0])
+        # The block that it was last asked for, and its scales; those of samples of the next one.
         self._block: Block | None = None
         self._values = np.zeros(0)
+        self._ahead: list[float] = []
 
     def __call__(self, block: Block) -> np.ndarray:
         """Return the scale at each sample of the next block [J], or of that before it again."""
         if block is not self._block:
-            self._block, self._values = block, self._take(block)
-            self.value = float(self._values[-1])
+            n = len(self._ahead)
+            later = self._take(Block(*(part[n:] for part in block)))
+            self._block, self._values = block, np.array([*self._ahead, *later])
+            self._ahead = []
         return self._values
 
+    def ahead(self, samples: Sequence[Sample]) -> float:
+        """Return the scale [J] at the last of the samples so far of what will be a block."""
+        if new := samples[len(self._ahead):]:
+            self._ahead.extend(self._take(Block.of(new)))
+        return self.value
+
     def _take(self, block: Block) -> np.ndarray:
-        if self._first is None:
-            self._first = self._newest = int(block.step[0])
-        weights = np.maximum(np.diff(block.step, prepend=self._newest), 1)
-        self._newest = int(block.step[-1])
-        # The energies of trajectories that step together add up.
-        potential, virial = (each.reshape(len(weights), -1).sum(axis=1) for each in
-                             self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp))
-        scales, turned = self._scale.add(potential, virial, weights)
-        steps = block.step - self._first + 1
-        sizes = np.abs(block.accounted) + np.abs(block.work) + self._rounding
-        sizes = running(np.maximum, self._size, np.where(np.isfinite(sizes), sizes, 0.0))
-        self._size = float(sizes[-1])
-        floor: np.ndarray = _ABOVE_ROUNDING * rounding_walk(sizes, steps)
-        return np.fmax(floor, np.where(turned, scales, scales * (1.0 + _EARLY / steps)))
+        potential, virial = self._scale.virials(block.q, block.p, block.dH_dq, block.dH_dp)
+        if potential.ndim > 1:
+            # The energies of trajectories that step together add up.
+            potential, virial = potential.sum(axis=1), virial.sum(axis=1)
+        size = np.abs(block.accounted) + np.abs(block.work) + self._rounding
+        scales = _follow_samples(self._record, self._own, block.step, potential, virial, size)
+        if scales.size:
+            self.value = float(scales[-1])
+        return scales
 
 
 def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,

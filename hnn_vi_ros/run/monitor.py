@@ -166,7 +166,7 @@ class Monitor:
         self.timing = Timing(every, tick)
         self.energy = EnergyRecord(simulation, tick, tolerance)
         self.newest: Sample | None = None
-        self._scale = scale or SampledScale(simulation.hamiltonian)
+        self._scale = scale
         self.guards = list(guards)
         # Samples that the guards have not looked at, and what they have found meanwhile.
         self._pending: list[Sample] = []
@@ -231,7 +231,8 @@ class Monitor:
         if sample is not self._queued:
             self.newest = self._queued = sample
             self._pending.append(sample)
-            self._found += _ask(self._each, sample)
+            if self._each:
+                self._found += _ask(self._each, sample)
 
     def look(self) -> list[tuple[Alarm, Sample]]:
         """Let the guards look at all samples so far; return what they have found."""
@@ -253,8 +254,7 @@ class Monitor:
         """Return the size of the energies in play as of the newest sample, NaN before it [J]."""
         if self.newest is not None:
             self._queue(self.newest)
-        self._found = self.look()
-        return self._scale.value
+        return math.nan if self._scale is None else self._scale.ahead(self._pending)
 
     def add(self, sample: Sample) -> None:
         """Look at the next sample."""

@@ -34,10 +34,11 @@ def monitor_of(simulation) -> Monitor:
 
 def state_of(monitor: Monitor) -> dict:
     """Return the numbers that guards and scale have by now, in all their bits."""
-    things = [*monitor.guards, monitor._scale, monitor._scale._scale]
-    return {f'{type(thing).__name__}.{name}': value for thing in things
+    scale = monitor._scale
+    return {f'{type(thing).__name__}.{name}': value for thing in [*monitor.guards, scale]
             for name, value in vars(thing).items()
-            if isinstance(value, float | int | bool | list | np.generic)}
+            if isinstance(value, float | int | bool | list | np.generic)
+            } | {'records': [*scale._record, *scale._own]}
 
 
 @pytest.mark.parametrize('name, changes', SCENES.values(), ids=SCENES)
