@@ -297,7 +297,7 @@ def _flight(step: Step, high: bool) -> Callable[..., tuple[int, int, float, floa
             if not again:
                 if at == stops.columns.size:
                     break
-                _fill_rates(kernel, z1, work.rates, high)
+                _fill_held_rates(kernel, z1, stops, work, high)
                 total += 1
                 have = wanted
                 action, wanted, until, met, at, rounding = _look(
@@ -365,6 +365,24 @@ def _fill_rates(kernel: Kernel, z: Point, rates: Rates, high: bool) -> None:
             dH_dq[i] = -dH_dq[i]
         # The rate of H_p is the lower half of H'' (q', p').
         kernel.hessian_vector(kernel.parameters, z.q, z.p, dH_dp, dH_dq, product_q, product_p)
+
+
+@called
+def _fill_held_rates(kernel: Kernel, z: Point, stops: Stops, work: StopsWork, high: bool) -> None:
+    """
+    Fill the rates at the end of a step, as ``_hold`` will leave them.
+
+    It removes the velocities of held coordinates by about the impulses at the beginning, which
+    changes those of coordinates that share a mass matrix with them.
+    """
+    free = work.right[1]
+    for k in range(work.touch.size):
+        c = stops.columns[k]
+        free[k] = z.p[c]
+        z.p[c] += stops.signs[k] * work.impulse[k]
+    _fill_rates(kernel, z, work.rates, high)
+    for k in range(work.touch.size - 1, -1, -1):
+        z.p[stops.columns[k]] = free[k]
 
 
 @called

@@ -187,3 +187,18 @@ def test_arm_falls_on_its_stops_and_comes_to_rest_there(tmp_path):
     assert simulation.q == pytest.approx(lower, abs=1e-6)
     assert np.abs(simulation.dH_dp).max() < 1e-6
     assert balances[1] < 0.5 * balances[0] < 0.01
+
+
+def test_arm_at_rest_on_two_stops_leaves_one_of_them(tmp_path):
+    """With the other joint held by its stop it moves as if that were locked."""
+    at_rest = '{kind: joint_limits, upper: {shoulder: 2.0, elbow: 0.5}}'
+    held = scene(tmp_path, at_rest, '{kind: external_force, coordinates: [shoulder, elbow], '
+                 'initial: [-20.0, 60.0], timeout: 1.0}')
+    alone = scene(tmp_path, '{kind: external_force, coordinates: [shoulder], initial: [-20.0], '
+                  'timeout: 1.0}').changed({
+                      'hamiltonian': {'kind': 'urdf', 'file': str(ARM), 'locked': {'elbow': 0.5}},
+                      'initial_state': {'q': [2.0], 'p': [0.0]}})
+    q, expected = (build(one).record(40, 1)[0] for one in (held, alone))
+    assert (q[:, 1] == 0.5).all() and q[-1, 0] < 1.5
+    # Impulses put it on its stop to eight roundings in a step, whose velocity acts for 40 steps.
+    np.testing.assert_allclose(q[:, 0], expected[:, 0], rtol=0.0, atol=1e-12)
