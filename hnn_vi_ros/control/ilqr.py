@@ -69,7 +69,7 @@ class Ilqr(Planner):
     regulator : Regulator, optional
         None if it always plans.
     budget : float, optional
-        Time for a call [s]; a call ends with the iteration in which it is over.
+        Time for a call [s]. No iteration begins that would end later if it took as long as the last.
     iterations : int, optional
         Most iterations of a plan in a call.
     restarts, refined : int, optional
@@ -114,11 +114,13 @@ class Ilqr(Planner):
             self.mode, self._others = 'regulate', []
             return self._take(regulated, t)
         plans = self._candidates(z, t)
+        took = 0.0
         for _ in range(self._iterations):
-            going = [one for one in plans if not one.done]
-            if not going or self._clock() >= end:
+            going, begun = [one for one in plans if not one.done], self._clock()
+            if not going or begun + took >= end:
                 break
             self._improve(going, t)
+            took = self._clock() - begun
         best = min(plans, key=lambda one: one.cost)
         self._others = [one for one in plans if one is not best and not one.done]
         return self._take(best, t)

@@ -37,18 +37,19 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
         A velocity has no momentum.
 
     """
-    p, zero = np.array(start, dtype=np.float64), np.zeros_like(q)
+    p = np.array(start, dtype=np.float64)
+    units = np.eye(q.shape[-1]).reshape(-1, *(q.ndim - 1) * [1], q.shape[-1])
+    units = np.broadcast_to(units, (len(units), *q.shape))
+    zeros, at = np.zeros(units.shape), np.broadcast_to(q, units.shape)
     scale = np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
     missing = v - hamiltonian.gradient(q, p)[1]
     for _ in range(_ITERATIONS):
         size = np.abs(missing).max(axis=-1, keepdims=True)
         if (size <= _AIM * scale).all():
             return p
-        mass_inverse = np.stack([
-            hamiltonian.hessian_vector(q, p, zero, np.broadcast_to(unit, q.shape))[1]
-            for unit in np.eye(q.shape[-1])], axis=-1)
+        columns = hamiltonian.hessian_vector(at, np.broadcast_to(p, units.shape), zeros, units)[1]
         try:
-            change = np.linalg.solve(mass_inverse, missing[..., None])[..., 0]
+            change = np.linalg.solve(np.moveaxis(columns, 0, -1), missing[..., None])[..., 0]
         except np.linalg.LinAlgError:
             break
         share = np.ones_like(size)

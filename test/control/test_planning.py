@@ -156,7 +156,7 @@ def test_a_plan_ends_with_its_budget(pendulum):
     long = planner(Ilqr, pendulum, 5.0)
     short([0.0], [0.0], 0.0)
     long([0.0], [0.0], 0.0)
-    # Start, then one look at the clock before each iteration.
+    # Start, one look at the clock before each iteration, and one after it.
     assert next(ticks) == 4 and short.cost > long.cost
 
 
