@@ -164,9 +164,9 @@ class SweepFolder:
 
 
 def _difference(there: Any, here: Any, key: str = '') -> str:
-    """Return where two records differ first, and how."""
+    """Return where two records differ first, and how; what only one has comes first."""
     if isinstance(there, dict) and isinstance(here, dict):
-        for name in (*here, *there):
+        for name in sorted(dict.fromkeys((*here, *there)), key=lambda x: x in here and x in there):
             if there.get(name) != here.get(name) and name != 'digest':
                 return _difference(there.get(name), here.get(name), f'{key}.{name}'.lstrip('.'))
     if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):

@@ -489,6 +489,9 @@ def test_sweep_by_kernels_that_are_gone_is_still_read_and_not_continued_by_other
     pytest.importorskip('torch', reason='torch is not installed')
     definition = {'scene': 'pendulum', 'duration': 0.02, 'vary': [BOX | {'count': 4}]}
     folder = sweep(definition, tmp_path / 'out', device='cpu')
+    # Not the size of the shards, which follows from the device.
+    with pytest.raises(RecordingError, match='another sweep: device is {"kind": "cpu", .* null'):
+        sweep(definition, folder)
     record = json.loads((folder / 'sweep.json').read_text())
     # As 0.2.0 recorded device = cpu/steps.
     record['device'] |= {'kernels': 'steps', 'triton': '3.7.1'}
