@@ -3,6 +3,7 @@
 """Ensembles of machines: their data, their training, and what their card tells."""
 
 from pathlib import Path
+import re
 
 from belt import BELT, motion_by_a_belt
 from hnn_vi_ros import load_scene, simulate_spread
@@ -85,6 +86,8 @@ def test_ensemble_of_a_machine_is_trained_calibrated_and_runs(
     # 25 to 50 starts that overlap, of some three blocks: the share varies by tenths.
     assert 0.5 < card.ensemble.coverage <= 1.0
     assert '3 members, whose mean is judged; bands of 90 %' in said
+    # Degrees or milliseconds would be seen here.
+    assert re.search(r'^data: belt.npz.*; every 0.01 s, \w+ -?[0-9.]+ to [0-9.]+ rad, ', said)
     assert 'bands of 90 %' in out.with_suffix('.report.md').read_text()
     evaluate.main([str(out), '--data', f'{data}:6', '--horizons', '0.1'])
     assert 'The model follows the machine for' in capsys.readouterr().out

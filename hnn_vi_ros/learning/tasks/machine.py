@@ -77,7 +77,7 @@ class MachineTask(Task):
             self._train, self._test = ([delayed(motion, self._delay) for motion in part]
                                        for part in (self._train, self._test))
             description += f'; forces act {self._delay:.3g} samples later than they are stamped'
-        print(f'data: {description}', flush=True)
+        print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
         self._config, self._selection = selected(config, self._train, problem_of)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
@@ -307,6 +307,14 @@ def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
     """Return whether motions without forces leave the scale of energy open."""
     own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
     return not own_scale and not any(motion.tau.any() for motion in motions)
+
+
+def _ranges(config: MachineConfig, motions: Sequence[Run]) -> str:
+    """Return the interval of samples and the ranges of coordinates, which wrong units show."""
+    q = np.concatenate([motion.q for motion in motions])
+    return ', '.join([f'every {motions[0].spacing:.4g} s', *(
+        f'{one.name} {low:.3g} to {high:.3g} {one.q_unit}' for one, low, high in zip(
+            config.coordinates, q.min(axis=0), q.max(axis=0), strict=True))])
 
 
 def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
