@@ -51,7 +51,7 @@ _FORMS = {
     'too_long': 'have at most {max_length} entries',
     'string_too_short': 'have {min_length} or more characters',
     'string_too_long': 'have at most {max_length} characters',
-    'list_type': 'be a list, as in [a, b]',
+    'list_type': 'be a list, as in [a, b]', 'is_instance_of': 'be a list, as in [a, b]',
     'dict_type': 'be keys and values, as in {{key: value}}',
     'string_type': 'be text, in quotes if it looks like a number',
     'string_pattern_mismatch': 'match the pattern {pattern}', 'bool_type': 'be true or false',

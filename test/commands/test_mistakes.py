@@ -63,6 +63,8 @@ MISTAKES = [
      "hamiltonian: expected {kind: pendulum}, and further keys, not 'pendulum'"),
     ('type', 'run mine.yaml', ('mine.yaml', '[1.0]', '1.0'),
      r'mine.yaml:4: initial_state.q: must be a list, as in \[a, b\], not 1.0'),
+    ('type', 'run robot.yaml', ('robot.yaml', 'joints: [j1]', 'gravity: 9.81'),
+     r'robot.yaml:1: hamiltonian.gravity: must be a list, as in \[a, b\] \[m/s\^2\], not 9.81'),
     ('type', 'sweep sweep.yaml', ('sweep.yaml', '1.0\n', 'ten\n'),
      "sweep.yaml:2: duration: 'ten' is no number of seconds"),
     ('length', 'run mine.yaml', ('mine.yaml', '[1.0]', '[]'),
