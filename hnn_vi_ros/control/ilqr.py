@@ -69,7 +69,7 @@ class Ilqr(Planner):
     regulator : Regulator, optional
         None if it always plans.
     budget : float, optional
-        Time for a call [s]. No iteration begins that would end later if it took as long as the last.
+        Time for a call [s]. No iteration begins that would end later, taken as long as the last.
     iterations : int, optional
         Most iterations of a plan in a call.
     restarts, refined : int, optional
