@@ -79,6 +79,11 @@ class SimulatorNode(ManagedNode):
         """Return the parameters."""
         return self._declared.settings
 
+    @property
+    def ticking(self) -> bool:
+        """See ManagedNode."""
+        return self.control is not None and self.control.ticking
+
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load, compile and open everything, and serve meanwhile."""
         self._declared.configured = True

@@ -112,6 +112,9 @@ class RobustNode(Node):
         return on_clock
 
 
+# Wall time from one look at signals to the next, where nothing happens [s]. Each end of such a wait
+# costs a turn, half a tick at 1 kHz.
+_LOOK = 0.1
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 # What others may ask for; the rest are steps inside of a transition.
 _PUBLIC = {
@@ -163,6 +166,11 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         return self._machine.current_state[0]
 
     @property
+    def ticking(self) -> bool:
+        """Return whether a timer calls so often that signals are noticed by its calls."""
+        return False
+
+    @property
     def busy(self) -> bool:
         """Return whether a thread of ``in_thread`` is at work."""
         return any(thread.is_alive() for thread in self._threads)
@@ -204,7 +212,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                 self.stop(0, f'stopped by {signal.Signals(received[0]).name}')
                 continue
             try:
-                executor.spin_once(timeout_sec=0.1)
+                executor.spin_once(timeout_sec=None if self.ticking else _LOOK)
             except RCLError as problem:
                 # Such as a client that is gone before its answer: no reason to stop.
                 self.get_logger().warning(

@@ -21,6 +21,8 @@ from rclpy.timer import Timer
 
 # Wall time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
+# A turn of the executor, which looks through all services, takes about so long [s].
+_TURN = 6e-4
 # A service is answered within two seconds: so long it waits for what takes a failing step [s].
 _LONGEST_WAIT = 1.0
 
@@ -78,6 +80,12 @@ class Control:
     def running(self) -> bool:
         """Return whether simulated time advances by itself."""
         return self.active and not self.paused
+
+    @property
+    def ticking(self) -> bool:
+        """Return whether the timer runs, and calls at once again after each call."""
+        return (self._timer is not None and not self._timer.is_canceled()
+                and self.run.pacer.timer_period < LONGEST_CALL)
 
     def activate(self) -> None:
         """Go on, for the first time once subscribers that are there have been found."""
@@ -240,18 +248,19 @@ class Control:
         """
         Step for a short while, in batches, so that signals and other callbacks get a turn.
 
-        Ticks that are shorter than this while are waited for here: a turn of the executor looks
-        through all services, which costs more than a tick. Commands are heard after each.
+        Ticks that are shorter than this while are waited for here, and the executor has its turn
+        in a wait that is long enough for it. Commands are heard after each tick.
         """
-        run, until = self.run, time.monotonic() + LONGEST_CALL
-        while self.active and time.monotonic() < until:
+        run, begin = self.run, time.monotonic()
+        until = begin + LONGEST_CALL
+        while self.active and (now := time.monotonic()) < until:
             if self.paused:
                 if self._waiting is None:
                     return
                 self._take_requested()
             elif run.at_sample and not run.pacer.due():
                 wait = run.pacer.wait
-                if time.monotonic() + wait > until:
+                if now + wait > until or wait > _TURN and now > begin + 0.5 * LONGEST_CALL:
                     return
                 time.sleep(max(wait, 0.0))
             elif (taken := run.step()) is None:

@@ -83,6 +83,8 @@ class Run:
         self._start = self.simulation.q.copy(), self.simulation.p.copy()
         self._own_start = self._next_start = self._start
         self._batch, self._last_step, self._waits = 1, math.inf, False
+        # In the sample after the figures are evaluated: both would take longer than a short tick.
+        self._look_next = False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         clock = PaceClock(node)
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock,
@@ -255,10 +257,10 @@ class Run:
         payloads = self._topics.publish(sample)
         # What takes long comes behind the messages, which it would delay.
         self.recording.write(sample, payloads)
-        evaluated = self._monitor.evaluate()
-        if evaluated:
+        look, self._look_next = self._look_next, self._monitor.evaluate()
+        if self._look_next:
             self.recording.timing(self._monitor.timing.figures)
-        self.watch(sample, evaluated or self.status.paused or self._must_stop(sample))
+        self.watch(sample, look or self.status.paused or self._must_stop(sample))
         self._status.show(sample, self.pacer.overruns)
         self._monitor.timing.add_sample(time.perf_counter() - begin)
 
