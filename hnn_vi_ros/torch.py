@@ -20,15 +20,14 @@ from hnn_vi_ros.gradients.dependences import Dependence, States
 from hnn_vi_ros.gradients.derivatives import Change
 from hnn_vi_ros.gradients.of_hamiltonian import (
     base_of, OnForce, OnHamiltonian, OnLagrangian, Sum)
-from hnn_vi_ros.gradients.scene_run import (
-    MODEL, model_of, Numbers, numbers_of_model, SceneRun)
+from hnn_vi_ros.gradients.scene_run import check_in_files, Numbers, SceneRun
 from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.named_numbers import check_known, check_names
+from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.trajectory.simulate import check_memory
@@ -438,6 +437,8 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
         ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of its model's,
         under the names in the file: ``'hamiltonian.linear1.weight'``. Numbers of the card of a
         machine's model, in H and in effects of the same model: ``'model.friction.viscous.0'``.
+        Of links of a URDF: ``'urdf.forearm.mass'``, ``centre_x`` to ``centre_z``, and ``ixx`` to
+        ``izz`` about the centre of mass in the axes of the link.
     commands : torch.Tensor, shape (N, c) or (N, m, c), optional
         Of external_force: a row for each of N samples, which holds until the next; for all
         trajectories or for each of m.
@@ -503,11 +504,9 @@ class DifferentiableSimulation:
                              f'{self._scene.name} out')
         self._weights = [name for name in parameters if _WEIGHT.fullmatch(name)]
         self._names = [name for name in parameters if not _WEIGHT.fullmatch(name)]
-        inside = [name for name in self._names if name.startswith(MODEL)]
-        check_names(self._scene, [name for name in self._names if name not in inside])
         self._parts = self._scene.parts()
-        if inside:
-            check_known(self._scene.name, inside, numbers_of_model(model_of(self._parts)))
+        inside = check_in_files(self._parts, self._names)
+        check_names(self._scene, [name for name in self._names if name not in inside])
         if self._weights:
             check_weights(self._parts.hamiltonian, map(_in_file, self._weights))
             if any(name.startswith('hamiltonian.friction.') for name in self._weights) and not any(

@@ -23,6 +23,8 @@ import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad, functional
+from urdf_robots import TREE
+import yaml
 
 Loss = Callable[[torch.Tensor], torch.Tensor]
 # Of the pendulum: q, p, mass, length, gravity and h; the step is complex, the numbers are not.
@@ -255,6 +257,57 @@ def test_derivatives_by_numbers_of_a_machine_and_by_its_commands(tmp_path, measu
     measured('error of a derivative by numbers and commands of a machine', '', error, '<= 1e-7')
     # Second derivatives of forces are differences, of a spacing of 6e-6.
     assert error <= 1e-7
+
+
+@pytest.mark.parametrize('joints', [
+    ['tail', 'rail', 'hip'], ['wrist', 'tail', 'rail', 'hip', 'finger']], ids=['small', 'large'])
+def test_derivatives_by_numbers_of_links_of_a_urdf(tmp_path, joints, measured):
+    (tmp_path / 'tree.urdf').write_text(TREE)
+    held = {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}
+    choice = {
+        'kind': 'urdf', 'file': 'tree.urdf', 'joints': joints, 'rotor_inertia': {'rail': 1.5},
+        'locked': {name: value for name, value in held.items() if name not in joints}}
+    d, h = len(joints), 0.01
+    (tmp_path / 'tree.yaml').write_text(yaml.safe_dump({
+        'hamiltonian': choice, 'integrator': {'kind': 'implicit_midpoint'}, 'step_size': h,
+        'effects': [{'kind': 'damping', 'rate': 0.1}],
+        'initial_state': {'q': d * [0.3], 'p': d * [0.0]}}))
+    start = {'urdf.trunk.mass': 3.5, 'urdf.end.mass': 1.1, 'urdf.end.centre_z': 0.2,
+             'urdf.tool.mass': 0.4, 'urdf.slider.ixx': 0.01, 'hamiltonian.rotor_inertia.rail': 1.5}
+    simulation = DifferentiableSimulation(tmp_path / 'tree.yaml', [*start])
+    q = torch.full((d,), 0.3, dtype=torch.float64)
+
+    def loss(numbers: list[torch.Tensor]) -> torch.Tensor:
+        motion = simulation(q, 0.0 * q, duration=20 * h, every=5, parameters=dict(
+            zip(start, numbers, strict=True)))
+        return motion.q.square().sum() + motion.p.sin().sum()
+
+    def at(name: str, change: float) -> float:
+        return float(loss([torch.tensor(value * (1.0 + change * (key == name)),
+                                        dtype=torch.float64) for key, value in start.items()]))
+    numbers = [torch.tensor(value, dtype=torch.float64, requires_grad=True)
+               for value in start.values()]
+    loss(numbers).backward()
+    for number, (name, value) in zip(numbers, start.items(), strict=True):
+        # Of order 6: what is cut off is (1e-2)^6, what rounding of H leaves some 1e-16 / 1e-2.
+        expected = sum(factor * (at(name, 1e-2 * k) - at(name, -1e-2 * k)) for k, factor in (
+            (1, 45.0), (2, -9.0), (3, 1.0))) / (60.0 * 1e-2 * value)
+        error = abs(float(number.grad) - expected) / abs(expected)
+        measured('error of a derivative by a number of a link', name, error, '<= 1e-9')
+        assert error <= 1e-9, name
+
+
+def test_number_that_no_link_of_a_urdf_has_is_refused_by_name(tmp_path, pendulum):
+    with pytest.raises(ValueError, match='urdf.... are numbers of the links of a URDF, which '
+                       'exact_pendulum does not have'):
+        DifferentiableSimulation(pendulum, ['urdf.bob.mass'])
+    arm = DifferentiableSimulation('two_joint_arm', ['urdf.forearm.mass'])
+    q = torch.zeros(2, dtype=torch.float64)
+    with pytest.raises(SceneError, match='mass = -1 kg must not be negative'):
+        arm(q, q, duration=0.1, parameters={'urdf.forearm.mass': -torch.ones(
+            (), dtype=torch.float64)})
+    with pytest.raises(ValueError, match="no number 'urdf.forearn.mass'; it has: .*forearm.mass"):
+        DifferentiableSimulation('two_joint_arm', ['urdf.forearn.mass'])
 
 
 @pytest.mark.parametrize('hamiltonian, effect, names', [

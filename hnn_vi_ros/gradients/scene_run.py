@@ -2,26 +2,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Differentiable runs of one scene, each with its own values of some of the scene's numbers."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
-from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.gradients.acting_effects import flow_rates
 from hnn_vi_ros.gradients.dependences import Dependence, on_number
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.scene.named_numbers import numbers_in, set_number, with_known_numbers
+from hnn_vi_ros.scene.named_numbers import check_known, numbers_in, set_number, with_known_numbers
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from pydantic import ValidationError
 
-_EFFECTS, MODEL = 'effects.', 'model.'
+_EFFECTS, _MODEL, _URDF = 'effects.', 'model.', 'urdf.'
 # What of the card of a machine's model its motions depend on.
 _IN_CARD = 'friction', 'prior', 'input_map', 'fade'
 
@@ -33,7 +34,7 @@ class Numbers(NamedTuple):
     Parameters
     ----------
     values : mapping of str to float
-        By names of ``numbers_of`` that were checked, and of ``numbers_of_model``.
+        By names of ``numbers_of``, of ``numbers_of_model`` and of links, that were checked.
     step_size : float
         h [s].
     model : Checkpoint or None
@@ -85,7 +86,7 @@ class SceneRun:
             return
         self._held = None
         self._model = numbers.model
-        if any(name.startswith(MODEL) for name in numbers.values):
+        if any(name.startswith(_MODEL) for name in numbers.values):
             self._model = _with_card(numbers.model or model_of(self._own), numbers.values)
         made = _changed(self._own, numbers.values, self._model)
         self.run.take_numbers(made.hamiltonian, made.effects, numbers.step_size)
@@ -105,9 +106,11 @@ class SceneRun:
                     ) -> tuple[Kernel, np.ndarray | None]:
         """Return the kernel with another value, and the rates of damping that depend on it."""
         model = self._model
-        if name.startswith(MODEL):
+        if name.startswith(_MODEL):
             model = _with_card(model or model_of(self._now), {name: value})
-        _, hamiltonian, integrator, effects = _changed(self._now, {name: value}, model)
+        assert self._held is not None
+        links = {key: held for key, held in self._held.values.items() if key.startswith(_URDF)}
+        _, hamiltonian, integrator, effects = _changed(self._now, links | {name: value}, model)
         system = self._beside.get((name, offset))
         if system is None or not system.take_numbers(hamiltonian, effects):
             system = self.run.beside(hamiltonian, effects)
@@ -118,11 +121,19 @@ class SceneRun:
 
 def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None) -> Parts:
     """Return parts with other numbers; of H or of effects alone, where the others stay."""
-    own = {name: value for name, value in values.items() if not name.startswith(MODEL)}
+    own = {name: value for name, value in values.items()
+           if not name.startswith((_MODEL, _URDF))}
+    links = {name.removeprefix(_URDF): value for name, value in values.items()
+             if name.startswith(_URDF)}
     scene = with_known_numbers(parts.scene, own)
     # Numbers of H have no influence on effects, nor these on H.
     if not all(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(hamiltonian=scene.create_hamiltonian())
+    if links:
+        try:
+            parts = parts._replace(hamiltonian=robot_of(parts).with_numbers(links))
+        except ModelError as problem:
+            raise SceneError(str(problem)) from problem
     if any(name.startswith(_EFFECTS) for name in own):
         parts = parts._replace(effects=scene.create_effects())
     parts = parts._replace(scene=scene)
@@ -139,11 +150,32 @@ def _changed(parts: Parts, values: Mapping[str, float], model: Checkpoint | None
     return parts._replace(hamiltonian=type(H)(model), effects=effects)
 
 
+def check_in_files(parts: Parts, names: Iterable[str]) -> list[str]:
+    """Return which names are of a model or a URDF; raise ValueError for those it does not have."""
+    inside = [name for name in names if name.startswith((_MODEL, _URDF))]
+    known: dict[str, float] = {}
+    if any(name.startswith(_MODEL) for name in inside):
+        known |= numbers_of_model(model_of(parts))
+    if any(name.startswith(_URDF) for name in inside):
+        known |= {f'{_URDF}{name}': value
+                  for name, value in robot_of(parts).robot.numbers().items()}
+    check_known(parts.scene.name, inside, known)
+    return inside
+
+
+def robot_of(parts: Parts) -> RigidBodyTree:
+    """Return H, or raise ValueError unless it is that of a URDF."""
+    if not isinstance(parts.hamiltonian, RigidBodyTree):
+        raise ValueError(f'{_URDF}... are numbers of the links of a URDF, which '
+                         f'{parts.scene.name} does not have')
+    return parts.hamiltonian
+
+
 def model_of(parts: Parts) -> Checkpoint:
     """Return the model of H, or raise ValueError unless it is one of a machine."""
     checkpoint = getattr(parts.hamiltonian, 'checkpoint', None)
     if checkpoint is None or checkpoint.card.mechanical is None or checkpoint.members:
-        raise ValueError(f'{MODEL}... are numbers of one model of the family mechanical or '
+        raise ValueError(f'{_MODEL}... are numbers of one model of the family mechanical or '
                          f'rigid_body, which H of {parts.scene.name} is not')
     found: Checkpoint = checkpoint
     return found
@@ -157,7 +189,7 @@ def numbers_of_model(model: Checkpoint) -> dict[str, float]:
     values['prior'] = prior and {
         name: quantity['value'] for name, quantity in prior['parameters'].items()}
     return {name: value for key in _IN_CARD
-            for name, value in numbers_in(f'{MODEL}{key}', values[key])}
+            for name, value in numbers_in(f'{_MODEL}{key}', values[key])}
 
 
 def _with_card(model: Checkpoint, values: Mapping[str, float]) -> Checkpoint:
@@ -165,9 +197,9 @@ def _with_card(model: Checkpoint, values: Mapping[str, float]) -> Checkpoint:
     assert model.card.mechanical is not None, 'checked by model_of'
     data = model.card.mechanical.model_dump()
     for name, value in values.items():
-        if not name.startswith(MODEL):
+        if not name.startswith(_MODEL):
             continue
-        key, *path = name.removeprefix(MODEL).split('.')
+        key, *path = name.removeprefix(_MODEL).split('.')
         if key == 'prior':
             data['prior']['parameters']['.'.join(path)]['value'] = value
         else:

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot of rigid bodies that a URDF describes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -60,10 +61,18 @@ class RigidBodyTree(Hamiltonian):
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
                  rotor_inertia: dict[str, float] | None = None):
         self.robot = replace(read_urdf(Path(file)), locked=locked or {})
-        self.bodies, self.joints = tree_of(
-            self.robot, joints, self.robot.locked, gravity, base or self.robot.root,
-            rotor_inertia or {})
+        self._arguments = (joints, self.robot.locked, gravity, base or self.robot.root,
+                           rotor_inertia or {})
+        self.bodies, self.joints = tree_of(self.robot, *self._arguments)
         self.coordinates = tuple(_coordinate(joint) for joint in self.joints)
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> 'RigidBodyTree':
+        """Return H with other numbers of links; see ``Robot.with_numbers``."""
+        other = copy(self)
+        other.__dict__.pop('kernel', None)
+        other.robot = self.robot.with_numbers(numbers)
+        other.bodies, other.joints = tree_of(other.robot, *self._arguments)
+        return other
 
     @property
     def provenance(self) -> dict[str, str]:

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot as a URDF describes it: links and the joints between them."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -14,6 +15,9 @@ TURNING, SLIDING, RIGID = ('revolute', 'continuous'), 'prismatic', 'fixed'
 KINDS = (*TURNING, SLIDING, RIGID)
 # Slack for a file's rounded digits: relative to the largest moment of inertia, and [kg m2].
 _ROUNDING, _NOTHING = 1e-6, 1e-12
+
+_NUMBERS = ('mass', 'centre_x', 'centre_y', 'centre_z', 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz')
+_MOMENTS = np.triu_indices(3)
 
 
 class Units(NamedTuple):
@@ -51,6 +55,17 @@ class Inertial:
     mass: float
     centre: np.ndarray
     moments: np.ndarray
+
+    @classmethod
+    def of(cls, numbers: Sequence[float]) -> 'Inertial':
+        """Return the inertia of these ``numbers``."""
+        (mass, *centre), moments = numbers[:4], np.zeros((3, 3))
+        moments[_MOMENTS] = moments[_MOMENTS[::-1]] = numbers[4:]
+        return cls(mass, np.array(centre), moments)
+
+    def numbers(self) -> list[float]:
+        """Return mass, centre and moments, one after another, as _NUMBERS names them."""
+        return [self.mass, *self.centre, *self.moments[_MOMENTS]]
 
     @property
     def fault(self) -> str:
@@ -207,6 +222,30 @@ class Robot:
     where: str
     text: str
     locked: Mapping[str, float] = field(default_factory=dict)
+
+    def numbers(self) -> dict[str, float]:
+        """Return mass, centre of mass and moments of each link, as ``forearm.centre_z``."""
+        return {f'{name}.{key}': float(value) for name, link in self.links.items()
+                if link.inertial is not None for key, value in zip(
+                    _NUMBERS, link.inertial.numbers(), strict=True)}
+
+    def with_numbers(self, numbers: Mapping[str, float]) -> 'Robot':
+        """
+        Return the robot with other values of some numbers.
+
+        Raises
+        ------
+        ModelError
+            No body could be a link with these.
+
+        """
+        values, links = self.numbers() | dict(numbers), dict(self.links)
+        for name in {place.rpartition('.')[0] for place in numbers}:
+            inertial = Inertial.of([values[f'{name}.{key}'] for key in _NUMBERS])
+            if inertial.fault:
+                raise ModelError(f'{links[name].place}: {inertial.fault}')
+            links[name] = replace(links[name], inertial=inertial)
+        return replace(self, links=links)
 
 
 @dataclass(frozen=True)
