@@ -88,6 +88,10 @@ def tableau(q_matrix: ArrayLike, p_matrix: ArrayLike, q_weights: ArrayLike,
         q_matrix, p_matrix, q_weights, p_weights)))
 
 
+# The stages of a leapfrog are (q_n, p_half) and (q_(n+1), p_half).
+LEAPFROG = tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5], [0.5, 0.5])
+
+
 def in_sequence(base: PartitionedTableau, fractions: Sequence[float]) -> PartitionedTableau:
     """Return the tableau of one step made of steps of a base, of these fractions of h."""
     s, count = base.stages, len(fractions)

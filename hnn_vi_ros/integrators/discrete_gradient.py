@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import OK, Point, Requirements, Step
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.newton import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -89,11 +89,7 @@ def step_to_end(set_scale: Callable[..., None], equation: Callable[..., None]) -
         See solvers; of an EndProblem, whose ``rates`` it fills.
 
     """
-    @inlined
-    def end_tangent(problem: EndProblem, x: np.ndarray, v: np.ndarray, product: np.ndarray
-                    ) -> None:
-        """Approximate G'(x) v: Newton's method asks for no more."""
-        difference(equation, problem, x, v, product)
+    end_tangent = by_differences(equation)
 
     @inlined
     def step(kernel: Kernel, h: float, options: SolverOptions, z: Point, z1: Point,

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The two implicit equations of the Euler-type methods: one for momenta, one for coordinates."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
@@ -144,23 +145,9 @@ def solve_momenta(kernel: Kernel, h: float, known: Known, sought: Sought,
         Outcome, relative residual [1], gradients.
 
     """
-    p, p1 = known.base, sought.x
-    for i in range(p.size):
-        p1[i] = p[i] - h * known.slope[i]
-    iterates, matrix = work.solver.iterates, work.solver.newton.matrix
-    set_scale(iterates.scale, iterates.own_scale, p, known.slope, h, kernel, 0)
-    if options.extrapolate:
-        extrapolate(work.kept, p, p1)
-    problem = _Problem(kernel, -h, known, sought, p, work.product_q, work.product_p)
-    outcome, residual, gradients = options.solve(
-        _momentum_equation, _momentum_tangent, problem, p1, work.solver, options.max_iterations)
-    if outcome == OK and is_in_doubt(
-            options, iterates.slow_start, matrix, gradients, kernel.dimension):
-        return IN_DOUBT, residual, gradients
-    if outcome == OK:
-        remember(work.kept, p, p1)
-        _finish(p, known.carry, -h, sought.dH_dq, p1, sought.carry)
-    return outcome, residual, gradients
+    return _solve(_momentum_equation, _momentum_tangent, _Problem(
+        kernel, -h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dq, 0,
+        work, options)
 
 
 @inlined
@@ -185,23 +172,34 @@ def solve_coordinates(kernel: Kernel, h: float, known: Known, sought: Sought,
         Outcome, relative residual [1], gradients.
 
     """
-    q, q1 = known.base, sought.x
-    for i in range(q.size):
-        q1[i] = q[i] + h * known.slope[i]
+    return _solve(_coordinate_equation, _coordinate_tangent, _Problem(
+        kernel, h, known, sought, known.base, work.product_q, work.product_p), sought.dH_dp, 1,
+        work, options)
+
+
+@inlined
+def _solve(equation: Callable[..., None], tangent: Callable[..., None], problem: _Problem,
+           slope: np.ndarray, which: int, work: EquationWork | HalfwayWork,
+           options: SolverOptions) -> tuple[int, float, int]:
+    """Solve for the momenta (0) or the coordinates (1); ``slope`` is H_x at the solution."""
+    kernel, known, base, x = problem.kernel, problem.known, problem.base, problem.sought.x
     iterates, matrix = work.solver.iterates, work.solver.newton.matrix
-    set_scale(iterates.scale, iterates.own_scale, q, known.slope, h, kernel, 1)
+    for i in range(x.size):
+        x[i] = base[i] + problem.factor * known.slope[i]
+    set_scale(iterates.scale, iterates.own_scale, base, known.slope, problem.factor, kernel, which)
     if options.extrapolate:
-        extrapolate(work.kept, q, q1)
-    problem = _Problem(kernel, h, known, sought, q, work.product_q, work.product_p)
+        extrapolate(work.kept, base, x)
     outcome, residual, gradients = options.solve(
-        _coordinate_equation, _coordinate_tangent, problem, q1, work.solver,
-        options.max_iterations)
+        equation, tangent, problem, x, work.solver, options.max_iterations)
     if outcome == OK and is_in_doubt(
             options, iterates.slow_start, matrix, gradients, kernel.dimension):
         return IN_DOUBT, residual, gradients
     if outcome == OK:
-        remember(work.kept, q, q1)
-        _finish(q, known.carry, h, sought.dH_dp, q1, sought.carry)
+        remember(work.kept, base, x)
+        # Keep in the carry what x lacks of base + carry + factor * slope.
+        for i in range(x.size):
+            total, rest = plus(base[i], known.carry[i], problem.factor * slope[i])
+            problem.sought.carry[i] = rest + (total - x[i])
     return outcome, residual, gradients
 
 
@@ -242,15 +240,6 @@ def set_scale(scale: np.ndarray, own_scale: np.ndarray, base: np.ndarray, slope:
             # not count.
             scale[i] = abs(h) if which == 1 else np.inf
             own_scale[i] = scale[i]
-
-
-@inlined
-def _finish(base: np.ndarray, carry: np.ndarray, factor: float, slope: np.ndarray,
-            x: np.ndarray, new_carry: np.ndarray) -> None:
-    """Keep in the carry what x lacks of base + carry + factor * slope."""
-    for i in range(x.size):
-        total, rest = plus(base[i], carry[i], factor * slope[i])
-        new_carry[i] = rest + (total - x[i])
 
 
 @inlined

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gauss collocation: the Galerkin variational integrators of any even order."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from hnn_vi_ros.integrators.arithmetic import copy_array, plus
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau, Point, Requirements
@@ -370,6 +370,9 @@ class Collocation(ImplicitIntegrator):
         return (2 * self.stages * n,)
 
 
+_Kind = TypeVar('_Kind', bound=Collocation)
+
+
 class Gauss(Collocation):
     """
     The Gauss collocation method of s stages, order 2 s.
@@ -453,14 +456,16 @@ class Gauss(Collocation):
         return OK, residual, rounds * s
 
 
-def _gauss(stages: int) -> type[Gauss]:
-    order = 2 * stages
-    return type(f'Gauss{order}', (Gauss,), {
-        'stages': stages, 'order': order, '__module__': __name__,
-        '__doc__': f'Gauss collocation of {stages} stages, order {order}; see Gauss.'})
+def orders_of(kind: type[_Kind], where: str = '') -> Iterator[type[_Kind]]:
+    """Yield the methods of a kind of 2 to 8 stages, of order 4 to 16."""
+    for stages in range(2, 9):
+        order = 2 * stages
+        yield type(f'{kind.__name__}{order}', (kind,), {
+            'stages': stages, 'order': order, '__module__': kind.__module__, '__doc__':
+            f'Gauss collocation of {stages} stages{where}, order {order}; see {kind.__name__}.'})
 
 
-GAUSS_METHODS = {f'gauss{2 * stages}': _gauss(stages) for stages in range(2, 9)}
+GAUSS_METHODS = {f'gauss{method.order}': method for method in orders_of(Gauss)}
 
 
 @inlined

@@ -3,8 +3,7 @@
 """The generalised leapfrog: the Störmer-Verlet method for a Hamiltonian of any form."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import (
-    leapfrog_energy, OK, PartitionedTableau, Point, Requirements, tableau)
+from hnn_vi_ros.integrators.base import LEAPFROG, leapfrog_energy, OK, Point, Requirements
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
@@ -46,6 +45,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
     requirements = Requirements(symmetric=True, symplectic=True)
     halves = (SymplecticEuler.step, _second_half)
     modified_energy = staticmethod(leapfrog_energy)
+    partitioned = LEAPFROG
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the sizes of the equations for the momenta and for the coordinates."""
@@ -55,12 +55,6 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
         """Return the workspaces of the two equations; see Integrator."""
         first, second = (EquationWork.empty(n, dtype) for _ in range(2))
         return first, HalfwayWork(*second, *np.zeros((2, n), dtype))
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stages (q_n, p_half), (q_(n+1), p_half); see Integrator."""
-        return tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5],
-                       [0.5, 0.5])
 
     @staticmethod
     @inlined

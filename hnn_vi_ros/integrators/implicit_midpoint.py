@@ -5,8 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import (
-    midpoint_energy, OK, PartitionedTableau, Point, Requirements, tableau)
+from hnn_vi_ros.integrators.base import midpoint_energy, OK, Point, Requirements, tableau
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
@@ -64,6 +63,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
 
     order, requirements = 2, Requirements(symmetric=True, symplectic=True)
     modified_energy = staticmethod(midpoint_energy)
+    partitioned = tableau([[0.5]], [[0.5]], [1], [1])  # its stage is the midpoint
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns: q and p of the midpoint."""
@@ -73,11 +73,6 @@ class ImplicitMidpoint(ImplicitIntegrator):
         """Return the workspace of the equation; see Integrator."""
         return (MidpointWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
                              *np.zeros((2, 2 * n), dtype)),)
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stage, the midpoint; see Integrator."""
-        return tableau([[0.5]], [[0.5]], [1], [1])
 
     @staticmethod
     @inlined

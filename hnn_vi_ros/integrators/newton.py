@@ -7,6 +7,7 @@ With a Jacobian, without one by GMRES, and along the way from h = 0 (continuatio
 """
 
 from collections.abc import Callable
+from functools import cache
 import math
 from typing import Any, NamedTuple
 
@@ -105,24 +106,27 @@ def raise_scales(scale: np.ndarray, own_scale: np.ndarray, known: np.ndarray) ->
             first = i
 
 
-@inlined
-def difference(equation: Callable, problem: Any, x: np.ndarray, v: np.ndarray,
-               product: np.ndarray) -> None:
-    """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
-    size = 0.0
-    for i in range(x.size):
-        # An integral of a channel has no scale: nothing depends on it.
-        if problem.scale[i] < math.inf:
-            size = max(size, abs(v[i]) * problem.scale[i])
-    spacing = _SPACING * (size if size > 0.0 else 1.0)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] + spacing * v[i]
-    equation(problem, problem.ahead, product)
-    for i in range(x.size):
-        problem.ahead[i] = x[i] - spacing * v[i]
-    equation(problem, problem.ahead, problem.behind)
-    for i in range(x.size):
-        product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
+@cache
+def by_differences(equation: Callable[..., None]) -> Callable[..., None]:
+    """Return the tangent of an equation by differences: Newton's method asks for no more."""
+    @inlined
+    def tangent(problem: Any, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
+        """Fill product with G'(x) v by a central difference, in the arrays ahead and behind."""
+        size = 0.0
+        for i in range(x.size):
+            # An integral of a channel has no scale: nothing depends on it.
+            if problem.scale[i] < math.inf:
+                size = max(size, abs(v[i]) * problem.scale[i])
+        spacing = _SPACING * (size if size > 0.0 else 1.0)
+        for i in range(x.size):
+            problem.ahead[i] = x[i] + spacing * v[i]
+        equation(problem, problem.ahead, product)
+        for i in range(x.size):
+            problem.ahead[i] = x[i] - spacing * v[i]
+        equation(problem, problem.ahead, problem.behind)
+        for i in range(x.size):
+            product[i] = (product[i] - problem.behind[i]) / (2.0 * spacing)
+    return tangent
 
 
 # How far the linear system of an iteration is solved, relative to its right-hand side.

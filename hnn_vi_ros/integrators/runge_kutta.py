@@ -5,14 +5,20 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import (
-    ENDLESS, Integrator, OK, PartitionedTableau, Point, Requirements, tableau)
+from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point, Requirements, tableau
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
 
-class ExplicitEuler(Integrator):
+class Baseline(Integrator):
+    """An explicit method to compare with, as good for a field in any coordinates."""
+
+    explicit = True
+    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
+
+
+class ExplicitEuler(Baseline):
     """
     Explicit Euler: q_(n+1) = q_n + h H_p(q_n, p_n), p_(n+1) = p_n - h H_q(q_n, p_n).
 
@@ -25,14 +31,8 @@ class ExplicitEuler(Integrator):
 
     """
 
-    order, explicit = 1, True
-    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
-    keeps_gradient = True
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stage, the state before; see Integrator."""
-        return tableau([[0]], [[0]], [1], [1])
+    order, keeps_gradient = 1, True
+    partitioned = tableau([[0]], [[0]], [1], [1])  # its stage is the state before
 
     @staticmethod
     @inlined
@@ -65,7 +65,7 @@ class StageWork(NamedTuple):
     sum_p: np.ndarray
 
 
-class RK4(Integrator):
+class RK4(Baseline):
     """
     The classical Runge-Kutta method of four stages and order 4.
 
@@ -77,20 +77,13 @@ class RK4(Integrator):
 
     """
 
-    order, explicit = 4, True
-    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
-    keeps_gradient = True
+    order, keeps_gradient = 4, True
+    partitioned = tableau(*2 * [np.diag([0.5, 0.5, 1.0], -1)],
+                          *2 * [np.array([1.0, 2.0, 2.0, 1.0]) / 6.0])
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
         """Return space for a stage and the sum over stages; see Integrator."""
         return (StageWork(*np.zeros((4, n), dtype)),)
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its four stages; see Integrator."""
-        matrix = np.diag([0.5, 0.5, 1.0], -1)
-        weights = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-        return PartitionedTableau(matrix, matrix, weights, weights)
 
     @staticmethod
     @inlined
@@ -124,7 +117,7 @@ class Tolerances(NamedTuple):
     absolute: float
 
 
-class DOP853(Integrator):
+class DOP853(Baseline):
     """
     scipy's DOP853: over each step h it takes as many steps of its own as its tolerances ask for.
 
@@ -146,9 +139,7 @@ class DOP853(Integrator):
 
     """
 
-    order, explicit = 8, True
-    requirements = Requirements(symmetric=False, symplectic=False, coordinates='any')
-    compiled = False
+    order, compiled = 8, False
 
     def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):
         for name, value in (('relative', relative_tolerance), ('absolute', absolute_tolerance)):

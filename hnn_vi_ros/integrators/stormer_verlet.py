@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import (
-    Integrator, leapfrog_energy, OK, PartitionedTableau, Point, Requirements, tableau)
+    Integrator, LEAPFROG, leapfrog_energy, OK, Point, Requirements)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 
@@ -55,12 +55,7 @@ class StormerVerlet(Integrator):
     order, explicit, halves = 2, True, (_first_half, _second_half)
     requirements = Requirements(symmetric=True, symplectic=True, separable=True)
     modified_energy = staticmethod(leapfrog_energy)
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stages (q_n, p_half), (q_(n+1), p_half); see Integrator."""
-        return tableau([[0.0, 0.0], [0.5, 0.5]], [[0.5, 0.0], [0.5, 0.0]], [0.5, 0.5],
-                       [0.5, 0.5])
+    partitioned = LEAPFROG
 
     @staticmethod
     @inlined

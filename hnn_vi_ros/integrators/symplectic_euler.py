@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import euler_energy, PartitionedTableau, Point, tableau
+from hnn_vi_ros.integrators.base import euler_energy, Point, tableau
 from hnn_vi_ros.integrators.equations import (
     EquationWork, HalfwayWork, Known, solve_coordinates, solve_momenta, Sought)
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
@@ -32,11 +32,7 @@ class SymplecticEuler(EulerIntegrator):
     """
 
     no_solution = NO_SOLUTION_OF_EQ_6
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stage (q_n, p_(n+1)); see Integrator."""
-        return tableau([[0]], [[1]], [1], [1])
+    partitioned = tableau([[0]], [[1]], [1], [1])  # its stage is (q_n, p_(n+1))
 
     @staticmethod
     @inlined
@@ -74,13 +70,9 @@ class SymplecticEulerAdjoint(EulerIntegrator):
     """
 
     modified_energy = staticmethod(euler_energy)
+    partitioned = tableau([[1]], [[0]], [1], [1])  # its stage is (q_(n+1), p_n)
     no_solution = ('the adjoint of eq. (6) has no solution here that is connected to h = 0: on '
                    'the way det(I - h H_qp) changes sign')
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its stage (q_(n+1), p_n); see Integrator."""
-        return tableau([[1]], [[0]], [1], [1])
 
     @staticmethod
     @inlined

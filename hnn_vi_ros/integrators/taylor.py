@@ -267,10 +267,6 @@ class Taylor(Integrator):
         nodes = len(_rates(_original(kernel))[0].nodes)
         return 1e-5, 7e-8 + 5e-11 * nodes * self.order ** 2
 
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return none: the tolerance is in the workspace."""
-        return ()
-
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the series, which are compiled in the first step; see Integrator."""
         return (TaylorWork(self._tolerance),)

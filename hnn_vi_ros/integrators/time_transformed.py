@@ -75,12 +75,6 @@ class ControlledWork(NamedTuple):
         return cls(kept, np.zeros(1), Point.empty(n, dtype), *np.zeros((4, n), dtype))
 
 
-@inlined
-def own_length(own_step: np.ndarray, h: float) -> float:
-    """Return the length of the base's steps: as long as that of the clock, unless it is given."""
-    return own_step[0] if own_step[0] > 0.0 else h
-
-
 @cache
 def controlled(base_step: Callable) -> Callable:
     """
@@ -114,7 +108,8 @@ def controlled(base_step: Callable) -> Callable:
             copy_point(z, ahead)
             clock[0], clock[1], clock[2] = 0.0, 0.0, 0.0
         copy_point(ahead, at)
-        own_step = own_length(work.own_step, h)
+        # As long as that of the clock, unless its length is given.
+        own_step = work.own_step[0] if work.own_step[0] > 0.0 else h
         worst, gradients, density, time, carry = 0.0, 0, clock[0], clock[1], clock[2]
         for _ in range(_MOST_STEPS):
             if time >= h:
@@ -363,9 +358,7 @@ def _transform(base_step: Callable) -> Callable:
         fresh = work.kept.count[0] == 0
         if fresh:
             forget(own)
-            for i in range(n):
-                ahead.q[i], ahead.p[i] = z.q[i], z.p[i]
-                ahead.q_carry[i], ahead.p_carry[i] = z.q_carry[i], z.p_carry[i]
+            copy_point(z, ahead)
             ahead.q[n], ahead.p[n], ahead.q_carry[n], ahead.p_carry[n] = 0.0, 0.0, 0.0, 0.0
             clock[0], clock[1], clock[2] = kernel.energy(kernel.parameters, z.q, z.p), 0.0, 0.0
         parameters = TransformedParameters(kernel, memory[2], clock[0], force, exponent)
@@ -373,7 +366,7 @@ def _transform(base_step: Callable) -> Callable:
                              kernel.gradient_scale, kernel.compiled, 1, kernel.energy_scale,
                              kernel.rotations, False)
         copy_point(ahead, at)
-        own_step = own_length(work.own_step, h)
+        own_step = work.own_step[0] if work.own_step[0] > 0.0 else h
         worst, gradients, time, carry = 0.0, 0, clock[1], clock[2]
         if fresh:
             transformed.gradient(transformed.parameters, at.q, at.p, at.dH_dq, at.dH_dp)

@@ -3,7 +3,7 @@
 """The variational integrator of the paper, its equation (6)."""
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import euler_energy, PartitionedTableau, Point, tableau
+from hnn_vi_ros.integrators.base import euler_energy, Point, tableau
 from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
@@ -38,11 +38,8 @@ class VariationalEuler(EulerIntegrator):
     modified_energy = staticmethod(euler_energy)
     no_solution = NO_SOLUTION_OF_EQ_6
     keeps_gradient = True
-
-    @property
-    def partitioned(self) -> PartitionedTableau:
-        """Return its two stages, the state before and after; see Integrator."""
-        return tableau([[0, 0], [1, 0]], [[0, 0], [0, 1]], [1, 0], [0, 1])
+    # Its stages are the state before and the state after.
+    partitioned = tableau([[0, 0], [1, 0]], [[0, 0], [0, 1]], [1, 0], [0, 1])
 
     @staticmethod
     @inlined

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, TURNED
+from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivialised, turn
-from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.newton import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -26,8 +26,9 @@ import numpy as np
 # |h omega| beyond which a step is refused: nearly half a turn, where the shortest way to the next
 # attitude changes sides.
 LARGEST_TURN = 3.0
-# |x|^2 of the Cayley map where it turns by that.
-_FURTHEST = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
+# The squares of the angle of that turn, and of its vector by the Cayley map.
+FURTHEST = LARGEST_TURN * LARGEST_TURN
+FURTHEST_CAYLEY = float((2.0 * np.tan(0.5 * LARGEST_TURN)) ** 2)
 
 
 class LieOptions(NamedTuple):
@@ -86,7 +87,7 @@ class GroupWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """One of the equations: from z, over h, at g; it fills z1. ``difference`` reads the last."""
+    """One of the equations: from z, over h, at g; it fills z1. ``by_differences`` reads the last."""
 
     kernel: Kernel
     h: float
@@ -176,7 +177,7 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
     for i in range(x.size):
         x[i] = h * z.dH_dp[i]
     set_turn_scale(kernel, h, z, x, iterates.scale, iterates.own_scale)
-    if is_too_far(kernel, x):
+    if turns_beyond(kernel, x, FURTHEST):
         return TURNED, np.inf, 0
     if options.solver.extrapolate:
         extrapolate(work.kept, work.origin, x)
@@ -191,23 +192,12 @@ def solve_turns(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Poi
 
 
 @called
-def is_too_far(kernel: Kernel, x: np.ndarray) -> bool:
-    """Return whether an angular velocity times h is too large for one step."""
+def turns_beyond(kernel: Kernel, x: np.ndarray, squared: float) -> bool:
+    """Return whether the square of some rotation vector in x reaches a bound."""
     for start in range(0, x.size, kernel.dimension):
         for k in range(len(kernel.rotations)):
             at = start + kernel.rotations[k] - k
-            if dot(x, x, at) > LARGEST_TURN * LARGEST_TURN:
-                return True
-    return False
-
-
-@called
-def is_beyond(kernel: Kernel, x: np.ndarray) -> bool:
-    """Return whether the Cayley map of some x turns by LARGEST_TURN or more."""
-    for start in range(0, x.size, kernel.dimension):
-        for k in range(len(kernel.rotations)):
-            # Not a number is beyond as well.
-            if not dot(x, x, start + kernel.rotations[k] - k) < _FURTHEST:
+            if dot(x, x, at) >= squared:
                 return True
     return False
 
@@ -225,7 +215,7 @@ def check_turns(kernel: Kernel, retraction: Callable, x: np.ndarray, outcome: in
             squared = dot(x, x, start + kernel.rotations[k] - k)
             tau = retraction(0.25 * squared)
             longer = 1.0 + (tau.along - tau.squared) * squared
-            if squared * longer * longer > LARGEST_TURN * LARGEST_TURN:
+            if squared * longer * longer > FURTHEST:
                 return TURNED
     return outcome
 
@@ -338,10 +328,7 @@ def _inside_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> Non
         value[i] = plus(z.p[i], z.p_carry[i], work.change[i] - h * work.slope[i] - value[i])[0]
 
 
-@inlined
-def _inside_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray
-                    ) -> None:
-    difference(_inside_equation, problem, x, v, product)
+_inside_tangent = by_differences(_inside_equation)
 
 
 @inlined
@@ -365,9 +352,7 @@ def _turn_equation(problem: _Problem, x: np.ndarray, value: np.ndarray) -> None:
         value[i] = problem.h * z1.dH_dp[i]
 
 
-@inlined
-def _turn_tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-    difference(_turn_equation, problem, x, v, product)
+_turn_tangent = by_differences(_turn_equation)
 
 
 class LieIntegrator(ImplicitIntegrator):
@@ -400,6 +385,9 @@ class LieIntegrator(ImplicitIntegrator):
     27 (2011).
 
     """
+
+    order = 1
+    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
 
     def __init__(self, retraction: str = 'cayley', solver: str = 'chain',
                  max_iterations: int = 100):

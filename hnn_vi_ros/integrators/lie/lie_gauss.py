@@ -7,12 +7,12 @@ from typing import NamedTuple
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
-from hnn_vi_ros.integrators.gauss import Collocation, Tableau
+from hnn_vi_ros.integrators.gauss import Collocation, orders_of, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
-    add_bend, fill_forces, is_beyond, is_too_far, move, set_turn_scale)
+    add_bend, fill_forces, FURTHEST, FURTHEST_CAYLEY, move, set_turn_scale, turns_beyond)
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
-from hnn_vi_ros.integrators.newton import difference
+from hnn_vi_ros.integrators.newton import by_differences
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -77,7 +77,7 @@ class LieGaussWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The equation for the stages of a step from z; ``difference`` reads the last."""
+    """The equation for the stages of a step from z; ``by_differences`` reads the last."""
 
     kernel: Kernel
     h: float
@@ -142,7 +142,7 @@ class LieGauss(Collocation):
         scale, own = work.solver.iterates.scale, work.solver.iterates.own_scale
         for i in range(n):
             end[i] = h * z.dH_dp[i]
-        if is_too_far(kernel, end):
+        if turns_beyond(kernel, end, FURTHEST):
             kept.count[0] = 0
             return TURNED, np.inf, 0
         fill_forces(kernel, z.q, z.dH_dq, forces)
@@ -161,7 +161,7 @@ class LieGauss(Collocation):
             return outcome, residual, rounds * s
         for i in range(n):
             kept.end[i] = end[i]
-        if is_beyond(kernel, end):
+        if turns_beyond(kernel, end, FURTHEST_CAYLEY):
             return TURNED, residual, rounds * s
         kept.count[0] = 1
         move(kernel, cayley, z, end, z1)
@@ -172,15 +172,8 @@ class LieGauss(Collocation):
         return OK, residual, rounds * s + 1
 
 
-def _lie_gauss(stages: int) -> type[LieGauss]:
-    order = 2 * stages
-    return type(f'LieGauss{order}', (LieGauss,), {
-        'stages': stages, 'order': order, '__module__': __name__,
-        '__doc__': f'Gauss collocation of {stages} stages on a group, order {order}; see '
-                   'LieGauss.'})
-
-
-LIE_GAUSS_METHODS = {f'lie_gauss{2 * stages}': _lie_gauss(stages) for stages in range(2, 9)}
+LIE_GAUSS_METHODS = {
+    f'lie_gauss{method.order}': method for method in orders_of(LieGauss, ' on a group')}
 
 
 @inlined
@@ -340,6 +333,4 @@ def _turned_less(x: np.ndarray, m: np.ndarray, at: int,
     return own * first, own * second, own * (side * c + 0.5 * (x[at] * b - x[at + 1] * a))
 
 
-@inlined
-def _tangent(problem: _Problem, x: np.ndarray, v: np.ndarray, product: np.ndarray) -> None:
-    difference(_equation, problem, x, v, product)
+_tangent = by_differences(_equation)

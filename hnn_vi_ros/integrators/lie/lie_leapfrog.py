@@ -5,8 +5,8 @@
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import (
-    add_bend, check_turns, GroupWork, is_too_far, LieIntegrator, LieOptions, move,
-    solve_momenta_inside, solve_turns, transport)
+    add_bend, check_turns, FURTHEST, GroupWork, LieIntegrator, LieOptions, move,
+    solve_momenta_inside, solve_turns, transport, turns_beyond)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
@@ -34,8 +34,6 @@ class LieVariationalEuler(LieIntegrator):
 
     """
 
-    order = 1
-    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
     keeps_gradient = True
 
     @staticmethod
@@ -46,7 +44,7 @@ class LieVariationalEuler(LieIntegrator):
         work = memory[0]
         for i in range(z.q.size):
             work.x[i] = h * z.dH_dp[i]
-        if is_too_far(kernel, work.x):
+        if turns_beyond(kernel, work.x, FURTHEST):
             return TURNED, np.inf, 0
         move(kernel, options.retraction, z, work.x, z1)
         work.change[:] = 0.0
@@ -77,8 +75,6 @@ class LieSymplecticEuler(LieIntegrator):
     LieSymplecticEulerAdjoint. Where H does not depend on g it keeps the spatial momentum.
     """
 
-    order = 1
-    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
 
     @staticmethod
     @inlined
@@ -105,8 +101,6 @@ class LieSymplecticEulerAdjoint(LieIntegrator):
     Symplectic, order 1, not symmetric. Where H does not depend on g it keeps the spatial momentum.
     """
 
-    order = 1
-    requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
 
     @staticmethod
     @inlined

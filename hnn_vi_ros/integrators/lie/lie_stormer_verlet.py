@@ -7,7 +7,8 @@ from typing import NamedTuple
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
-from hnn_vi_ros.integrators.lie.equations import fill_forces, is_beyond, is_too_far, move
+from hnn_vi_ros.integrators.lie.equations import (
+    fill_forces, FURTHEST, FURTHEST_CAYLEY, move, turns_beyond)
 from hnn_vi_ros.integrators.lie.rotations import cayley, dot
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined
@@ -100,11 +101,11 @@ class LieStormerVerlet(Integrator):
         _kick(kernel, 0.5 * h, z.q, z1.dH_dq, z, z1, work.forces)
         for i in range(z.q.size):
             work.x[i], work.change[i] = h * z1.dH_dp[i], 1.0
-        if is_too_far(kernel, work.x):
+        if turns_beyond(kernel, work.x, FURTHEST):
             return TURNED, np.inf, 1
         kernel.gradient(kernel.parameters, z.q, work.change, z1.dH_dq, z1.dH_dp)
         _fly(kernel, h, z1.p, z1.dH_dp, work)
-        if is_beyond(kernel, work.x):
+        if turns_beyond(kernel, work.x, FURTHEST_CAYLEY):
             return TURNED, np.inf, 2
         move(kernel, cayley, z, work.x, z1)
         for i in range(z.q.size):
