@@ -11,6 +11,7 @@ from hnn_vi_ros.effects.masses import check_rates, Friction, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.parameters import check_not_negative
 from hnn_vi_ros.integrators.base import Integrator, Step
 from hnn_vi_ros.kernels.kernel import Parameters
 from hnn_vi_ros.kernels.marks import inlined
@@ -55,8 +56,7 @@ class Damping(Force, StepEffect):
             rate = load_checkpoint(model).card.friction
         if rate is None:
             raise ModelError(f'{model}: has learned no friction, as dgnet does; give a rate')
-        if not all(math.isfinite(value) and value >= 0.0 for value in np.ravel(rate)):
-            raise ValueError(f'rate = {rate} must be at least 0 and finite')
+        check_not_negative(rate=rate)
         self.rate = rate
 
     def place(self, integrator: Integrator) -> Place:

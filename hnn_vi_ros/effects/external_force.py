@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, EFFORT, indices_of, JointCommand, LARGEST, NUMBERS)
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.parameters import check_names_once, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -66,8 +66,8 @@ class ExternalForce(Force, Commanded):
             raise ValueError('coordinates is required, or a model in its place')
         if member is not None and not model:
             raise ValueError('member is of a model; give one instead of coordinates')
-        if coordinates is not None and len(set(coordinates)) < max(1, len(coordinates)):
-            raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
+        if coordinates is not None:
+            check_names_once(coordinates=coordinates)
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self.initial = initial
         self.held, self.feels_command = model is None, model is not None

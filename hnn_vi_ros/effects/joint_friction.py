@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.joints import check_given, joint_numbers
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -68,12 +68,8 @@ class JointFriction(Force):
                  damping: dict[str, float] | None = None,
                  friction: dict[str, float] | None = None, speed: float = 0.01,
                  load: dict[str, float] | None = None):
-        check_given(from_, damping=damping, friction=friction, load=load)
+        check_given(from_, check_not_negative, damping=damping, friction=friction, load=load)
         check_positive(speed=speed)
-        for name, values in (('damping', damping), ('friction', friction), ('load', load)):
-            for joint, value in (values or {}).items():
-                if value < 0.0:
-                    raise ValueError(f'{name} of {joint} = {value} must not be negative')
         self.source, self.speed = from_, float(speed)
         self.damping, self.friction, self.load = damping, friction, load
         self.feels_command = bool(load)

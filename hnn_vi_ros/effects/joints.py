@@ -3,7 +3,6 @@
 """Numbers of joints, from the URDF and from the scene."""
 
 from collections.abc import Callable, Mapping, Sequence
-import math
 
 from hnn_vi_ros.effects.base import coordinate_index
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate
@@ -11,14 +10,13 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-def check_given(source: str | None, **given: Mapping[str, float] | None) -> None:
-    """Raise ValueError unless there is a source or a number, and all numbers are finite."""
+def check_given(source: str | None, check: Callable[..., None],
+                **given: Mapping[str, float] | None) -> None:
+    """Raise ValueError unless there is a source or a number, and all numbers pass a check."""
     if source is None and not any(given.values()):
         raise ValueError(f'from is required, or {" or ".join(given)} in its place')
-    for name, values in given.items():
-        for joint, value in (values or {}).items():
-            if not math.isfinite(value):
-                raise ValueError(f'{name} of {joint} = {value} must be a finite number')
+    check(**{f'{name} of {joint}': value for name, values in given.items()
+             for joint, value in (values or {}).items()})
 
 
 def joint_numbers(coordinates: Sequence[Coordinate], source: str | None,

@@ -11,7 +11,8 @@ from hnn_vi_ros.effects.base import coordinate_index, EffectState, StepEffect
 from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observation, select
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.parameters import (
+    check_names_once, check_not_negative, check_positive)
 from hnn_vi_ros.integrators.base import Integrator, Step
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -146,11 +147,8 @@ def _check(names: Sequence[str], deviations: Sequence[float] | None, predictions
            **gains: float) -> None:
     if not 1 <= predictions <= _MOST_PREDICTIONS:
         raise ValueError(f'predictions = {predictions} must be from 1 to {_MOST_PREDICTIONS}')
-    for gain, value in gains.items():
-        if not (np.isfinite(value) and value >= 0.0):
-            raise ValueError(f'{gain} = {value} must be at least 0 and finite')
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f'coordinates = {names} must name at least one, each once')
+    check_not_negative(**gains)
+    check_names_once(coordinates=names)
     if deviations is not None and (len(deviations) != len(names) or not all(
             np.isfinite(one) and one > 0.0 for one in deviations)):
         raise ValueError(f'deviations = {deviations} must be positive and finite, one for each of '

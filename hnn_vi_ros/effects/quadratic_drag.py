@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.masses import momentum_index
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.parameters import check_names_once, check_positive
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
@@ -49,8 +49,7 @@ class QuadraticDrag(Force):
 
     def __init__(self, coordinates: list[str], coefficient: float):
         check_positive(coefficient=coefficient)
-        if not coordinates or len(set(coordinates)) < len(coordinates):
-            raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
+        check_names_once(coordinates=coordinates)
         self.coordinates, self.coefficient = coordinates, float(coefficient)
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> DragParameters:

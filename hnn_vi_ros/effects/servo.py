@@ -12,6 +12,8 @@ from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION,
     printable, Reference, VELOCITY)
 from hnn_vi_ros.errors import listed
+from hnn_vi_ros.hamiltonians.parameters import (
+    check_finite, check_names_once, check_not_negative)
 from hnn_vi_ros.integrators.dense_output import bend_at, cubic, quintic, slope_at, value_at
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -93,15 +95,11 @@ class Servo(Force, Commanded):
                  effort_limit: float | list[float] | None = None,
                  position: list[float] | None = None):
         limit = math.inf if effort_limit is None else effort_limit
-        for name, value in (('stiffness', stiffness), ('damping', damping)):
-            if not all(math.isfinite(one) and one >= 0.0 for one in np.ravel(value)):
-                raise ValueError(f'{name} = {value} must be at least 0 and finite')
+        check_not_negative(stiffness=stiffness, damping=damping)
         if not all(one > 0.0 for one in np.ravel(limit)):
             raise ValueError(f'effort_limit = {limit} must be positive')
-        if position is not None and not np.isfinite(position).all():
-            raise ValueError(f'position = {position} must be finite')
-        if not coordinates or len(set(coordinates)) < len(coordinates):
-            raise ValueError(f'coordinates = {coordinates} must name at least one, each once')
+        check_finite(position=position or 0.0)
+        check_names_once(coordinates=coordinates)
         self.names = coordinates
         self.values: dict[str, float | list[float]] = {
             'stiffness': stiffness, 'damping': damping, 'effort_limit': limit,

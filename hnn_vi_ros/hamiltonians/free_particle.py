@@ -7,7 +7,7 @@ from functools import cached_property
 import re
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians.parameters import check_names_once, check_positive
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -40,8 +40,7 @@ class FreeParticle(Hamiltonian):
 
     def __init__(self, mass: float = 1.0, names: Sequence[str] = ('x',)):
         check_positive(mass=mass)
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f'names = {list(names)} must name at least one coordinate, each once')
+        check_names_once(names=names)
         for name in names:
             if not re.fullmatch(r'[^\W\d]\w*', name):
                 raise ValueError(f'names: {name!r} must be a letter or underscore, then letters, '

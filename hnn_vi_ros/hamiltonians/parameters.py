@@ -1,65 +1,38 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the constants that define a Hamiltonian."""
+"""Checks of the constants that define a Hamiltonian or an effect, by the user's names of them."""
 
+from collections.abc import Callable, Sequence
 import math
 
+import numpy as np
 
-def check_positive(**values: float) -> None:
-    """
-    Raise unless every value is positive and finite.
+Numbers = float | Sequence[float]
 
-    Parameters
-    ----------
-    **values : float
-        Constants by the name that the user gave them.
 
-    Raises
-    ------
-    ValueError
-        Names the first constant that is not, with its value.
+def check_positive(**values: Numbers) -> None:
+    """Raise ValueError, which names it, for the first value that is not positive and finite."""
+    _check(values, lambda value: value > 0.0, 'a positive number')
 
-    """
+
+def check_not_negative(**values: Numbers) -> None:
+    """Raise ValueError, which names it, for the first value below zero or not finite."""
+    _check(values, lambda value: value >= 0.0, 'a finite number of at least 0')
+
+
+def check_finite(**values: Numbers) -> None:
+    """Raise ValueError, which names it, for the first value that is not finite."""
+    _check(values, lambda value: True, 'a finite number')
+
+
+def _check(values: dict[str, Numbers], holds: Callable[[float], bool], what: str) -> None:
     for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f'{name} = {value} must be a positive number')
+        if not all(math.isfinite(one) and holds(one) for one in np.ravel(value)):
+            raise ValueError(f'{name} = {value} must be {what}{" each" * (np.ndim(value) > 0)}')
 
 
-def check_not_negative(**values: float) -> None:
-    """
-    Raise unless every value is finite and at least zero.
-
-    Parameters
-    ----------
-    **values : float
-        Constants by the name that the user gave them.
-
-    Raises
-    ------
-    ValueError
-        Names the first constant that is not, with its value.
-
-    """
-    for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise ValueError(f'{name} = {value} must be a finite number of at least 0')
-
-
-def check_finite(**values: float) -> None:
-    """
-    Raise unless every value is finite.
-
-    Parameters
-    ----------
-    **values : float
-        Constants by the name that the user gave them.
-
-    Raises
-    ------
-    ValueError
-        Names the first constant that is not, with its value.
-
-    """
-    for name, value in values.items():
-        if not math.isfinite(value):
-            raise ValueError(f'{name} = {value} must be a finite number')
+def check_names_once(**names: Sequence[str]) -> None:
+    """Raise ValueError for a list of names that is empty, or has one of them twice."""
+    for key, given in names.items():
+        if not given or len(set(given)) < len(given):
+            raise ValueError(f'{key} = {list(given)} must name at least one, each once')
