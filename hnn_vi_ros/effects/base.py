@@ -230,8 +230,8 @@ class Joined(Effect):
 
     @classmethod
     @abstractmethod
-    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
-                ) -> Functions:
+    def compose(cls, base_energy: Energy, base_gradient: Gradient,
+                base_hessian_vector: HessianVector) -> Functions:
         """
         Return functions of H together with the effect, from the functions of H; see Kernel.
 
@@ -271,38 +271,33 @@ class Potential(Joined):
     add_hessian_vector: Callable[..., None]
 
     @classmethod
-    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
-                ) -> Functions:
+    @cache
+    def compose(cls, base_energy: Energy, base_gradient: Gradient,
+                base_hessian_vector: HessianVector) -> Functions:
         """Return the functions of H(q, p) + V(q); see Joined."""
-        return _add_potential(cls, energy, gradient, hessian_vector)
+        add_energy, add_gradient = cls.energy, cls.add_gradient
+        add_hessian_vector = cls.add_hessian_vector
 
+        def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
+            base, own, _ = parameters
+            return base_energy(base, q, p) + add_energy(own, q)
 
-@cache
-def _add_potential(potential: type[Potential], base_energy: Energy, base_gradient: Gradient,
-                   base_hessian_vector: HessianVector) -> Functions:
-    add_energy, add_gradient = potential.energy, potential.add_gradient
-    add_hessian_vector = potential.add_hessian_vector
+        def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                     dH_dp: np.ndarray) -> None:
+            base, own, work = parameters
+            base_gradient(base, q, p, dH_dq, dH_dp)
+            d = work.shape[1]
+            for a in range(0, q.size, d):
+                add_gradient(own, q[a:a + d], dH_dq[a:a + d])
 
-    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, own, _ = parameters
-        return base_energy(base, q, p) + add_energy(own, q)
-
-    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> None:
-        base, own, work = parameters
-        base_gradient(base, q, p, dH_dq, dH_dp)
-        d = work.shape[1]
-        for a in range(0, q.size, d):
-            add_gradient(own, q[a:a + d], dH_dq[a:a + d])
-
-    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        base, own, work = parameters
-        base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
-        d = work.shape[1]
-        for a in range(0, q.size, d):
-            add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
-    return energy, gradient, hessian_vector
+        def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                           v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+            base, own, work = parameters
+            base_hessian_vector(base, q, p, v_q, v_p, product_q, product_p)
+            d = work.shape[1]
+            for a in range(0, q.size, d):
+                add_hessian_vector(own, q[a:a + d], v_q[a:a + d], product_q[a:a + d])
+        return energy, gradient, hessian_vector
 
 
 class Force(Effect):

@@ -8,6 +8,7 @@ They call the Hamiltonian by address, so that effects are compiled once for all 
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from typing import Any
 
 from hnn_vi_ros.effects.attitudes import lift_torques
 from hnn_vi_ros.effects.base import EffectState, Force, Joined
@@ -143,7 +144,5 @@ def _chain(kinds: tuple[type[Force], ...], k: int) -> Callable[..., None]:
 
 
 @inlined
-def _add_none(forces: Parameters, clock: np.ndarray, times: np.ndarray, q: np.ndarray,
-              p: np.ndarray, H_q: np.ndarray, H_p: np.ndarray, minus_power: np.ndarray,
-              pace: np.ndarray, space: np.ndarray) -> None:
+def _add_none(*_: Any) -> None:
     """End the chain of forces."""

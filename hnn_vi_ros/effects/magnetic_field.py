@@ -77,46 +77,41 @@ class MagneticField(Joined):
         gauge[y, x] += b
 
     @classmethod
-    def compose(cls, energy: Energy, gradient: Gradient, hessian_vector: HessianVector
-                ) -> Functions:
+    @cache
+    def compose(cls, base_energy: Energy, base_gradient: Gradient,
+                base_hessian_vector: HessianVector) -> Functions:
         """Return the functions of H(q, p - c A(q)); see Joined."""
-        return _couple(energy, gradient, hessian_vector)
+        def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
+            base, own, work = parameters
+            _kinetic(own, q, p, work[0])
+            return base_energy(base, q, work[0])
 
+        def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+                     dH_dp: np.ndarray) -> None:
+            base, own, work = parameters
+            x, y, b = own
+            d = work.shape[1]
+            for a in range(0, q.size, d):
+                end = a + d
+                _kinetic(own, q[a:end], p[a:end], work[0])
+                base_gradient(base, q[a:end], work[0], dH_dq[a:end], dH_dp[a:end])
+                dH_dq[a + x] -= b * dH_dp[a + y]
+                dH_dq[a + y] += b * dH_dp[a + x]
 
-@cache
-def _couple(base_energy: Energy, base_gradient: Gradient, base_hessian_vector: HessianVector
-            ) -> Functions:
-    def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
-        base, own, work = parameters
-        _kinetic(own, q, p, work[0])
-        return base_energy(base, q, work[0])
-
-    def gradient(parameters: Parameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> None:
-        base, own, work = parameters
-        x, y, b = own
-        d = work.shape[1]
-        for a in range(0, q.size, d):
-            end = a + d
-            _kinetic(own, q[a:end], p[a:end], work[0])
-            base_gradient(base, q[a:end], work[0], dH_dq[a:end], dH_dp[a:end])
-            dH_dq[a + x] -= b * dH_dp[a + y]
-            dH_dq[a + y] += b * dH_dp[a + x]
-
-    def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
-                       v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
-        base, own, work = parameters
-        x, y, b = own
-        d = work.shape[1]
-        for a in range(0, q.size, d):
-            end = a + d
-            _kinetic(own, q[a:end], p[a:end], work[0])
-            _kinetic(own, v_q[a:end], v_p[a:end], work[1])
-            base_hessian_vector(base, q[a:end], work[0], v_q[a:end], work[1],
-                                product_q[a:end], product_p[a:end])
-            product_q[a + x] -= b * product_p[a + y]
-            product_q[a + y] += b * product_p[a + x]
-    return energy, gradient, hessian_vector
+        def hessian_vector(parameters: Parameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                           v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+            base, own, work = parameters
+            x, y, b = own
+            d = work.shape[1]
+            for a in range(0, q.size, d):
+                end = a + d
+                _kinetic(own, q[a:end], p[a:end], work[0])
+                _kinetic(own, v_q[a:end], v_p[a:end], work[1])
+                base_hessian_vector(base, q[a:end], work[0], v_q[a:end], work[1],
+                                    product_q[a:end], product_p[a:end])
+                product_q[a + x] -= b * product_p[a + y]
+                product_q[a + y] += b * product_p[a + x]
+        return energy, gradient, hessian_vector
 
 
 @inlined

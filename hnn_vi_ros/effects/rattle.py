@@ -188,7 +188,7 @@ def _chain(functions: tuple[Callable[..., float], ...]) -> Callable[..., None]:
 
 
 @inlined
-def _evaluate_none(q: np.ndarray, k: int, defect: np.ndarray, gradient: np.ndarray) -> None:
+def _evaluate_none(*_: Any) -> None:
     """End the chain of functions."""
 
 
