@@ -2,18 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ball on a rod that hangs from a ball joint."""
 
-from collections.abc import Callable
-from functools import cached_property
-
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, turning_body_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
-import numpy as np
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
 
 
-class BallJointPendulum(Hamiltonian):
+class BallJointPendulum(TurningBody):
     """
     A spherical pendulum by its attitude: a ball on a rod without mass, on a ball joint.
 
@@ -46,23 +40,15 @@ class BallJointPendulum(Hamiltonian):
 
     """
 
-    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
-
     def __init__(self, mass: float = 1.0, length: float = 1.0, radius: float = 0.1,
                  gravity: float = 9.81):
         check_positive(mass=mass, length=length, radius=radius, gravity=gravity)
         own = 0.4 * float(mass) * float(radius) ** 2
         across = float(mass) * float(length) ** 2 + own
-        self.inertia = across, across, own
-        self.moment = -float(mass) * float(gravity) * float(length)
+        super().__init__((across, across, own), -float(mass) * float(gravity) * float(length))
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return the vertical angular momentum and the spin [kg m^2/s]."""
         return {'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2]),
                 'spin': lambda q, p: float(p[2])}
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return turning_body_kernel(self.inertia, self.moment)

@@ -15,6 +15,9 @@ from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
 
+Invariant = Callable[[np.ndarray, np.ndarray], float]
+
+
 class ExactMotion(NamedTuple):
     """
     Motion that a formula gives.
@@ -54,10 +57,10 @@ class Hamiltonian(ABC):
     # Whose joints the coordinates are, where a URDF describes one.
     robot: Robot | None = None
     # Functions of q and p, of shape (d,), to watch, by name. A scene sets them.
-    invariants: Mapping[str, Callable[[np.ndarray, np.ndarray], float]] = MappingProxyType({})
+    invariants: Mapping[str, Invariant] = MappingProxyType({})
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return what motions conserve besides H, where nothing else acts; see invariants."""
         return {}
 
@@ -90,6 +93,13 @@ class Hamiltonian(ABC):
     def scheme(self) -> tuple[str, float] | None:
         """Return the method and step size [s] that H was learned through and is right for."""
         return None
+
+    def outside(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return whether states (..., d) are outside of the box, or no numbers, shape (...)."""
+        assert self.box is not None, 'it is asked for only where there is one'
+        low, high = np.concatenate(self.box).T
+        z = np.concatenate([q, p if self.gauge is None else p - q @ self.gauge.T], axis=-1)
+        return np.asarray(~((low <= z) & (z <= high)).all(axis=-1))
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
         """

@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plane double pendulum: non-separable, and chaotic unless its energy is low."""
 
-from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 
 
-class DoublePendulum(Hamiltonian):
+class DoublePendulum(AnalyticHamiltonian):
     """
     A bob on a massless rod that hangs from the bob of another, H = p . M(q)^-1 p / 2 + V(q).
 
@@ -48,6 +45,10 @@ class DoublePendulum(Hamiltonian):
 
     coordinates = (Coordinate('angle1', 'rad', 'kg m2/s'), Coordinate('angle2', 'rad', 'kg m2/s'))
     separable = False
+    names = ('q1', 'q2')
+    formula = ('(p1 / l1 - cos(q1 - q2) * p2 / l2)^2 / (2 * (m1 + m2 * sin(q1 - q2)^2))'
+               '+ p2^2 / (2 * m2 * l2^2)'
+               '+ (m1 + m2) * g * l1 * (1 - cos(q1)) + m2 * g * l2 * (1 - cos(q2))')
 
     def __init__(self, mass1: float = 1.0, mass2: float = 1.0, length1: float = 1.0,
                  length2: float = 1.0, gravity: float = 9.81):
@@ -55,14 +56,5 @@ class DoublePendulum(Hamiltonian):
                        gravity=gravity)
         self.mass1, self.mass2 = float(mass1), float(mass2)
         self.length1, self.length2 = float(length1), float(length2)
-        self.gravity = float(gravity)
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return formula_kernel(
-            ['q1', 'q2'],
-            '(p1 / l1 - cos(q1 - q2) * p2 / l2)^2 / (2 * (m1 + m2 * sin(q1 - q2)^2))'
-            '+ p2^2 / (2 * m2 * l2^2)'
-            '+ (m1 + m2) * g * l1 * (1 - cos(q1)) + m2 * g * l2 * (1 - cos(q2))',
-            m1=self.mass1, m2=self.mass2, l1=self.length1, l2=self.length2, g=self.gravity)
+        self.constants = {'m1': self.mass1, 'm2': self.mass2, 'l1': self.length1,
+                          'l2': self.length2, 'g': float(gravity)}

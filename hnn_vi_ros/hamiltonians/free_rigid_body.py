@@ -2,18 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rigid body on which nothing acts."""
 
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from collections.abc import Sequence
+from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.turning_body import (
-    check_inertia, spatial_momentum, turning_body_kernel)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.hamiltonians.base import Invariant
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
 import numpy as np
 
 
-class FreeRigidBody(Hamiltonian):
+class FreeRigidBody(TurningBody):
     """
     A rigid body that turns freely about its centre of mass, H = sum of p_i^2 / (2 I_i).
 
@@ -38,21 +35,14 @@ class FreeRigidBody(Hamiltonian):
     """
 
     separable = True
-    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 2.0, 2.5)):
-        check_inertia(inertia)
-        self.inertia = tuple(float(value) for value in inertia)
+        super().__init__(inertia, 0.0)
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return the angular momentum in space [kg m^2/s], component by component."""
         return {f'momentum_{axis}': partial(_component, i) for i, axis in enumerate('xyz')}
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return turning_body_kernel(self.inertia, 0.0)
 
 
 def _component(i: int, q: np.ndarray, p: np.ndarray) -> float:

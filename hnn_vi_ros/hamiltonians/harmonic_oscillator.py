@@ -2,18 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The harmonic oscillator, the paper's example."""
 
-from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class HarmonicOscillator(Hamiltonian):
+class HarmonicOscillator(AnalyticHamiltonian):
     """
     A mass on a linear spring, H(q, p) = p^2 / (2 m) + k q^2 / 2.
 
@@ -33,10 +31,12 @@ class HarmonicOscillator(Hamiltonian):
 
     coordinates = (Coordinate('x', 'm', 'kg m/s'),)
     separable = True
+    names, formula = ('q',), 'p^2 / (2 * m) + k * q^2 / 2'
 
     def __init__(self, mass: float = 1.0, stiffness: float = 1.0):
         check_positive(mass=mass, stiffness=stiffness)
         self.mass, self.stiffness = float(mass), float(stiffness)
+        self.constants = {'m': self.mass, 'k': self.stiffness}
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion:
         """Return the motion, of angular frequency sqrt(k / m); see Hamiltonian."""
@@ -45,9 +45,3 @@ class HarmonicOscillator(Hamiltonian):
         sine, cosine = np.sin(phase), np.cos(phase)
         path = np.hstack([q * cosine + p / inertia * sine, p * cosine - q * inertia * sine])
         return ExactMotion(path, 1.0, 'sine and cosine')
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return formula_kernel(
-            ['q'], 'p^2 / (2 * m) + k * q^2 / 2', m=self.mass, k=self.stiffness)

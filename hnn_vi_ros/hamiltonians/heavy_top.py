@@ -2,19 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A heavy symmetric top, on a point that does not move."""
 
-from collections.abc import Callable, Sequence
-from functools import cached_property
+from collections.abc import Sequence
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.hamiltonians.turning_body import (
-    check_inertia, spatial_momentum, turning_body_kernel)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
-import numpy as np
+from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
 
 
-class HeavyTop(Hamiltonian):
+class HeavyTop(TurningBody):
     """
     A rigid body on a fixed point, with its weight on its third axis.
 
@@ -46,27 +41,18 @@ class HeavyTop(Hamiltonian):
     """
 
     separable = True
-    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
 
     def __init__(self, inertia: Sequence[float] = (1.0, 1.0, 0.5), mass: float = 1.0,
                  length: float = 0.5, gravity: float = 9.81):
-        check_inertia(inertia)
         check_positive(mass=mass, gravity=gravity)
         check_finite(length=length)
-        self.inertia = tuple(float(value) for value in inertia)
-        self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
-        self.moment = self.mass * self.gravity * self.length
+        super().__init__(inertia, float(mass) * float(gravity) * float(length))
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return the vertical angular momentum [kg m^2/s]; and the spin of a symmetric top."""
-        known: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
+        known: dict[str, Invariant] = {
             'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2])}
         if self.inertia[0] == self.inertia[1]:
             known['spin'] = lambda q, p: float(p[2])
         return known
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return turning_body_kernel(self.inertia, self.moment)

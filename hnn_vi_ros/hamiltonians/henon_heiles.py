@@ -4,13 +4,12 @@
 
 from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
 
-class HenonHeiles(Hamiltonian):
+class HenonHeiles(AnalyticHamiltonian):
     """
     A star in a galaxy's plane, H(q, p) = (|p|^2 + |q|^2) / 2 + q_x^2 q_y - q_y^3 / 3.
 
@@ -29,15 +28,11 @@ class HenonHeiles(Hamiltonian):
     coordinates = (Coordinate('x'), Coordinate('y'))
     separable = True
 
-    @property
-    def barrier(self) -> tuple[str, float]:
-        """Return what stars escape over, and its energy."""
-        return 'escape barrier', 1.0 / 6.0
+    barrier = 'escape barrier', 1.0 / 6.0
+    names, formula = ('x', 'y'), '(p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 * y - y^3 / 3'
 
     @cached_property
     def kernel(self) -> Kernel:
         """Return the functions that simulations compile."""
         # In the triangle the terms of H_q are at most about one, also where they cancel.
-        return formula_kernel(
-            ['x', 'y'], '(p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 * y - y^3 / 3'
-        )._replace(gradient_scale=(1.0, 0.0))
+        return super().kernel._replace(gradient_scale=(1.0, 0.0))

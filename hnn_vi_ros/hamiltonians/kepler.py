@@ -2,19 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Kepler problem in its plane, with its close encounters."""
 
-from collections.abc import Callable
-from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion, Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class Kepler(Hamiltonian):
+class Kepler(AnalyticHamiltonian):
     """
     A body of 1 kg around a fixed centre of attraction, H(q, p) = |p|^2 / 2 - mu / |q|.
 
@@ -41,13 +38,16 @@ class Kepler(Hamiltonian):
 
     coordinates = (Coordinate('x', 'm', 'kg m/s'), Coordinate('y', 'm', 'kg m/s'))
     separable = True
+    # In the centre it is infinity or NaN, which the checks for non-finite states find.
+    names, formula = ('x', 'y'), '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)'
 
     def __init__(self, mu: float = 1.0):
         check_positive(mu=mu)
         self.mu = float(mu)
+        self.constants = {'mu': self.mu}
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return the angular momentum [kg m^2/s]."""
         return {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
 
@@ -85,10 +85,3 @@ class Kepler(Hamiltonian):
                           np.outer(f_dot, q) + np.outer(g_dot, p)])
         # 1 / a is a difference, and its relative error that of the period.
         return ExactMotion(path, 1.5 * a * (2.0 / r0 + squared / mu), "Kepler's equation")
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        # In the centre this is infinity or NaN, which the checks for non-finite states find.
-        return formula_kernel(
-            ['x', 'y'], '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)', mu=self.mu)

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plane pendulum, the smallest nonlinear mechanism."""
 
-from functools import cached_property
 import math
 
-from hnn_vi_ros.hamiltonians.base import ExactMotion, Hamiltonian
+from hnn_vi_ros.hamiltonians.base import ExactMotion
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -16,7 +14,7 @@ import numpy as np
 _SEPARATRIX = 1e-9
 
 
-class Pendulum(Hamiltonian):
+class Pendulum(AnalyticHamiltonian):
     """
     A bob on a massless rod, H(q, p) = p^2 / (2 m l^2) + m g l (1 - cos q).
 
@@ -46,11 +44,13 @@ class Pendulum(Hamiltonian):
 
     coordinates = (Coordinate('angle', 'rad', 'kg m2/s'),)
     separable = True
+    names, formula = ('q',), 'p^2 / (2 * m * l^2) + m * g * l * (1 - cos(q))'
 
     def __init__(self, mass: float = 1.0, length: float = 1.0, gravity: float = 9.81):
         check_positive(mass=mass, length=length, gravity=gravity)
         check_positive(inertia=mass * length * length, torque=mass * gravity * length)
         self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
+        self.constants = {'m': self.mass, 'l': self.length, 'g': self.gravity}
 
     @property
     def barrier(self) -> tuple[str, float]:
@@ -90,10 +90,3 @@ class Pendulum(Hamiltonian):
         path = np.column_stack([angle + 2.0 * math.pi * turns, momentum])
         # How much longer a swing takes for a change of its energy.
         return ExactMotion(path, max(1.0, 1.0 / abs(1.0 - m)), 'Jacobi elliptic functions')
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return formula_kernel(
-            ['q'], 'p^2 / (2 * m * l^2) + m * g * l * (1 - cos(q))', m=self.mass,
-            l=self.length, g=self.gravity)

@@ -2,19 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rigid body that flies."""
 
-from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from collections.abc import Sequence
+from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.hamiltonians.turning_body import check_inertia, spatial_momentum
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
+from hnn_vi_ros.hamiltonians.turning_body import moments, spatial_momentum
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-class Quadrotor(Hamiltonian):
+class Quadrotor(AnalyticHamiltonian):
     """
     A rigid body under its weight, H = |p|^2 / (2 m) + sum of L_i^2 / (2 I_i) + m g z.
 
@@ -45,31 +44,22 @@ class Quadrotor(Hamiltonian):
 
     separable = True
     coordinates = (Coordinate('body', 'm', 'kg m/s', 'pose'),)
+    names = ('x', 'y', 'z', 'a', 'b', 'c', 'd')  # the last four a quaternion
+    formula = ('(p_x^2 + p_y^2 + p_z^2) / (2 * m)'
+               '+ (p_a^2 / I1 + p_b^2 / I2 + p_c^2 / I3) / 2 + weight * z')
 
     def __init__(self, mass: float = 0.8, inertia: Sequence[float] = (0.006, 0.006, 0.011),
                  gravity: float = 9.81):
-        check_inertia(inertia)
         check_positive(mass=mass)
         check_not_negative(gravity=gravity)
-        self.inertia = tuple(float(value) for value in inertia)
-        self.mass, self.weight = float(mass), float(mass) * float(gravity)
+        self.constants = {'m': float(mass), 'weight': float(mass) * float(gravity),
+                          **moments(inertia)}
 
     @property
-    def known_invariants(self) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
+    def known_invariants(self) -> dict[str, Invariant]:
         """Return the horizontal momentum [kg m/s], and that of turning, in space [kg m^2/s]."""
-        known: dict[str, Callable[[np.ndarray, np.ndarray], float]] = {
-            f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')}
-        return known | {f'spin_{axis}': partial(_spin, i) for i, axis in enumerate('xyz')}
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        I1, I2, I3 = self.inertia
-        # A quaternion (a, b, c, d), whose column of the fourth momentum stays zero.
-        return formula_kernel(
-            ['x', 'y', 'z', 'a', 'b', 'c', 'd'], '(p_x^2 + p_y^2 + p_z^2) / (2 * m)'
-            '+ (p_a^2 / I1 + p_b^2 / I2 + p_c^2 / I3) / 2 + weight * z', m=self.mass,
-            weight=self.weight, I1=I1, I2=I2, I3=I3)._replace(rotations=(3,))
+        return {**{f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')},
+                **{f'spin_{axis}': partial(_spin, i) for i, axis in enumerate('xyz')}}
 
 
 def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:

@@ -3,15 +3,15 @@
 """From a formula to the functions of a kernel: code without loops, the same for all parameters."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from functools import cache, cached_property
 from hashlib import sha256
 import math
 import re
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 from hnn_vi_ros.errors import did_you_mean, listed
-from hnn_vi_ros.hamiltonians.base import compiled_kernel
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import FUNCTIONS, Graph, Reader
 from hnn_vi_ros.hamiltonians.parameters import check_finite
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -21,11 +21,34 @@ import numpy as np
 NAME = r'^[^\W\d]\w*$'
 
 
-def formula_kernel(names: Sequence[str], text: str, /, **parameters: float) -> Kernel:
-    """Return the functions of H as a formula of coordinates, their momenta, and parameters."""
-    graph = Graph()
-    root = read_hamiltonian(graph, names, text, parameters).root
-    return graph_kernel(graph, root, names, [f'p_{name}' for name in names], parameters)
+class AnalyticHamiltonian(Hamiltonian):
+    """
+    A Hamiltonian whose formula is known.
+
+    Attributes
+    ----------
+    names : sequence of str
+        The names that the formula has for the columns of q; those of momenta begin with p.
+        Columns of momenta that there are not, as of a quaternion's fourth, stay zero.
+    formula : str
+        H, in these names and those of constants.
+    constants : dict of str to float
+        Their values.
+
+    """
+
+    names: ClassVar[Sequence[str]]
+    formula: ClassVar[str]
+    constants: Mapping[str, float] = MappingProxyType({})
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Return the functions that simulations compile."""
+        graph = Graph()
+        root = read_hamiltonian(graph, self.names, self.formula, self.constants).root
+        momenta = [f'p_{name}' for name in self.names]
+        return graph_kernel(graph, root, self.names, momenta, self.constants)._replace(
+            rotations=self.rotations)
 
 
 def read_hamiltonian(graph: Graph, names: Sequence[str], text: str,

@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tao's non-separable Hamiltonian, the standard test of methods for such systems."""
 
-from functools import cached_property
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 
 
-class Tao(Hamiltonian):
+class Tao(AnalyticHamiltonian):
     """
     H(q, p) = (q^2 + 1) (p^2 + 1) / 2, in which coordinate and momentum do not separate.
 
@@ -25,8 +22,4 @@ class Tao(Hamiltonian):
 
     coordinates = (Coordinate('x'),)
     separable = False
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Return the functions that simulations compile."""
-        return formula_kernel(['q'], '(q^2 + 1) * (p^2 + 1) / 2')
+    names, formula = ('q',), '(q^2 + 1) * (p^2 + 1) / 2'

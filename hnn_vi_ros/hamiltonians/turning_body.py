@@ -5,19 +5,20 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.straight_code import formula_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
+from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 
-def check_inertia(inertia: Sequence[float]) -> None:
-    """Raise ValueError unless these are moments of inertia of a body, about principal axes."""
+def moments(inertia: Sequence[float]) -> dict[str, float]:
+    """Return the moments of inertia of a body about principal axes, or raise ValueError."""
     if len(inertia) != 3:
         raise ValueError(f'inertia has {len(inertia)} values, expected 3, about principal axes')
     check_positive(**{f'inertia[{i}]': value for i, value in enumerate(inertia)})
     if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
         raise ValueError(f'inertia = {list(inertia)}: no body has a moment of inertia larger than '
                          'the sum of the other two')
+    return {f'I{i}': float(value) for i, value in enumerate(inertia, 1)}
 
 
 def spatial_momentum(q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -27,9 +28,9 @@ def spatial_momentum(q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return p + scalar * twice + np.cross(vector, twice)
 
 
-def turning_body_kernel(inertia: Sequence[float], moment: float) -> Kernel:
+class TurningBody(AnalyticHamiltonian):
     """
-    Return H = sum of p_i^2 / (2 I_i) + m g l e_z . R e_3, with p the angular momentum in the body.
+    H = sum of p_i^2 / (2 I_i) + m g l e_z . R e_3, with p the angular momentum in the body.
 
     Parameters
     ----------
@@ -39,9 +40,12 @@ def turning_body_kernel(inertia: Sequence[float], moment: float) -> Kernel:
         m g l [N m], with l the place of the centre of mass on the third axis; 0 for no weight.
 
     """
-    I1, I2, I3 = inertia
-    # There is no fourth momentum: its column stays zero.
-    return formula_kernel(
-        ['x', 'y', 'z', 'w'], '(p_x^2 / I1 + p_y^2 / I2 + p_z^2 / I3) / 2'
-        '+ moment * (w^2 + z^2 - x^2 - y^2)', I1=float(I1), I2=float(I2), I3=float(I3),
-        moment=float(moment))._replace(rotations=(0,))
+
+    coordinates = (Coordinate('attitude', '1', 'kg m2/s', 'rotation'),)
+    names = ('x', 'y', 'z', 'w')
+    formula = ('(p_x^2 / I1 + p_y^2 / I2 + p_z^2 / I3) / 2'
+               '+ moment * (w^2 + z^2 - x^2 - y^2)')
+
+    def __init__(self, inertia: Sequence[float], moment: float):
+        self.moment, self.constants = moment, {**moments(inertia), 'moment': moment}
+        self.inertia = tuple(float(value) for value in inertia)
