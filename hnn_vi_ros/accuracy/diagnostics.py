@@ -82,16 +82,15 @@ def follow(record: np.ndarray, potential: float, virial: float, weight: float
 
 @kept(error_model='numpy')
 def _follow_all(records: np.ndarray, potential: np.ndarray, virial: np.ndarray,
-                weights: np.ndarray, scales: np.ndarray, turned: np.ndarray) -> None:
+                weights: np.ndarray, scales: np.ndarray) -> None:
     for i in range(len(weights)):
         for k in range(len(records)):
-            scales[i, k], turned[i, k] = follow(
-                records[k], potential[i, k], virial[i, k], weights[i])
+            scales[i, k], _ = follow(records[k], potential[i, k], virial[i, k], weights[i])
 
 
 class EnergyScale:
     """
-    Follow the energy scale of a path, or of m paths.
+    Energy scale of a path, or of m paths, by the virials of its states.
 
     The virial p . H_p is twice the kinetic energy. Of a bounded motion its mean over time is that
     of (q - c) . H_q about any c as well, so it measures kinetic and potential energy alike, and
@@ -127,33 +126,6 @@ class EnergyScale:
         self._middle = np.zeros(hamiltonian.dimension) if box is None else box[0].mean(axis=1)
         self._angles = angle_columns(hamiltonian.coordinates)
         self._gauge = hamiltonian.gauge
-        self._records: np.ndarray | None = None
-
-    def add(self, potential: np.ndarray, virial: np.ndarray, weights: np.ndarray
-            ) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Take the next k samples of m paths; all at once or one by one, the bits are the same.
-
-        Parameters
-        ----------
-        potential, virial : np.ndarray, shape (k,) or (k, m)
-            See ``virials``.
-        weights : np.ndarray, shape (k,)
-            Time since the sample before, in any unit.
-
-        Returns
-        -------
-        tuple of np.ndarray, of the shape of virial
-            The scale at each of them [J], and whether energy has been turned over by then.
-
-        """
-        shape, k = virial.shape, len(weights)
-        potential, virial = potential.reshape(k, -1), virial.reshape(k, -1)
-        if self._records is None:
-            self._records = np.zeros((virial.shape[1], RECORD))
-        scales, turned = np.empty(virial.shape), np.empty(virial.shape, bool)
-        _follow_all(self._records, potential, virial, weights, scales, turned)
-        return scales.reshape(shape), turned.reshape(shape)
 
     def virials(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
@@ -195,8 +167,27 @@ def energy_scale(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> floa
 def scales_along(hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray, weights: np.ndarray
                  ) -> np.ndarray:
     """Return the energy scale [J], shape (k,) or (k, m), along paths (k, d) or (k, m, d)."""
-    scale = EnergyScale(hamiltonian)
-    return scale.add(*scale.virials(q, p, *hamiltonian.gradient(q, p)), weights)[0]
+    return scales_of(
+        *EnergyScale(hamiltonian).virials(q, p, *hamiltonian.gradient(q, p)), weights)
+
+
+def scales_of(potential: np.ndarray, virial: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """
+    Return the energy scale [J] at k samples of m paths, of the shape of virial.
+
+    Parameters
+    ----------
+    potential, virial : np.ndarray, shape (k,) or (k, m)
+        See EnergyScale.virials.
+    weights : np.ndarray, shape (k,)
+        Time since the sample before, in any unit.
+
+    """
+    rows = virial.reshape(len(weights), -1)
+    scales = np.empty(rows.shape)
+    _follow_all(np.zeros((rows.shape[1], RECORD)), potential.reshape(rows.shape), rows, weights,
+                scales)
+    return scales.reshape(virial.shape)
 
 
 def running(function: np.ufunc, start: np.ndarray | float, values: np.ndarray) -> np.ndarray:

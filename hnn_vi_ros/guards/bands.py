@@ -17,6 +17,11 @@ class BandGuard(BlockGuard):
     """
     Base of guards: the range of the accounted energy, or of other values, so far.
 
+    Parameters
+    ----------
+    share : float, optional
+        The band that is allowed, over a scale, where there is one.
+
     Attributes
     ----------
     raised : bool
@@ -28,9 +33,13 @@ class BandGuard(BlockGuard):
 
     """
 
-    def __init__(self) -> None:
-        self.raised, self.band, self.limit = False, 0.0, math.nan
+    def __init__(self, share: float = math.nan):
+        self.raised, self.band, self.limit, self._share = False, 0.0, math.nan, share
         self._low, self._high = np.array([math.inf]), np.array([-math.inf])
+
+    def allow(self, band: float, change: float) -> None:
+        """See Guard."""
+        self._share = band
 
     def take(self, block: Block) -> list[Alarm]:
         """See BlockGuard."""
@@ -107,12 +116,8 @@ class ResolutionGuard(BandGuard):
               'method of higher order')
 
     def __init__(self, share: float, scale: Scale, plain: float = 1.0):
-        super().__init__()
-        self._share, self._scale, self._plain = share, scale, plain
-
-    def allow(self, band: float, change: float) -> None:
-        """See Guard."""
-        self._share = band
+        super().__init__(share)
+        self._scale, self._plain = scale, plain
 
     def _values(self, block: Block) -> np.ndarray:
         return np.stack([block.accounted, block.energy], axis=1)
@@ -213,15 +218,10 @@ class InvariantGuard(BandGuard):
 
     def __init__(self, name: str, function: Callable[[np.ndarray, np.ndarray], float],
                  share: float, hamiltonian: Hamiltonian):
-        super().__init__()
+        super().__init__(share)
         self.kind, self._name = f'{name} not conserved', name
-        self._function, self._share, self._hamiltonian = function, share, hamiltonian
-        self._seen = 0
+        self._function, self._hamiltonian, self._seen = function, hamiltonian, 0
         self._scales: list[float] = []
-
-    def allow(self, band: float, change: float) -> None:
-        """See Guard."""
-        self._share = band
 
     def _values(self, block: Block) -> np.ndarray:
         return np.array([self._function(q, p) for q, p in zip(block.q, block.p, strict=True)])

@@ -129,8 +129,7 @@ class SpreadGuard(StateGuard):
     def __init__(self, spread: Callable[[], np.ndarray], box: tuple[np.ndarray, np.ndarray],
                  limit: float):
         self._spread, self._limit, self.value = spread, limit, 0.0
-        low, high = np.concatenate(box).T
-        self._half = 0.5 * (high - low)
+        self._half = 0.5 * np.ptp(np.concatenate(box), axis=1)
 
     def update(self, sample: Observed) -> Alarm | None:
         """See Guard."""

@@ -138,10 +138,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
         for k in range(m):
             found[k] = domain.excess(q[:, k], velocities[:, k]).any()
     elif hamiltonian.box is not None:
-        low, high = np.concatenate(hamiltonian.box).T
-        x = p if hamiltonian.gauge is None else p - q @ hamiltonian.gauge.T
-        z = np.concatenate([q, x], axis=2)
-        found |= ~((low <= z) & (z <= high)).all(axis=(0, 2))
+        found = hamiltonian.outside(q, p).any(axis=0)
     if not simulation.conservative:
         return found
     known = modified if simulation.modification is not None else energy
@@ -250,9 +247,7 @@ class Watch:
             if np.isfinite(values).all():
                 chosen |= {int(values.argmin()), int(values.argmax())}
         if hamiltonian.box is not None:
-            low, high = np.concatenate(hamiltonian.box).T
-            z = np.hstack([q, p])
-            chosen.add(int(((z < low) | (z > high)).any(axis=1).argmax()))
+            chosen.add(int(hamiltonian.outside(q, p).argmax()))
         shown = np.array(sorted(chosen))
         slopes = hamiltonian.gradient(q[shown], p[shown])
         for i, H_q, H_p in zip(shown, *slopes, strict=True):

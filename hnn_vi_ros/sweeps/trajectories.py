@@ -60,7 +60,9 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
             case 'energy_band':
                 found[name] = float(np.ptp(trajectory.energy))
             case 'out_of_box_time':
-                found[name] = out_of_box_time(trajectory, joined)
+                # An interval counts if the sample at its end is outside.
+                outside = joined.outside(trajectory.q, trajectory.p)[1:]
+                found[name] = float(np.diff(trajectory.t)[outside].sum())
             case 'event_times':
                 found[name] = [event.t for event in trajectory.events]
                 found['events'] = [event.when for event in trajectory.events]
@@ -70,21 +72,6 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
                     parts.hamiltonian, parts.effects, parts.integrator, h, trajectory.q[0],
                     trajectory.p[0], max(1024, duration / h), parts.scene.on_failure)
     return found
-
-
-def out_of_box_time(trajectory: Trajectory, hamiltonian: Hamiltonian) -> float:
-    """
-    Return for how long the samples of a path are outside of the training box [s].
-
-    An interval counts if the sample at its end is outside.
-    """
-    assert hamiltonian.box is not None, 'it is asked for only where there is one'
-    low, high = np.concatenate(hamiltonian.box).T
-    gauge = hamiltonian.gauge
-    x = trajectory.p if gauge is None else trajectory.p - trajectory.q @ gauge.T
-    z = np.hstack([trajectory.q, x])
-    outside = ~((low <= z) & (z <= high)).all(axis=1)
-    return float(np.diff(trajectory.t)[outside[1:]].sum())
 
 
 def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajectory: Trajectory
