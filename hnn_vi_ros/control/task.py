@@ -484,60 +484,50 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
 
     """
     loaded, places, folder = load_task(task)
-    if isinstance(scene, Scene):
-        return _Assigning(loaded, places, scene).assignment()
-    beside = folder / loaded.scene
-    try:
-        model = load_scene(scene or (beside if beside.is_file() else loaded.scene))
-    except SceneError as problem:
-        if scene:
-            raise
-        raise DataError(f'{places.place("scene")}: {problem}') from problem
-    return _Assigning(loaded, places, model).assignment()
-
-
-class _Assigning:
-    """A task and the scene that it is for; errors name the place in the task."""
-
-    def __init__(self, task: Task, places: KeyPlaces, scene: Scene):
-        self._task, self._places = task, places
-        own = [effect for effect in scene.effects if effect.kind == 'external_force']
-        others = [effect.model_dump(by_alias=True) for effect in scene.effects
-                  if effect.kind != 'external_force']
-        force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
-        with self._placed('stepping'):
-            self.scene, _ = resolve(scene.changed({'effects': [*others, force]}) if (
-                stepping := task.stepping) is None else scene.changed(
-                    {'effects': [*others, force]}).with_overrides(
-                        stepping.step_size, stepping.integrator))
-        numbers = own[0].coordinates if own and own[0].coordinates else [*task.inputs]
-        self._numbers = [*numbers, *(name for name in task.inputs if name not in numbers)]
-
-    def assignment(self) -> Assignment:
-        """Return it, ready."""
-        task, h = self._task, self.scene.known_step_size
-        with self._placed('inputs'):
-            parts = self.scene.parts()
-            System(parts.hamiltonian, parts.effects, parts.integrator)
-        hold = round(task.period / h)
-        if hold < 1 or abs(hold * h - task.period) > _FITS * task.period:
-            raise self._wrong(f'{task.period:g} s must be a multiple of the step size of the '
-                              f'model, {h:g} s; see stepping', 'period')
-        with self._placed('controller'):
-            controller = task.controller.make(Means(task, self.scene, hold))
-        with self._placed('delay'):
-            delay = task.plan_time + task.delay
-            prediction = Prediction(BatchStep(self.scene) if delay else None, delay)
-        return Assignment(task, self.scene, parts.hamiltonian, controller, prediction,
-                          self._numbers)
-
-    @contextmanager
-    def _placed(self, key: str) -> Iterator[None]:
-        """Add where it stands in the task to what is wrong with a part of it."""
+    if not isinstance(scene, Scene):
+        beside = folder / loaded.scene
         try:
-            yield
-        except (ValueError, SceneError, UnsupportedSystem) as problem:
-            raise self._wrong(str(problem), key) from problem
+            scene = load_scene(scene or (beside if beside.is_file() else loaded.scene))
+        except SceneError as problem:
+            if scene:
+                raise
+            raise DataError(f'{places.place("scene")}: {problem}') from problem
+    with _placed(places, 'stepping'):
+        model, _ = resolve(_driven(scene, loaded))
+    with _placed(places, 'inputs'):
+        parts = model.parts()
+        System(parts.hamiltonian, parts.effects, parts.integrator)
+    h = model.known_step_size
+    hold = round(loaded.period / h)
+    with _placed(places, 'period'):
+        if hold < 1 or abs(hold * h - loaded.period) > _FITS * loaded.period:
+            raise ValueError(f'{loaded.period:g} s must be a multiple of the step size of the '
+                             f'model, {h:g} s; see stepping')
+    with _placed(places, 'controller'):
+        controller = loaded.controller.make(Means(loaded, model, hold))
+    with _placed(places, 'delay'):
+        delay = loaded.plan_time + loaded.delay
+        prediction = Prediction(BatchStep(model) if delay else None, delay)
+    own = next((effect.coordinates for effect in scene.effects
+                if effect.kind == 'external_force'), None) or [*loaded.inputs]
+    numbers = [*own, *(name for name in loaded.inputs if name not in own)]
+    return Assignment(loaded, model, parts.hamiltonian, controller, prediction, numbers)
 
-    def _wrong(self, text: str, *key: str) -> DataError:
-        return DataError(f'{self._places.place(*key)}: {text}')
+
+def _driven(scene: Scene, task: Task) -> Scene:
+    """Return a scene in which commands drive the inputs of a task, by steps of the task's."""
+    others = [effect.model_dump(by_alias=True) for effect in scene.effects
+              if effect.kind != 'external_force']
+    force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
+    scene = scene.changed({'effects': [*others, force]})
+    return scene if task.stepping is None else scene.with_overrides(
+        task.stepping.step_size, task.stepping.integrator)
+
+
+@contextmanager
+def _placed(places: KeyPlaces, key: str) -> Iterator[None]:
+    """Add where it stands in the task to what is wrong with a part of it."""
+    try:
+        yield
+    except (ValueError, SceneError, UnsupportedSystem) as problem:
+        raise DataError(f'{places.place(key)}: {problem}') from problem
