@@ -17,11 +17,10 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence, States
-from hnn_vi_ros.gradients.derivatives import Change
+from hnn_vi_ros.gradients.derivatives import Change, Recorded
 from hnn_vi_ros.gradients.of_hamiltonian import (
     base_of, OnForce, OnHamiltonian, OnLagrangian, Sum)
 from hnn_vi_ros.gradients.scene_run import check_in_files, Numbers, SceneRun
-from hnn_vi_ros.gradients.segments import Recorded
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme

@@ -44,3 +44,9 @@ EFFECTS: dict[str, type[Effect]] = {
     'joint_friction': JointFriction,
     'joint_limits': JointLimits,
 }
+
+
+def effect_name(effect: Effect) -> str:
+    """Return the name of an effect in a scene; the user's own effects take their class's name."""
+    return next((name for name, kind in EFFECTS.items() if type(effect) is kind),
+                type(effect).__name__)

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that do work in runs whose derivatives are known: forces, commands and damping."""
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects import effect_name, EFFECTS
 from hnn_vi_ros.effects.base import (
     Effect, EffectState, Force, Joined, per_coordinate, Place)
 from hnn_vi_ros.effects.commands import NUMBERS
@@ -136,21 +135,12 @@ def check_effects(effects: Sequence[Effect], integrator: Integrator) -> None:
         if place is Place.ENERGY or (place is Place.NODES and _is_known(type(effect))):
             continue
         if type(effect) is not EFFECTS['damping'] or place is not Place.AROUND:
-            able = ', '.join(names_of(lambda kind: issubclass(kind, Joined) or _is_known(kind)))
-            raise UnsupportedSystem(f'the effect {kind_of(effect)} is not differentiable yet; '
+            able = ', '.join(name for name, kind in EFFECTS.items()
+                             if issubclass(kind, Joined) or _is_known(kind))
+            raise UnsupportedSystem(f'the effect {effect_name(effect)} is not differentiable yet; '
                                     f'effects that are: {able}; leave others out')
 
 
 def _is_known(kind: type) -> bool:
     """Return whether a force is a function of time, state and a command of numbers alone."""
     return issubclass(kind, Force) and kind is not EFFECTS['servo'] and kind.knots == 0
-
-
-def names_of(are: Any) -> Iterator[str]:
-    """Return the names of effects in a scene that are of a kind."""
-    return (name for name, kind in EFFECTS.items() if are(kind))
-
-
-def kind_of(effect: Effect) -> str:
-    """Return the name of an effect in a scene; the user's own effects take their class's name."""
-    return next(names_of(lambda kind: type(effect) is kind), type(effect).__name__)

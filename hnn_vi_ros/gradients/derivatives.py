@@ -3,13 +3,13 @@
 """Runs whose derivatives are known: the exact ones of the steps that were taken."""
 
 from collections.abc import Callable, Sequence
+import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, OnNumber, States
-from hnn_vi_ros.gradients.segments import Recorded, Segment, segments_of
 from hnn_vi_ros.gradients.stages import (
     Acting, entry_of, fill_gradients, find_stages, pull_back, push_forward, StageWork)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -47,6 +47,76 @@ def check_unknowns(integrator: Integrator, tableau: PartitionedTableau, d: int) 
 
 # Spacing of differences by commands, and the least one, as shares of a command and of all.
 _SPACING, _LEAST = 2e-3, 1e-3
+# Steps that are differentiated at a time, at least.
+_PIECE = 64
+
+
+class Segment(NamedTuple):
+    """Steps that follow one another."""
+
+    first: int
+    length: int
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Return them, each by the number of steps before it, shape (K,)."""
+        return self.first + np.arange(self.length)
+
+
+class Recorded(NamedTuple):
+    """
+    Record of a run.
+
+    Parameters
+    ----------
+    z : np.ndarray, shape (m, 2 d)
+        The initial states.
+    every : int
+        Steps from one sample to the next.
+    first : np.ndarray of int, shape (m,)
+        The step at which each trajectory begins.
+    commands : np.ndarray or None
+        See ``DifferentiableRun.record``.
+    segments : list of Segment
+        All steps.
+    starts : list of np.ndarray, shape (m, R)
+        Rows at the start of each; see ``Simulation.follow``.
+    last : np.ndarray, shape (K + 1, m, 2 d)
+        The states before and after the steps of the last segment, which may have no step.
+
+    """
+
+    z: np.ndarray
+    every: int
+    first: np.ndarray
+    commands: np.ndarray | None
+    segments: list[Segment]
+    starts: list[np.ndarray]
+    last: np.ndarray
+
+    @property
+    def samples(self) -> int:
+        """Return how many there are after the initial states."""
+        return sum(segment.length for segment in self.segments) // self.every
+
+    def samples_in(self, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
+        """Return which of the states of a segment are samples after it, and which samples."""
+        after = segment.steps + 1
+        inside = np.flatnonzero(after % self.every == 0)
+        return 1 + inside, after[inside] // self.every
+
+    def commands_in(self, segment: Segment) -> np.ndarray:
+        """Return the commands in the steps of a segment, shape (K, m, c), c = 0 without any."""
+        if self.commands is None:
+            return np.zeros((segment.length, len(self.z), 0))
+        rows = self.commands[segment.steps // self.every]
+        return rows if rows.ndim == 3 else np.repeat(rows[:, None], len(self.z), axis=1)
+
+
+def segments_of(steps: int) -> list[Segment]:
+    """Return steps in pieces of sqrt(steps), at least of 64."""
+    stride = max(_PIECE, math.isqrt(steps))
+    return [Segment(a, min(stride, steps - a)) for a in range(0, steps, stride)]
 
 
 class Change(NamedTuple):

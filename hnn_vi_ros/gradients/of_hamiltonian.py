@@ -23,6 +23,12 @@ def base_of(kernel: Kernel) -> Kernel:
         dimension=kernel.dimension - kernel.channels)
 
 
+def _cut(states: np.ndarray, kernel: Kernel) -> np.ndarray:
+    """Return states one after another as rows without channels, shape (..., N, d)."""
+    rows = states.reshape(*states.shape[:-1], -1, kernel.dimension)
+    return rows[..., :kernel.dimension - kernel.channels]
+
+
 class OnHamiltonian:
     """
     The dependence of a run on something that H alone depends on.
@@ -48,7 +54,7 @@ class OnHamiltonian:
         """Return the gradient; see Dependence."""
         if not self._kernel.channels:
             return self._own.contracted(at, weights)
-        felt = self._cut(weights)
+        felt = _cut(weights, self._kernel)
         by_velocity = np.einsum('jhni,hni->nj', self._slopes(at), felt)
         return self._own.contracted(self._without_channels(at),
                                     np.stack([felt[0], by_velocity]).reshape(2, -1))
@@ -65,12 +71,7 @@ class OnHamiltonian:
         return found.reshape(2, -1)
 
     def _without_channels(self, at: States) -> States:
-        return States.at(self._cut(at.q).ravel(), self._cut(at.p).ravel())
-
-    def _cut(self, states: np.ndarray) -> np.ndarray:
-        """Return states one after another as rows without channels, shape (..., N, d)."""
-        rows = states.reshape(*states.shape[:-1], -1, self._kernel.dimension)
-        return rows[..., :self._d]
+        return States.at(_cut(at.q, self._kernel).ravel(), _cut(at.p, self._kernel).ravel())
 
     def _slopes(self, at: States) -> np.ndarray:
         """Return the derivatives of both halves of G by each velocity, shape (d, 2, N, d)."""
@@ -80,13 +81,13 @@ class OnHamiltonian:
                                  (0.0, 0.0), compiled=True))
         kernel = by_address(total._replace(
             parameters=(base.parameters, *total.parameters[1:])))
-        fastest = np.abs(self._cut(at.gradient(kernel))[1]).max(initial=0.0)
+        fastest = np.abs(_cut(at.gradient(kernel), self._kernel)[1]).max(initial=0.0)
         spacing = _SPACING * (float(fastest) or 1.0)
         slopes = np.zeros((self._d, 2, at.q.size // kernel.dimension, self._d))
         for j in range(self._d):
             for offset, (weight, _) in MIDDLE.items():
                 shifted.shift[j] = offset * spacing
-                slopes[j] += weight / spacing * self._cut(at.gradient(kernel))
+                slopes[j] += weight / spacing * _cut(at.gradient(kernel), self._kernel)
             shifted.shift[j] = 0.0
         return slopes
 
@@ -109,21 +110,17 @@ class OnForce:
 
     def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
-        return self._own.contracted(self._moving(at), self._cut(weights).reshape(2, -1))
+        return self._own.contracted(self._moving(at), _cut(weights, self._kernel).reshape(2, -1))
 
     def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         found = np.zeros((2, at.q.size))
-        cut = self._cut(found)
+        cut = _cut(found, self._kernel)
         cut[...] = self._own.changed(self._moving(at), change).reshape(cut.shape)
         return found
 
-    def _cut(self, states: np.ndarray) -> np.ndarray:
-        return states.reshape(*states.shape[:-1], -1, self._kernel.dimension)[
-            ..., :self._base.dimension]
-
     def _moving(self, at: States) -> States:
-        q, p = (self._cut(part).ravel() for part in (at.q, at.p))
+        q, p = (_cut(part, self._kernel).ravel() for part in (at.q, at.p))
         return States.at(q, gradient_of(self._base, q, p)[1])
 
 

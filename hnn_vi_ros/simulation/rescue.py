@@ -333,22 +333,17 @@ def stability_limit(integrator: Integrator) -> float:
     """
     if not (integrator.explicit and integrator.compiled):
         return math.inf
-    stable = 0.0
-    for frequency in _FREQUENCIES:
-        if _spectral_radius(integrator, frequency) > 1.0 + 1e-9:
-            break
-        stable = frequency
-    else:
+
+    def grows(frequency: float) -> bool:
+        return _spectral_radius(integrator, frequency) > 1.0 + 1e-9
+
+    first = next((k for k, frequency in enumerate(_FREQUENCIES) if grows(frequency)), 0)
+    if first == 0:
         return math.inf
-    if stable == 0.0:
-        return math.inf
-    unstable = frequency
+    stable, unstable = _FREQUENCIES[first - 1], _FREQUENCIES[first]
     while unstable - stable > 1e-9:
         middle = 0.5 * (stable + unstable)
-        if _spectral_radius(integrator, middle) > 1.0 + 1e-9:
-            unstable = middle
-        else:
-            stable = middle
+        stable, unstable = (stable, middle) if grows(middle) else (middle, unstable)
     return float(stable)
 
 

@@ -53,7 +53,7 @@ class Stepping:
         self._system, self._kernel, self.step_size = system, system.kernel, step_size
         self._rescue, self.rescue_ready = Rescue(system, on_failure), True
         # Keyed by the active method: a loop that may never be needed is compiled on first use.
-        self._loops = {0: self._loop(0)}
+        self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
         # Steps at a stretch.
         self._most = 1
 
@@ -88,8 +88,7 @@ class Stepping:
 
         """
         start = time.perf_counter()
-        if whole is not None:
-            self._loops[self._active] = self._loop(self._active, whole)
+        self._loop(self._active, whole)
         self._take(0, *np.empty((2, 0, self._z.q.size)))
         return time.perf_counter() - start
 
@@ -98,9 +97,7 @@ class Stepping:
         try:
             n = self._z.q.size
             for active, memory in enumerate(self._rescue.memories(n)):
-                if active not in self._loops:
-                    self._loops[active] = self._loop(active)
-                self._loops[active].compile(
+                self._loop(active).compile(
                     self.step_size, 0, 1, Point.empty(n), Point.empty(n), memory,
                     *np.empty((2, 1, n)), 1)
             self._rescue.compile(self.step_size, n)
@@ -108,7 +105,11 @@ class Stepping:
             self.rescue_ready = True
 
     def _loop(self, active: int, whole: bool | None = None) -> Loop:
-        return Loop(advance, self._kernel, self._rescue.methods[active], whole=whole)
+        """Return the loop over a method, the same each time unless its way is asked for."""
+        if active not in self._loops or whole is not None:
+            method = self._rescue.methods[active]
+            self._loops[active] = Loop(advance, self._kernel, method, whole=whole)
+        return self._loops[active]
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return, by name, all arrays that the next steps depend on."""
@@ -165,10 +166,8 @@ class Stepping:
     def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
              ) -> tuple[int, int, float, int]:
         """Take a stretch; return outcome, steps done, residual and gradients of the last step."""
-        if self._active not in self._loops:
-            self._loops[self._active] = self._loop(self._active)
-        begin = time.perf_counter()
-        outcome, now, gradients, self.residual, spent, most, costliest = self._loops[self._active](
+        begin, loop = time.perf_counter(), self._loop(self._active)
+        outcome, now, gradients, self.residual, spent, most, costliest = loop(
             self.step_size, done, every, self._z, self._z1, self._memories[self._active],
             q_out, p_out, min(last, done + self._most))
         if now - done == self._most:

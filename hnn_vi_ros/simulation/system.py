@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any, cast
 import warnings
 
-from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects import effect_name, EFFECTS
 from hnn_vi_ros.effects.base import (
     Effect, EffectError, EffectState, Force, Joined, Layer, Place)
 from hnn_vi_ros.effects.commands import (
@@ -163,9 +163,6 @@ def refill(kernel: Kernel, other: Kernel) -> bool:
     return True
 
 
-_KINDS = {effect: kind for kind, effect in EFFECTS.items()}
-
-
 class JoinedHamiltonian(Hamiltonian):
     """
     A Hamiltonian with effects joined to it, such as potentials and magnetic fields.
@@ -257,7 +254,7 @@ class System:
         self._effects, self.method = list(effects), integrator
         self.effect_state = effect_state or EffectState.empty(
             len(effects), hamiltonian.dimension, sum(one.knots for one in effects))
-        kinds = [_kind(effect) for effect in effects]
+        kinds = [effect_name(effect) for effect in effects]
         self.labels = [kind if kinds.count(kind) == 1 else f'{kind}_{index}'
                        for index, kind in enumerate(kinds)]
         self.conservative = all(effect.conservative for effect in effects)
@@ -400,12 +397,13 @@ class System:
         kinds = [type(effect) for effect in self._effects]
         for index, effect in enumerate(self._effects):
             if effect.single and kinds[index] in kinds[:index]:
-                raise EffectError(index, f'a scene takes one {_kind(effect)} only; join the two')
+                raise EffectError(
+                    index, f'a scene takes one {effect_name(effect)} only; join the two')
             for place, reason in effect.excludes.items():
                 for other in self._in(place):
                     raise EffectError(
-                        index, f'{_kind(effect)} does not combine with '
-                               f'{_kind(self._effects[other])}, {reason}; leave one of them out')
+                        index, f'{effect_name(effect)} does not combine with '
+                        f'{effect_name(self._effects[other])}, {reason}; leave one of them out')
 
     def _check(self, integrator: Integrator, hamiltonian: Hamiltonian) -> None:
         for effect, label in zip(self._effects, self.labels, strict=True):
@@ -479,11 +477,6 @@ class System:
             integrator = Wrapped(
                 integrator, Account, (self.effect_state, np.array(self._taken, dtype=np.int64)))
         return integrator
-
-
-def _kind(effect: Effect) -> str:
-    """Return the name of an effect in a scene; the user's own effects take their class's name."""
-    return _KINDS.get(type(effect), type(effect).__name__)
 
 
 def _assign(old: Any, new: Any) -> bool:
