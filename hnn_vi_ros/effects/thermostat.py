@@ -104,7 +104,8 @@ class Thermostat(StepEffect):
 
     def __init__(self, temperature: float, rate: float | list[float],
                  mass: float | list[float] | None = None, seed: int = 0):
-        check_positive(temperature=temperature, rate=rate, mass=1.0 if mass is None else mass)
+        check_positive(temperature=temperature, rate=np.min(rate),
+                       mass=1.0 if mass is None else np.min(mass))
         if not 0 <= seed < 2 ** 63:
             raise ValueError(f'seed = {seed} must be from 0 to 2^63 - 1')
         self.temperature, self.rate, self.mass, self.seed = float(temperature), rate, mass, seed

@@ -17,7 +17,7 @@ def check_positive(**values: Numbers) -> None:
 
 def check_not_negative(**values: Numbers) -> None:
     """Raise ValueError, which names it, for the first value below zero or not finite."""
-    _check(values, lambda value: value >= 0.0, 'a finite number of at least 0')
+    _check(values, lambda value: value >= 0.0, 'at least 0 and finite')
 
 
 def check_finite(**values: Numbers) -> None:
@@ -28,7 +28,7 @@ def check_finite(**values: Numbers) -> None:
 def _check(values: dict[str, Numbers], holds: Callable[[float], bool], what: str) -> None:
     for name, value in values.items():
         if not all(math.isfinite(one) and holds(one) for one in np.ravel(value)):
-            raise ValueError(f'{name} = {value} must be {what}{" each" * (np.ndim(value) > 0)}')
+            raise ValueError(f'{name} = {value} must be {what}')
 
 
 def check_names_once(**names: Sequence[str]) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 import math
+from operator import itemgetter
+import time
 from typing import Any, NoReturn
 import warnings
 
@@ -14,19 +16,33 @@ from hnn_vi_ros.effects.commands import Command, NUMBERS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, REASONS
+from hnn_vi_ros.integrators.base import (
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS, step_failure)
 from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.integrators.taylor import TaylorWork
-from hnn_vi_ros.simulation.assembly import Loop
+from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.processors import heed
+from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.following import follow_each, Law
-from hnn_vi_ros.simulation.stepping import Stepping
+from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike
 
 
-class Simulation(Stepping):
+# Relative to a state: solutions that are further apart are not the same one, to round-off.
+_SAME, _FIRST = 1e-8, itemgetter(0)
+# Wall time that compiled code runs at a stretch [s]: signals are handled between two stretches,
+# whose calls cost some microseconds. One has at most so many times the steps of that before.
+_STRETCH, _GROWTH = 0.02, 16.0
+
+
+class RescuePending(Exception):
+    """Refusal of a step that fails while what takes such steps is still being compiled."""
+
+
+class Simulation:
     """
     A Hamiltonian, an integrator and a state that advances by whole steps.
 
@@ -80,6 +96,10 @@ class Simulation(Stepping):
         many a step takes at most as a rule, 0 without a rule.
     costliest : tuple of (int, int)
         How many the costliest step took, and the number of steps at its end.
+    rescue_ready : bool
+        Whether a step that fails compiles what it needs where that is not there yet. Set to False
+        by who has ``compile_rescue`` run in another thread, which sets it to True at its end: such
+        a step raises RescuePending meanwhile, and all is as before the step.
 
     Raises
     ------
@@ -97,10 +117,13 @@ class Simulation(Stepping):
                  on_failure: str = 'substep'):
         if not (np.isfinite(step_size) and step_size > 0.0):
             raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
-        system = System(hamiltonian, effects, integrator)
-        super().__init__(system, float(step_size), on_failure)
+        self.system = system = System(hamiltonian, effects, integrator)
+        self._kernel, self.step_size = system.kernel, float(step_size)
         self.hamiltonian, self.integrator = system.hamiltonian, integrator
-        self.system = system
+        self._rescue, self.rescue_ready = Rescue(system, on_failure), True
+        # Keyed by the active method: a loop that may never be needed is compiled on first use.
+        self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
+        self._most = 1  # steps at a stretch
         self.effects = tuple(effects)
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
@@ -121,8 +144,8 @@ class Simulation(Stepping):
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
                 held: dict[str, np.ndarray] | None = None) -> None:
         """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
-        q, p = self._system.check_state(q, p)
-        self._system.effect_state.reset(stream, step * self.step_size, held)
+        q, p = self.system.check_state(q, p)
+        self.system.effect_state.reset(stream, step * self.step_size, held)
         if held is None:
             self.motors.begin()
         self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
@@ -140,13 +163,13 @@ class Simulation(Stepping):
 
     def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
         """Have other numbers from the next ``restart`` on, or return False; see System."""
-        taken = self._system.take_numbers(hamiltonian, effects)
-        self.hamiltonian, self.motors = self._system.hamiltonian, self._system.motors
+        taken = self.system.take_numbers(hamiltonian, effects)
+        self.hamiltonian, self.motors = self.system.hamiltonian, self.system.motors
         return taken
 
     def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
         """Raise StateError if nothing can begin at a state."""
-        self._system.check_state(q, p)
+        self.system.check_state(q, p)
 
     def _state(self, array: np.ndarray) -> np.ndarray:
         """Return the view of arrays of n unknowns, (..., n), without the channels of forces."""
@@ -163,23 +186,23 @@ class Simulation(Stepping):
     @property
     def connected(self) -> bool:
         """Return whether, of several solutions, the one connected to h = 0 has to be chosen."""
-        return self._system.integrator.no_solution != '' and not self.hamiltonian.separable
+        return self.system.integrator.no_solution != '' and not self.hamiltonian.separable
 
     @property
     def energy(self) -> float:
         """Return H(q, p) [J], summed over several trajectories."""
-        return sum(self._system.energies(self._z))
+        return sum(self.system.energies(self._z))
 
     @property
     def works(self) -> dict[str, float]:
         """Return the work that each effect has done on the system since the initial state [J]."""
-        works = self._system.effect_state.work.sum(axis=1).tolist()
-        return dict(zip(self._system.labels, works, strict=True))
+        works = self.system.effect_state.work.sum(axis=1).tolist()
+        return dict(zip(self.system.labels, works, strict=True))
 
     @property
     def work(self) -> float:
         """Return the work of all effects [J]."""
-        return float(self._system.effect_state.work.sum()) if self._system.labels else 0.0
+        return float(self.system.effect_state.work.sum()) if self.system.labels else 0.0
 
     @property
     def energy_balance(self) -> float:
@@ -195,7 +218,7 @@ class Simulation(Stepping):
     @property
     def modification(self) -> float | None:
         """Return the modified energy less the energy [J], None if none is known."""
-        if self._system.integrator is not self.integrator:
+        if self.system.integrator is not self.integrator:
             return None
         value = self.integrator.modified_energy(
             self.hamiltonian, self.step_size, self.q, self.p, 0.0, self.dH_dq, self.dH_dp)
@@ -249,7 +272,7 @@ class Simulation(Stepping):
     def work_in(self, rows: np.ndarray) -> float:
         """Return the work of all effects in rows [J]."""
         first = 3 + 6 * self._kernel.dimension + 2
-        return float(rows[:, first:first + self._system.effect_state.work.size].sum())
+        return float(rows[:, first:first + self.system.effect_state.work.size].sum())
 
     def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
                law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -282,7 +305,7 @@ class Simulation(Stepping):
         if self._follow is None:
             self._follow = Loop(follow_each, self._kernel, self._rescue.methods[0])
         self._follow(self.step_size, hold, count, self._z, self._z1, self._memories[0],
-                     self._flat, rows, self._system.effect_state.command, self._system.places,
+                     self._flat, rows, self.system.effect_state.command, self.system.places,
                      law or Law.none(c), commands, path, taken)
         return path, taken
 
@@ -432,9 +455,9 @@ class Simulation(Stepping):
 
     def dense_step(self) -> DenseStep:
         """Take one step, and return it with the states inside of it, or raise StepFailure."""
-        return DenseStep(self, self._system.integrator is self.integrator
+        return DenseStep(self, self.system.integrator is self.integrator
                          and self._kernel.channels == 0 and not self.hamiltonian.rotations,
-                         lambda: self._system.cuts)
+                         lambda: self.system.cuts)
 
     def series(self, state: np.ndarray) -> DenseOutput:
         """Return the Taylor series through a step from (q, p), shape (2 d,), of such a method."""
@@ -460,6 +483,176 @@ class Simulation(Stepping):
         self._take(every, q_out, p_out)
         return (np.ascontiguousarray(self._state(q_out)),
                 np.ascontiguousarray(self._state(p_out)[..., :self._momenta]))
+
+    def _begin(self, n: int, step: int) -> None:
+        """Make room for a state of n unknowns, and count from a step on."""
+        self.steps, self.gradients, self.residual = step, 0, 0.0
+        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
+        self._z, self._z1 = Point.empty(n), Point.empty(n)
+        self._active, self._memories = 0, self._rescue.memories(n)
+        self._own = [*self._arrays().values()]
+        # The same memory in numbers of 64 bits, whatever they are; and as it is before a step.
+        self._flat = tuple(array.reshape(-1).view(np.float64) for array in self._own)
+        self._fresh = [array.copy() for array in self._flat]
+        # Not the point's own: what a step finds there must not depend on when it was looked at.
+        self._dH_dq, self._dH_dp = np.empty((2, n))
+
+    @property
+    def time(self) -> float:
+        """Return the simulated time since the initial state [s]."""
+        return self.steps * self.step_size
+
+    def compile(self, whole: bool | None = None) -> float:  # noqa: A003
+        """
+        Compile the kernel now, not in the first step; return the wall time it took [s].
+
+        Parameters
+        ----------
+        whole : bool, optional
+            Compile effects and method into one loop, which takes longer, and which later
+            simulations of them find: their steps are the same, and take less time. False for a
+            loop that calls them by address, the default; see assembly.
+
+        """
+        start = time.perf_counter()
+        self._loop(self._active, whole)
+        self._take(0, *np.empty((2, 0, self._z.q.size)))
+        return time.perf_counter() - start
+
+    def compile_rescue(self) -> None:
+        """Compile all that may take a step that fails, now; another thread may take steps."""
+        try:
+            n = self._z.q.size
+            for active, memory in enumerate(self._rescue.memories(n)):
+                self._loop(active).compile(
+                    self.step_size, 0, 1, Point.empty(n), Point.empty(n), memory,
+                    *np.empty((2, 1, n)), 1)
+            self._rescue.compile(self.step_size, n)
+        finally:
+            self.rescue_ready = True
+
+    def _loop(self, active: int, whole: bool | None = None) -> Loop:
+        """Return the loop over a method, the same each time unless its way is asked for."""
+        if active not in self._loops or whole is not None:
+            method = self._rescue.methods[active]
+            self._loops[active] = Loop(advance, self._kernel, method, whole=whole)
+        return self._loops[active]
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return, by name, all arrays that the next steps depend on."""
+        groups: dict[str, Any] = {'point': self._z, 'live': self.system.effect_state} | {
+            f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
+            for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
+        return {name: array for place, group in groups.items()
+                for name, array in arrays_of(place, group)}
+
+    def _evaluate_gradient(self) -> None:
+        self._kernel.gradient(
+            self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
+
+    def _update_gradient(self) -> None:
+        """Make the public gradient that of the state."""
+        if self._rescue.methods[self._active].keeps_gradient:
+            self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
+        else:
+            self._kernel.gradient(
+                self._kernel.parameters, self._z.q, self._z.p, self._dH_dq, self._dH_dp)
+
+    def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
+              ) -> None:
+        """Take the steps to the last sample, or to that in which the time comes, or raise."""
+        done, changed, last = 0, -1, len(q_out) * every
+        begun, before, costs = done, self._kept(), self._costs()
+        while True:
+            outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
+            if outcome != OK and not self.rescue_ready:
+                self._go_back(before, costs, done - begun)
+                raise RescuePending
+            if outcome == BEYOND and (self._active == 0 or done > changed):
+                self._change_method()
+                changed = done
+                continue
+            if outcome != OK:
+                failure = self._take_failed_step(outcome, residual, spent)
+                if failure is not None:
+                    # A replay knows only the steps that were taken: one that was not must leave
+                    # no trace in what the next ones start from.
+                    costs = self._costs()
+                    self._go_back(before, costs, done - begun)
+                    vars(self).update(costs)
+                    raise failure
+                done += 1
+                if done % every == 0:
+                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+            if done >= last or time.perf_counter() >= until:
+                break
+            heed()
+            begun, before, costs = done, self._kept(), self._costs()
+        self._update_gradient()
+
+    def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
+             ) -> tuple[int, int, float, int]:
+        """Take a stretch; return outcome, steps done, residual and gradients of the last step."""
+        begin, loop = time.perf_counter(), self._loop(self._active)
+        outcome, now, gradients, self.residual, spent, most, costliest = loop(
+            self.step_size, done, every, self._z, self._z1, self._memories[self._active],
+            q_out, p_out, min(last, done + self._most))
+        if now - done == self._most:
+            seconds = time.perf_counter() - begin
+            self._most = max(1, int(self._most * min(_GROWTH, _STRETCH / seconds)))
+        self.costliest = max(self.costliest, (most, self.steps + costliest + 1 - done), key=_FIRST)
+        self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
+        self.rescued += (now - done) * (self._active != 0)
+        return outcome, now, self.residual, spent
+
+    def _costs(self) -> dict[str, Any]:
+        """Return what steps have cost, by its attribute."""
+        return {name: getattr(self, name) for name in (
+            'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
+
+    def _kept(self) -> tuple[int, int, list[np.ndarray]]:
+        """Return what a stretch begins with: a snapshot without names, in microseconds."""
+        return self.steps, self._active, [array.copy() for array in self._own]
+
+    def _go_back(self, kept: tuple[int, int, list[np.ndarray]], costs: dict[str, Any], done: int
+                 ) -> None:
+        """Go to where the steps that were done end: what one that failed has left is gone."""
+        self.steps, self._active, arrays = kept
+        for array, value in zip(self._own, arrays, strict=True):
+            array[...] = value
+        vars(self).update(costs)
+        self._take(done, *np.empty((2, 1, self._z.q.size)))
+
+    def _change_method(self) -> None:
+        """Go on by the other method, from a state like an initial one."""
+        self._active = 1 - self._active
+        forget(self._memories[self._active])
+        self._evaluate_gradient()
+        self.gradients += 1
+
+    def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
+        """Take one step by a fallback; return what came of the first one if none will do."""
+        z, z1 = self._z, self._z1
+        doubtful = np.append(z1.q, z1.p)
+        taken = self._rescue.take_step(
+            self._active, self.step_size, z, z1, self._memories[self._active])
+        if outcome == IN_DOUBT:
+            outcome, residual = taken.outcome, taken.residual
+            self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
+                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
+        self.gradients += taken.gradients
+        self.rescued += taken.rescued or (taken.ok and self._active != 0)
+        self.residual = self.residual if np.isnan(taken.residual) else taken.residual
+        spent += taken.gradients
+        if not taken.ok:
+            outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
+            reason = self.system.reason(outcome)
+            if taken.given_up:
+                reason += f', given up after {taken.given_up} gradients in sub-steps'
+            return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
+        self.steps += 1
+        self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
+        return None
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path
     ('joint_limits', {'lower': {'x': INF}}, 'lower of x = inf must be a finite number'),
     ('joint_limits', {'lower': {'x': 0.0}, 'restitution': -0.1}, 'restitution = -0.1'),
     ('joint_friction', {}, 'from is required, or damping or friction or load in its place'),
-    ('joint_friction', {'damping': {'x': -1.0}}, 'damping of x = -1.0 must not be negative'),
-    ('joint_friction', {'load': {'x': -1.0}}, 'load of x = -1.0 must not be negative'),
+    ('joint_friction', {'damping': {'x': -1.0}}, 'damping of x = -1.0 must be at least 0'),
+    ('joint_friction', {'load': {'x': -1.0}}, 'load of x = -1.0 must be at least 0'),
     ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0}, 'speed = 0.0'),
 ])
 def test_effect_parameter_out_of_its_range_is_refused(kind, arguments, message):

@@ -84,7 +84,7 @@ def test_heavy_top_refuses_a_constant_out_of_range(name: str):
 
 @pytest.mark.parametrize('name, arguments, expected', [
     ('quadrotor', {'mass': 0.0}, 'mass = 0.0 must be a positive number'),
-    ('quadrotor', {'gravity': -9.81}, 'gravity = -9.81 must be a finite number of at least 0'),
+    ('quadrotor', {'gravity': -9.81}, 'gravity = -9.81 must be at least 0 and finite'),
     ('quadrotor', {'gravity': float('inf')}, 'gravity = inf must be'),
     ('ball_joint_pendulum', {'radius': 0.0}, 'radius = 0.0 must be a positive number')])
 def test_body_refuses_a_constant_out_of_range(name: str, arguments: dict, expected: str):

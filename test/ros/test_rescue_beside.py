@@ -29,9 +29,9 @@ import time
 from hnn_vi_ros.hamiltonians.tao import Tao
 from hnn_vi_ros.kernels.compilation import NotKept
 from hnn_vi_ros.ros.run import preparation
-from hnn_vi_ros.simulation.stepping import Stepping
+from hnn_vi_ros.simulation import Simulation
 
-compile_rescue = Stepping.compile_rescue
+compile_rescue = Simulation.compile_rescue
 
 
 @contextmanager
@@ -47,7 +47,7 @@ def wait(simulation):
 
 
 def create():
-    preparation.kept_only, Stepping.compile_rescue = kept_only, wait
+    preparation.kept_only, Simulation.compile_rescue = kept_only, wait
     return Tao()
 """
 

@@ -11,13 +11,14 @@ import sys
 from threading import Event, main_thread, Thread, Timer
 import time
 
+from hnn_vi_ros import simulation as stepping
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.processors import in_threads
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation, stepping
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.events import watched
@@ -115,7 +116,7 @@ def test_ctrl_c_while_threads_compile_ends_those_who_wait(compiler):
 RUN = """
 import os, signal, sys
 from hnn_vi_ros.cli import main
-from hnn_vi_ros.simulation import stepping
+from hnn_vi_ros import simulation as stepping
 
 def press_ctrl_c():
     stepping.heed = lambda: None

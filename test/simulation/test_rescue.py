@@ -10,10 +10,9 @@ from hnn_vi_ros.guards.watch import look, record_watched, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import assembly, Simulation
+from hnn_vi_ros.simulation import assembly, RescuePending, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
-from hnn_vi_ros.simulation.stepping import RescuePending
 from hnn_vi_ros.trajectory.simulate import simulate_many
 import numpy as np
 from plain_systems import Plain

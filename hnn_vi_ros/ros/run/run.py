@@ -32,9 +32,8 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.simulation import RescuePending, Sample
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-from hnn_vi_ros.simulation.stepping import RescuePending
 import numpy as np
 from rclpy.node import Node
 
