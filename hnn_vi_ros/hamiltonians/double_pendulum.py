@@ -56,5 +56,6 @@ class DoublePendulum(AnalyticHamiltonian):
                        gravity=gravity)
         self.mass1, self.mass2 = float(mass1), float(mass2)
         self.length1, self.length2 = float(length1), float(length2)
+        self.gravity = float(gravity)
         self.constants = {'m1': self.mass1, 'm2': self.mass2, 'l1': self.length1,
-                          'l2': self.length2, 'g': float(gravity)}
+                          'l2': self.length2, 'g': self.gravity}
