@@ -356,7 +356,7 @@ class _Gradient(_Derivative):
         if needed[0] and recorded.commands is not None:
             by_commands = np.empty(recorded.commands.shape)
         with call.simulation.holding(call.numbers) as held:
-            held.run.go_back_to(recorded)
+            held.run.recorded = recorded
             gradient, found = held.run.pull_back(_array(cotangents), [
                 call.simulation.dependence(held, call.numbers, call.names[k]) for k in wanted],
                 by_commands)
@@ -376,7 +376,7 @@ class _Tangent(_Derivative):
         z0, commands, *others = (None if change is None else _array(change)
                                  for change in tensors[:len(tensors) // 2])
         with call.simulation.holding(call.numbers) as held:
-            held.run.go_back_to(recorded)
+            held.run.recorded = recorded
             changes = [(call.simulation.dependence(held, call.numbers, name), change)
                        for name, change in zip(call.names, others, strict=True)
                        if change is not None and change.any()]

@@ -109,12 +109,6 @@ class StepSearch:
                 last, before = k, error
         return resolved and flat >= 2
 
-    @property
-    def least_cost(self) -> float:
-        """Return the least cost of the trials that were seen to their end [1/s]."""
-        return min((trial.cost for trial in self.tried.values() if trial.complete),
-                   default=math.inf)
-
 
 def search(problem: InitialValueProblem, method: Method, base: float, judge: Judge, guess: float,
            bound: float) -> StepSearch:
@@ -309,7 +303,8 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
         parts = found.best(judge)
         if best is None and found.at_floor():
             # No method has errors far below the round-off of another.
-            bound = min(bound, _BEYOND_FLOOR * found.least_cost)
+            bound = min([bound, *(_BEYOND_FLOOR * trial.cost
+                                  for trial in found.tried.values() if trial.complete)])
         if parts is not None and found.tried[parts].cost < bound:
             best, bound = (found, parts), found.tried[parts].cost
     if tolerance.kind == 'path_error':

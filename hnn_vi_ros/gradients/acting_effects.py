@@ -98,24 +98,22 @@ class ActingEffects:
         d = len(self.rates)
         return np.concatenate([q[..., :d], p[..., :d]], axis=-1) if self._channels else states
 
-    def flowed(self, states: np.ndarray) -> np.ndarray:
+    def flowed(self, states: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """
-        Return how states around steps change with the rates of damping, shape (K, 2, m, 2 D).
+        Return how states around steps change with rates of damping, shape (K, 2, m, 2 D).
 
         Parameters
         ----------
         states : np.ndarray, shape (K + 1, m, 2 D)
             Before and after each of K steps.
+        rates : np.ndarray, shape (d,)
+            How each rate changes.
 
         """
-        half = np.stack([states[:-1] * self._flow, states[1:]], axis=1)
-        half[..., :half.shape[-1] // 2] = 0.0
-        return -0.5 * self._h * half
-
-    def per_momentum(self, rates: np.ndarray) -> np.ndarray:
-        """Return rates, shape (d,), at the places of momenta in a padded state, shape (2 D,)."""
         channels = np.zeros(self._channels)
-        return np.concatenate([np.zeros(len(rates)), channels, rates, channels])
+        per_momentum = np.concatenate([np.zeros(len(rates)), channels, rates, channels])
+        half = np.stack([states[:-1] * self._flow, states[1:]], axis=1)
+        return -0.5 * self._h * half * per_momentum
 
 
 def flow_rates(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect]

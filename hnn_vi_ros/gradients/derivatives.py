@@ -157,6 +157,13 @@ class DifferentiableRun:
         The effects may join H, be forces that depend on time and state, take commands of plain
         numbers, or be damping.
 
+    Attributes
+    ----------
+    kernel : Kernel
+        H with its effects, by address, as it is now.
+    recorded : Recorded
+        The record of the last run, which an earlier one, of the same numbers, can replace.
+
     Raises
     ------
     UnsupportedSystem
@@ -182,8 +189,8 @@ class DifferentiableRun:
         self._hamiltonian, self._effects = hamiltonian, list(effects)
         self._system = System(hamiltonian, effects, self._integrator)
         self._acting = ActingEffects(self._system, hamiltonian, effects, self._h)
-        self._kernel = self._system.kernel
-        self._d = self._kernel.dimension  # channels included
+        self.kernel = self._system.kernel
+        self._d = self.kernel.dimension  # channels included
         check_unknowns(self._integrator, self._tableau, self._d)
         self._work = StageWork.empty(self._tableau.stages, self._d)
         self._simulation: Simulation | None = None
@@ -260,22 +267,8 @@ class DifferentiableRun:
             states = self._advance(recorded, rows, segment)
             inside, at = recorded.samples_in(segment)
             sampled[at] = states[inside]
-        self._recorded = recorded._replace(last=states)
+        self.recorded = recorded._replace(last=states)
         return sampled
-
-    @property
-    def kernel(self) -> Kernel:
-        """Return H with its effects, by address, as it is now."""
-        return self._kernel
-
-    @property
-    def recorded(self) -> Recorded:
-        """Return the record of the last run."""
-        return self._recorded
-
-    def go_back_to(self, recorded: Recorded) -> None:
-        """Make an earlier run, of the same numbers, the last one."""
-        self._recorded = recorded
 
     def pull_back(self, cotangents: np.ndarray, dependences: Sequence[Dependence] = (),
                   by_commands: np.ndarray | None = None) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -300,7 +293,7 @@ class DifferentiableRun:
         others = [np.zeros(()) for _ in dependences]
         if by_commands is not None:
             by_commands[...] = 0.0
-        recorded = self._recorded
+        recorded = self.recorded
         following = self._acting.padded(np.zeros_like(cotangents[0]))
         for segment in reversed(recorded.segments):
             states = self._states(segment)
@@ -334,7 +327,7 @@ class DifferentiableRun:
             r of them, for which the steps are taken and differentiated together.
 
         """
-        recorded = self._recorded
+        recorded = self.recorded
         sampled = np.empty((len(changes), recorded.samples + 1, *recorded.z.shape))
         sampled[:, 0] = np.stack([change.tangents for change in changes])
         before = self._acting.padded(sampled[:, 0])
@@ -389,7 +382,7 @@ class DifferentiableRun:
 
     def _states(self, segment: Segment) -> np.ndarray:
         """Return the states around a segment's steps, shape (K + 1, m, 2 d)."""
-        recorded = self._recorded
+        recorded = self.recorded
         if segment is recorded.segments[-1]:
             return recorded.last
         start = recorded.starts[recorded.segments.index(segment)]
@@ -418,7 +411,7 @@ class DifferentiableRun:
                 sources.shape)
             rates = getattr(dependence, 'rates', None)
             if rates is not None:
-                added += much * self._acting.flowed(states) * self._acting.per_momentum(rates)
+                added += much * self._acting.flowed(states, rates)
 
     @property
     def on_step_size(self) -> Dependence:
@@ -427,12 +420,12 @@ class DifferentiableRun:
             raise UnsupportedSystem('the step size is not differentiable yet together with forces '
                                     'or damping; leave one of them out')
         # In a step h occurs only as a factor of H'.
-        return OnNumber(lambda at: at.gradient(self._kernel) / self._h)
+        return OnNumber(lambda at: at.gradient(self.kernel) / self._h)
 
     def _stages(self, segment: Segment, states: np.ndarray
                 ) -> tuple[Acting, np.ndarray, np.ndarray]:
         """Return what acts, the stages of steps, (K, m, 2 s d), and states as kernels do."""
-        recorded = self._recorded
+        recorded = self.recorded
         times = (recorded.first + segment.steps[:, None]) * self._h
         acting = self._acting.acting(times, recorded.commands_in(segment))
         states = self._acting.padded(states)
@@ -450,7 +443,7 @@ class DifferentiableRun:
         """Return the gradient by what changes rates of damping, shape ()."""
         rates = getattr(dependence, 'rates', None)
         return np.zeros(()) if rates is None else np.array(float(
-            (felt * self._acting.flowed(states) * self._acting.per_momentum(rates)).sum()))
+            (felt * self._acting.flowed(states, rates)).sum()))
 
     def _by_commands(self, acting: Acting, stages: np.ndarray) -> np.ndarray:
         """Return how H' at stages changes with each command of the step, (c, K, m, 2 s d)."""
@@ -470,7 +463,7 @@ class DifferentiableRun:
                 commands = acting.commands.copy()
                 commands[..., :-1] += offset * spacing[..., None] * place
                 both = self._states_at(stages, acting._replace(commands=commands)).gradient(
-                    self._kernel).reshape(2, *stages.shape[:2], -1)
+                    self.kernel).reshape(2, *stages.shape[:2], -1)
                 slopes += weight / spacing[..., None] * np.concatenate([*both], axis=-1)
         return found
 
@@ -483,8 +476,8 @@ class DifferentiableRun:
              kernel: Kernel | None = None) -> int:
         arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
-            self._entries[loop] = entry_of(loop, self._kernel, *arguments)
-        return self._entries[loop](kernel or self._kernel, *arguments)
+            self._entries[loop] = entry_of(loop, self.kernel, *arguments)
+        return self._entries[loop](kernel or self.kernel, *arguments)
 
     @staticmethod
     def _check(failed: int, times: np.ndarray, problem: str) -> None:
@@ -496,7 +489,7 @@ class DifferentiableRun:
 
     def _states_at(self, stages: np.ndarray, acting: Acting) -> States:
         """Return the stages, for kernels whose clock is at the start of the run."""
-        channels = self._kernel.channels
+        channels = self.kernel.channels
         if channels:
             stages = stages.copy()
             q = stages[..., :stages.shape[2] // 2].reshape(*stages.shape[:2], -1, self._d)

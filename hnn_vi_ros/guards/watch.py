@@ -138,7 +138,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
         for k in range(m):
             found[k] = domain.excess(q[:, k], velocities[:, k]).any()
     elif hamiltonian.box is not None:
-        found = hamiltonian.outside(q, p).any(axis=0)
+        found |= hamiltonian.outside(q, p).any(axis=0)
     if not simulation.conservative:
         return found
     known = modified if simulation.modification is not None else energy

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from hnn_vi_ros.hamiltonians.base import Invariant
-from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
-import numpy as np
+from hnn_vi_ros.hamiltonians.turning_body import spatial_component, TurningBody
 
 
 class FreeRigidBody(TurningBody):
@@ -42,8 +41,4 @@ class FreeRigidBody(TurningBody):
     @property
     def known_invariants(self) -> dict[str, Invariant]:
         """Return the angular momentum in space [kg m^2/s], component by component."""
-        return {f'momentum_{axis}': partial(_component, i) for i, axis in enumerate('xyz')}
-
-
-def _component(i: int, q: np.ndarray, p: np.ndarray) -> float:
-    return float(spatial_momentum(q, p)[i])
+        return {f'momentum_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}

@@ -8,7 +8,7 @@ from functools import partial
 from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
 from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
-from hnn_vi_ros.hamiltonians.turning_body import moments, spatial_momentum
+from hnn_vi_ros.hamiltonians.turning_body import moments, spatial_component
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -59,12 +59,8 @@ class Quadrotor(AnalyticHamiltonian):
     def known_invariants(self) -> dict[str, Invariant]:
         """Return the horizontal momentum [kg m/s], and that of turning, in space [kg m^2/s]."""
         return {**{f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')},
-                **{f'spin_{axis}': partial(_spin, i) for i, axis in enumerate('xyz')}}
+                **{f'spin_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}}
 
 
 def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
     return float(p[i])
-
-
-def _spin(i: int, q: np.ndarray, p: np.ndarray) -> float:
-    return float(spatial_momentum(q[3:], p[3:])[i])

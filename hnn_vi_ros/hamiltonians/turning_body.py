@@ -28,6 +28,11 @@ def spatial_momentum(q: np.ndarray, p: np.ndarray) -> np.ndarray:
     return p + scalar * twice + np.cross(vector, twice)
 
 
+def spatial_component(axis: int, q: np.ndarray, p: np.ndarray) -> float:
+    """Return a component in space of the angular momentum of a body, whose attitude ends q."""
+    return float(spatial_momentum(q[-4:], p[-3:])[axis])
+
+
 class TurningBody(AnalyticHamiltonian):
     """
     H = sum of p_i^2 / (2 I_i) + m g l e_z . R e_3, with p the angular momentum in the body.

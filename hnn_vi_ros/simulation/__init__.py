@@ -141,6 +141,19 @@ class Simulation:
         raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
                         'arrays; build another one, and give its restore() the snapshot() of this')
 
+    def _begin(self, n: int, step: int) -> None:
+        """Make room for a state of n unknowns, and count from a step on."""
+        self.steps, self.gradients, self.residual = step, 0, 0.0
+        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
+        self._z, self._z1 = Point.empty(n), Point.empty(n)
+        self._active, self._memories = 0, self._rescue.memories(n)
+        self._own = [*self._arrays().values()]
+        # The same memory in numbers of 64 bits, whatever they are; and as it is before a step.
+        self._flat = tuple(array.reshape(-1).view(np.float64) for array in self._own)
+        self._fresh = [array.copy() for array in self._flat]
+        # Not the point's own: what a step finds there must not depend on when it was looked at.
+        self._dH_dq, self._dH_dp = np.empty((2, n))
+
     def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
                 held: dict[str, np.ndarray] | None = None) -> None:
         """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
@@ -483,19 +496,6 @@ class Simulation:
         self._take(every, q_out, p_out)
         return (np.ascontiguousarray(self._state(q_out)),
                 np.ascontiguousarray(self._state(p_out)[..., :self._momenta]))
-
-    def _begin(self, n: int, step: int) -> None:
-        """Make room for a state of n unknowns, and count from a step on."""
-        self.steps, self.gradients, self.residual = step, 0, 0.0
-        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
-        self._z, self._z1 = Point.empty(n), Point.empty(n)
-        self._active, self._memories = 0, self._rescue.memories(n)
-        self._own = [*self._arrays().values()]
-        # The same memory in numbers of 64 bits, whatever they are; and as it is before a step.
-        self._flat = tuple(array.reshape(-1).view(np.float64) for array in self._own)
-        self._fresh = [array.copy() for array in self._flat]
-        # Not the point's own: what a step finds there must not depend on when it was looked at.
-        self._dH_dq, self._dH_dp = np.empty((2, n))
 
     @property
     def time(self) -> float:

@@ -235,8 +235,8 @@ class System:
         Values that the effects keep from step to step.
     labels : list of str
         A name for each effect: its kind, with its place where that stands more than once.
-    conservative : bool
-        Whether no effect does work.
+    conservative, lockstep : bool
+        Whether no effect does work, and whether several trajectories can step together.
     motors : Motors
         The effects that take commands.
 
@@ -262,6 +262,7 @@ class System:
                              if not effect.lockstep]
         if not integrator.requirements.from_state:
             self._single_file.append(method_name(integrator))
+        self.lockstep = not self._single_file
         if not hamiltonian.canonical or hamiltonian.rotations:
             self._check_coordinates(hamiltonian, integrator)
         self._places = [effect.place(integrator) for effect in effects]
@@ -325,11 +326,6 @@ class System:
             rows.append(held[:-1].copy())
         held[:] = before
         return np.array(rows).reshape(-1, held.size - 1)
-
-    @property
-    def lockstep(self) -> bool:
-        """Return whether several trajectories can step together."""
-        return not self._single_file
 
     @property
     def cuts(self) -> int:

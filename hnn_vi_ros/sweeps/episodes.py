@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.errors import DataError, HnnViRosError, StepFailure, StoppedByEvent
+from hnn_vi_ros.errors import DataError, StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
@@ -16,9 +16,7 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.sweeps.plan import SweepPlan
-
-# Errors that count as the failure of an episode, as for a trajectory of a sweep.
-_FAILURES = HnnViRosError, ValueError, ArithmeticError
+from hnn_vi_ros.sweeps.trajectories import FAILURES
 
 
 class Episode(NamedTuple):
@@ -102,7 +100,7 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
                 scene = plan.scene_of(dict(zip(plan.parts, values.values(), strict=True)))
                 simulation = build(scene)
                 simulation.restart(simulation.q.copy(), simulation.p.copy(), stream=index)
-        except _FAILURES as problem:
+        except FAILURES as problem:
             failed[index] = one_line(problem) or type(problem).__name__
             continue
         steps, _ = whole_steps(plan.sweep.duration, simulation.step_size)

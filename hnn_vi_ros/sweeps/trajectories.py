@@ -111,7 +111,7 @@ def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajecto
 
 
 # Failures of a trajectory; any other error is a fault of this package, and ends the sweep.
-_FAILURES = HnnViRosError, ValueError, ArithmeticError
+FAILURES = HnnViRosError, ValueError, ArithmeticError
 # Number of scenes kept ready, made with the last parameters.
 _KEPT = 4
 _State = tuple[np.ndarray, np.ndarray]
@@ -198,7 +198,7 @@ class Runner:
             try:
                 _Made(self._plan, row).states([row])
                 return
-            except _FAILURES as problem:
+            except FAILURES as problem:
                 problems.append(problem)
         raise problems[0]
 
@@ -232,13 +232,13 @@ class Runner:
                 del self._made[next(iter(self._made))]
             if self._plan.device is not None:
                 return self._on_device(made, indices, rows)
-        except _FAILURES as problem:
+        except FAILURES as problem:
             return [self._failed(index, row, problem)
                     for index, row in zip(indices, rows, strict=True)]
         if made.lockstep and len(rows) > 1:
             try:
                 return self._kept_rows(made, indices, rows, made.together(indices, rows))
-            except _FAILURES:
+            except FAILURES:
                 # Any of them may have failed: try each by itself.
                 made.forget()
         return [self._try(made, index, row, partial(made.alone, index, row))
@@ -271,17 +271,16 @@ class Runner:
 
     def _try(self, made: '_Made', index: int, row: tuple[Any, ...],
              find: Callable[[], Trajectory]) -> Rows:
+        """Return what is kept of one trajectory, measured, or why it fails."""
+        sweep, kept = self._plan.sweep, self._kept
         try:
-            return self._told(made, index, row, find())
-        except _FAILURES as problem:
+            found = find()
+            measured = measure(sweep.statistics, found, made.parts, made.joined, sweep.duration)
+            if sweep.reduction is not None:
+                measured |= reduce(sweep.reduction, self._function, found)
+        except FAILURES as problem:
             made.forget()
             return self._failed(index, row, problem)
-
-    def _told(self, made: '_Made', index: int, row: tuple[Any, ...], found: Trajectory) -> Rows:
-        sweep, kept = self._plan.sweep, self._kept
-        measured = measure(sweep.statistics, found, made.parts, made.joined, sweep.duration)
-        if sweep.reduction is not None:
-            measured |= reduce(sweep.reduction, self._function, found)
         return Rows([index], [row], len(found.t[kept]), found.t[kept], found.q[kept],
                     found.p[kept], found.energy[kept], [_kinds(found.alarms)], measured)
 
