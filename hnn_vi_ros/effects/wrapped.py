@@ -43,7 +43,7 @@ class Wrapped(Integrator):
         # is not connected to h = 0 does not make the step fail.
         self.inner, self._kind, self._settings = copy(inner), kind, settings
         self.inner.no_solution = ''
-        self.order, self.compiled = inner.order, inner.compiled
+        self.order, self.compiled, self.equations = inner.order, inner.compiled, inner.equations
         self.step = kind.wrap(kind.inner_step(inner), inner.keeps_gradient)
 
     @property
@@ -96,10 +96,6 @@ class Wrapped(Integrator):
     def options(self, attempt: int = 0, dimension: int = 1) -> Parameters:
         """Return the options of the method, then the settings of the layer."""
         return (self.inner.options(attempt, dimension), *self._settings)
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of the method."""
-        return self.inner.unknowns(n)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[Any, ...]:
         """Return the workspaces of the method and of the layer; see Integrator."""

@@ -261,6 +261,8 @@ class Integrator(ABC):
         True if a step leaves the gradient at the new state, for nothing more.
     halves : tuple of callable or None
         Two steps of h / 2 that make up the step, if it has a middle to put something in.
+    equations : tuple of int
+        For each implicit equation, how many unknowns it has for each coordinate.
     no_solution : str
         Meaning of a step's equation without a solution connected to h = 0; '' where the
         one that solvers find is taken.
@@ -280,6 +282,7 @@ class Integrator(ABC):
     compiled: bool = True
     no_solution: str = ''
     halves: 'tuple[Callable, Callable] | None' = None
+    equations: tuple[int, ...] = ()
     step: Callable
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
@@ -330,7 +333,7 @@ class Integrator(ABC):
 
     def unknowns(self, n: int) -> tuple[int, ...]:
         """Return the number of unknowns of each implicit equation, for n coordinates."""
-        return ()
+        return tuple(each * n for each in self.equations)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of a step of n coordinates, none for no such; see workspaces."""

@@ -62,6 +62,7 @@ class Composition(Integrator):
         self.base = BASES[base]()
         self.step = _compose(self.base.step, self.fractions)
         self.requirements, self.explicit = self.base.requirements, self.base.explicit
+        self.equations = self.base.equations
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
         """Refuse what the base does; see Integrator."""
@@ -88,10 +89,6 @@ class Composition(Integrator):
     def substep(self) -> Integrator | None:
         """Return the method with which the base redoes a failed step."""
         return self.base.substep()
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the equations of the base."""
-        return self.base.unknowns(n)
 
     @property
     def partitioned(self) -> PartitionedTableau | None:

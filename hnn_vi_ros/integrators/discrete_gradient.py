@@ -64,11 +64,7 @@ class EndProblem(NamedTuple):
 class EnergyConserving(ImplicitIntegrator):
     """A method of order 2 whose equation for the new state contains a discrete gradient of H."""
 
-    order = 2
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns: the new q and p."""
-        return (2 * n,)
+    order, equations = 2, (2,)  # for the new q and p
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[DiscreteGradientWork]:
         """Return the workspace of the equation; see Integrator."""

@@ -352,7 +352,7 @@ def gauss_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 class Collocation(ImplicitIntegrator):
     """One equation for s stages at the nodes of Gauss; their number is in the options."""
 
-    stages: ClassVar[int]
+    stages: ClassVar[int]  # s; its one equation is for position and momentum of each
 
     @property
     def usual_gradients(self) -> int:
@@ -364,10 +364,6 @@ class Collocation(ImplicitIntegrator):
         matrix, weights, start = gauss_tableau(self.stages)
         return Tableau(matrix, weights, start, super().options(attempt, dimension),
                        modes_of(tuple(map(tuple, matrix.tolist()))))
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns: position and momentum of each stage."""
-        return (2 * self.stages * n,)
 
 
 _Kind = TypeVar('_Kind', bound=Collocation)
@@ -461,7 +457,8 @@ def orders_of(kind: type[_Kind], where: str = '') -> Iterator[type[_Kind]]:
     for stages in range(2, 9):
         order = 2 * stages
         yield type(f'{kind.__name__}{order}', (kind,), {
-            'stages': stages, 'order': order, '__module__': kind.__module__, '__doc__':
+            'stages': stages, 'equations': (order,), 'order': order,
+            '__module__': kind.__module__, '__doc__':
             f'Gauss collocation of {stages} stages{where}, order {order}; see {kind.__name__}.'})
 
 

@@ -41,15 +41,11 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
 
     """
 
-    order, scalar = 2, True
+    order, scalar, equations = 2, True, (1, 1)  # for the momenta and for the coordinates
     requirements = Requirements(symmetric=True, symplectic=True)
     halves = (SymplecticEuler.step, _second_half)
     modified_energy = staticmethod(leapfrog_energy)
     partitioned = LEAPFROG
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the sizes of the equations for the momenta and for the coordinates."""
-        return (n, n)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork, HalfwayWork]:
         """Return the workspaces of the two equations; see Integrator."""

@@ -21,7 +21,7 @@ NO_SOLUTION_OF_EQ_6 = ('eq. (6) has no solution here that is connected to h = 0:
 
 class ImplicitIntegrator(Integrator):
     """
-    A method whose step solves equations of n unknowns each, unless ``unknowns`` says otherwise.
+    A method whose step solves equations of n unknowns each, unless ``equations`` says otherwise.
 
     The chain of solvers: an extrapolated start; the secant method where the unknowns are
     independent, the simplified Newton method for the stages of Gauss methods in few coordinates,
@@ -49,6 +49,7 @@ class ImplicitIntegrator(Integrator):
     explicit = False
     # Whether the equation of each trajectory of one coordinate has one unknown.
     scalar = False
+    equations: tuple[int, ...] = (1,)
 
     def __init__(self, solver: str = 'chain', max_iterations: int = 100):
         if solver not in SOLVERS:
@@ -96,10 +97,6 @@ class ImplicitIntegrator(Integrator):
         """Return the symmetric method of order 2 that takes the same systems."""
         from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
         return GeneralizedLeapfrog()
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns of each implicit equation, for n coordinates."""
-        return (n,)
 
 
 class EulerIntegrator(ImplicitIntegrator):

@@ -61,13 +61,10 @@ class ImplicitMidpoint(ImplicitIntegrator):
 
     """
 
-    order, requirements = 2, Requirements(symmetric=True, symplectic=True)
+    order, equations = 2, (2,)  # for q and p of the midpoint
+    requirements = Requirements(symmetric=True, symplectic=True)
     modified_energy = staticmethod(midpoint_energy)
     partitioned = tableau([[0.5]], [[0.5]], [1], [1])  # its stage is the midpoint
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the number of unknowns: q and p of the midpoint."""
-        return (2 * n,)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[MidpointWork]:
         """Return the workspace of the equation; see Integrator."""

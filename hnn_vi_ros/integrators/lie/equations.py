@@ -87,7 +87,7 @@ class GroupWork(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """One of the equations: from z, over h, at g; it fills z1. ``by_differences`` reads the last."""
+    """One of the equations: from z, over h, at g; it fills z1. Its tangent reads the last."""
 
     kernel: Kernel
     h: float

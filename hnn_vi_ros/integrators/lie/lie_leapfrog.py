@@ -75,7 +75,6 @@ class LieSymplecticEuler(LieIntegrator):
     LieSymplecticEulerAdjoint. Where H does not depend on g it keeps the spatial momentum.
     """
 
-
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
@@ -101,7 +100,6 @@ class LieSymplecticEulerAdjoint(LieIntegrator):
     Symplectic, order 1, not symmetric. Where H does not depend on g it keeps the spatial momentum.
     """
 
-
     @staticmethod
     @inlined
     def step(kernel: Kernel, h: float, options: LieOptions, z: Point, z1: Point,
@@ -124,12 +122,8 @@ class LieLeapfrog(LieIntegrator):
     not depend on g it keeps the spatial momentum.
     """
 
-    order = 2
+    order, equations = 2, (1, 1)  # for the momenta and for the turns
     requirements = Requirements(symmetric=True, symplectic=True, coordinates='group')
-
-    def unknowns(self, n: int) -> tuple[int, ...]:
-        """Return the sizes of the equations for the momenta and for the turns."""
-        return (n, n)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspaces of the two equations, and the point between them."""
