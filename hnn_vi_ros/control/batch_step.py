@@ -43,6 +43,8 @@ class BatchStep:
         Steps that each command lasts.
     duration : float
         Time that a command is held [s].
+    places : np.ndarray, shape (c, d)
+        How each number of a command acts on each coordinate.
 
     Raises
     ------
@@ -73,13 +75,8 @@ class BatchStep:
         takes = NUMBERS in self._system.motors.takes
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
-        self._places = self._system.places if takes else np.zeros((0, self.dimension))
+        self.places = self._system.places if takes else np.zeros((0, self.dimension))
         self._run: DifferentiableRun | None = None
-
-    @property
-    def places(self) -> np.ndarray:
-        """Return how each number of a command acts on each coordinate, shape (c, d)."""
-        return self._places.copy()
 
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """
@@ -192,7 +189,7 @@ class BatchStep:
             kernel.hessian_vector(kernel.parameters, q, p, v_q, v_p, along_q, along_p)
             by_z[:, column] = np.concatenate(
                 [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
-        return by_z, np.vstack([np.zeros((d, self.commands)), self._places.T])
+        return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
 
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Make a command act from a time on; return q and p with the channels of forces."""

@@ -54,6 +54,8 @@ class Planner(ABC):
         Of the last plan.
     plan : np.ndarray, shape (N + 1, 2 d), or None
         Its states; None before there is one.
+    interval : float
+        Time from one of them to the next [s].
 
     """
 
@@ -70,12 +72,7 @@ class Planner(ABC):
         self.mode, self.cost = 'plan', np.inf
         self.plan: np.ndarray | None = None
         self._last: Plan | None = None
-        self._time = 0.0
-
-    @property
-    def interval(self) -> float:
-        """Return the time from one state of a plan to the next [s]."""
-        return self._steps.duration
+        self._time, self.interval = 0.0, steps.duration
 
     @abstractmethod
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ball on a rod that hangs from a ball joint."""
 
-from hnn_vi_ros.hamiltonians.base import Invariant
+from functools import partial
+
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
+from hnn_vi_ros.hamiltonians.turning_body import spatial_component, spin, TurningBody
 
 
 class BallJointPendulum(TurningBody):
@@ -40,15 +41,12 @@ class BallJointPendulum(TurningBody):
 
     """
 
+    # The vertical angular momentum and the spin [kg m^2/s].
+    known_invariants = {'vertical_momentum': partial(spatial_component, 2), 'spin': spin}
+
     def __init__(self, mass: float = 1.0, length: float = 1.0, radius: float = 0.1,
                  gravity: float = 9.81):
         check_positive(mass=mass, length=length, radius=radius, gravity=gravity)
         own = 0.4 * float(mass) * float(radius) ** 2
         across = float(mass) * float(length) ** 2 + own
         super().__init__((across, across, own), -float(mass) * float(gravity) * float(length))
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return the vertical angular momentum and the spin [kg m^2/s]."""
-        return {'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2]),
-                'spin': lambda q, p: float(p[2])}

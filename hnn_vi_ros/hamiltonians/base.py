@@ -58,11 +58,8 @@ class Hamiltonian(ABC):
     robot: Robot | None = None
     # Functions of q and p, of shape (d,), to watch, by name. A scene sets them.
     invariants: Mapping[str, Invariant] = MappingProxyType({})
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return what motions conserve besides H, where nothing else acts; see invariants."""
-        return {}
+    # Those that motions conserve besides H, where nothing else acts.
+    known_invariants: Mapping[str, Invariant] = MappingProxyType({})
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray] | None:

@@ -5,7 +5,6 @@
 from collections.abc import Sequence
 from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.turning_body import spatial_component, TurningBody
 
 
@@ -34,11 +33,9 @@ class FreeRigidBody(TurningBody):
     """
 
     separable = True
+    # The angular momentum in space [kg m^2/s], component by component.
+    known_invariants = {f'momentum_{axis}': partial(spatial_component, i)
+                        for i, axis in enumerate('xyz')}
 
     def __init__(self, inertia: Sequence[float] = (1.0, 2.0, 2.5)):
         super().__init__(inertia, 0.0)
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return the angular momentum in space [kg m^2/s], component by component."""
-        return {f'momentum_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}

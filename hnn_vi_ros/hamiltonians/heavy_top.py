@@ -3,10 +3,10 @@
 """A heavy symmetric top, on a point that does not move."""
 
 from collections.abc import Sequence
+from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum, TurningBody
+from hnn_vi_ros.hamiltonians.turning_body import spatial_component, spin, TurningBody
 
 
 class HeavyTop(TurningBody):
@@ -47,12 +47,7 @@ class HeavyTop(TurningBody):
         check_positive(mass=mass, gravity=gravity)
         check_finite(length=length)
         super().__init__(inertia, float(mass) * float(gravity) * float(length))
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return the vertical angular momentum [kg m^2/s]; and the spin of a symmetric top."""
-        known: dict[str, Invariant] = {
-            'vertical_momentum': lambda q, p: float(spatial_momentum(q, p)[2])}
-        if self.inertia[0] == self.inertia[1]:
-            known['spin'] = lambda q, p: float(p[2])
-        return known
+        # The vertical angular momentum [kg m^2/s]; and the spin of a symmetric top.
+        symmetric = self.inertia[0] == self.inertia[1]
+        self.known_invariants = {'vertical_momentum': partial(spatial_component, 2),
+                                 **({'spin': spin} if symmetric else {})}

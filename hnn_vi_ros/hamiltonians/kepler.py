@@ -4,7 +4,7 @@
 
 import math
 
-from hnn_vi_ros.hamiltonians.base import ExactMotion, Invariant
+from hnn_vi_ros.hamiltonians.base import ExactMotion
 from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
@@ -38,6 +38,8 @@ class Kepler(AnalyticHamiltonian):
 
     coordinates = (Coordinate('x', 'm', 'kg m/s'), Coordinate('y', 'm', 'kg m/s'))
     separable = True
+    # The angular momentum [kg m^2/s].
+    known_invariants = {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
     # In the centre it is infinity or NaN, which the checks for non-finite states find.
     names, formula = ('x', 'y'), '(p_x^2 + p_y^2) / 2 - mu / sqrt(x^2 + y^2)'
 
@@ -45,11 +47,6 @@ class Kepler(AnalyticHamiltonian):
         check_positive(mu=mu)
         self.mu = float(mu)
         self.constants = {'mu': self.mu}
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return the angular momentum [kg m^2/s]."""
-        return {'angular_momentum': lambda q, p: float(q[0] * p[1] - q[1] * p[0])}
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
         """

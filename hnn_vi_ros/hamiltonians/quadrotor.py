@@ -5,12 +5,15 @@
 from collections.abc import Sequence
 from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Invariant
 from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
 from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
 from hnn_vi_ros.hamiltonians.turning_body import moments, spatial_component
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
+
+
+def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
+    return float(p[i])
 
 
 class Quadrotor(AnalyticHamiltonian):
@@ -43,6 +46,10 @@ class Quadrotor(AnalyticHamiltonian):
     """
 
     separable = True
+    # The horizontal momentum [kg m/s], and that of turning, in space [kg m^2/s].
+    known_invariants = {
+        **{f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')},
+        **{f'spin_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}}
     coordinates = (Coordinate('body', 'm', 'kg m/s', 'pose'),)
     names = ('x', 'y', 'z', 'a', 'b', 'c', 'd')  # the last four a quaternion
     formula = ('(p_x^2 + p_y^2 + p_z^2) / (2 * m)'
@@ -54,13 +61,3 @@ class Quadrotor(AnalyticHamiltonian):
         check_not_negative(gravity=gravity)
         self.constants = {'m': float(mass), 'weight': float(mass) * float(gravity),
                           **moments(inertia)}
-
-    @property
-    def known_invariants(self) -> dict[str, Invariant]:
-        """Return the horizontal momentum [kg m/s], and that of turning, in space [kg m^2/s]."""
-        return {**{f'momentum_{axis}': partial(_momentum, i) for i, axis in enumerate('xy')},
-                **{f'spin_{axis}': partial(spatial_component, i) for i, axis in enumerate('xyz')}}
-
-
-def _momentum(i: int, q: np.ndarray, p: np.ndarray) -> float:
-    return float(p[i])

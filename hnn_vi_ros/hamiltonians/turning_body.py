@@ -33,6 +33,11 @@ def spatial_component(axis: int, q: np.ndarray, p: np.ndarray) -> float:
     return float(spatial_momentum(q[-4:], p[-3:])[axis])
 
 
+def spin(q: np.ndarray, p: np.ndarray) -> float:
+    """Return the angular momentum of a body about its third axis."""
+    return float(p[2])
+
+
 class TurningBody(AnalyticHamiltonian):
     """
     H = sum of p_i^2 / (2 I_i) + m g l e_z . R e_3, with p the angular momentum in the body.
