@@ -12,8 +12,11 @@ A part that moves carries the leading axes of q; a part that stands still has no
 from collections.abc import Sequence
 
 from hnn_vi_ros.mechanisms.parts import (
-    AMBER, Ball, Box, CIRCLE_CORNERS, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
+    AMBER, Ball, Box, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
 import numpy as np
+
+# Angles of the corners of a circle, which the last of them closes.
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
 
 
 def pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
@@ -90,8 +93,7 @@ def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
     """Draw rods of 1 m, each from the bob of the one before, with angles of shape (..., rods)."""
     steps = place(np.sin(angles), 0.0, -np.cos(angles))
     joints = np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
-    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_CORNERS + 1)
-    circle = len(rods) * place(np.sin(turn), 0.0, -np.cos(turn))
+    circle = len(rods) * place(np.sin(_ROUND), 0.0, -np.cos(_ROUND))
     parts: dict[str, Part] = {
         'circle': Line(circle, 0.005, STEEL),
         'pivot': Box(np.zeros(3), (0.06, 0.06, 0.06), STEEL)}
@@ -220,9 +222,8 @@ def kepler(q: np.ndarray, reach: float) -> dict[str, Part]:
 
     """
     body = _in_plane(q)
-    turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_CORNERS + 1)
     return {
-        'circle': Line(reach * place(np.cos(turn), np.sin(turn), 0.0), 0.004 * reach, STEEL),
+        'circle': Line(reach * place(np.cos(_ROUND), np.sin(_ROUND), 0.0), 0.004 * reach, STEEL),
         'centre': Ball(np.zeros(3), 0.07 * reach, SUN),
         'ray': Line(np.stack([np.zeros_like(body), body], axis=-2), 0.006 * reach, STEEL),
         'body': Ball(body, 0.05 * reach, AMBER),
@@ -364,11 +365,10 @@ def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
         parts[f'{name}_axis'] = Line(np.stack([center, ends[..., i]], axis=-2), 0.02 * length,
                                      color)
     if not flies:
-        turn = np.linspace(0.0, 2.0 * np.pi, CIRCLE_CORNERS + 1)
         parts['vertical'] = Line(place(0.0, 0.0, np.array([-length, length])), 0.004 * length,
                                  SILVER)
-        parts['circle'] = Line(length * place(np.cos(turn), np.sin(turn), 0.0), 0.004 * length,
-                               SILVER)
+        parts['circle'] = Line(length * place(np.cos(_ROUND), np.sin(_ROUND), 0.0),
+                               0.004 * length, SILVER)
     parts['path'] = Trail(center if flies else ends[..., 2], 0.01 * length, AMBER)
     return parts
 

@@ -9,7 +9,6 @@ import numpy as np
 
 Color = tuple[int, int, int]
 STEEL, SILVER, AMBER = (92, 102, 118), (190, 200, 214), (242, 165, 65)
-CIRCLE_CORNERS = 72
 
 
 @dataclass(frozen=True)
