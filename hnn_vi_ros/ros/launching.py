@@ -14,6 +14,17 @@ from typing import Any
 from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
 from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.ros.settings import Specification
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler)
+from launch.event_handlers import OnProcessExit, OnProcessStart
+from launch.events import matches_action
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode, Node
+from launch_ros.event_handlers import OnStateTransition
+from launch_ros.events.lifecycle import ChangeState
+from launch_ros.parameter_descriptions import ParameterValue
+from lifecycle_msgs.msg import Transition
 import yaml
 
 # Arguments besides the parameters: name, default and description.
@@ -46,24 +57,26 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
         then.
 
     """
-    # Imported here: only launch files need them.
-    from launch import LaunchDescription
-    from launch.actions import DeclareLaunchArgument, OpaqueFunction
     table = [item for item in table if not (managed and item.name == 'autostart')]
+    arguments = [
+        # Empty means not given: then a parameter file counts, and after it the default.
+        *((item.name, '', f'{item.description} (default: {_text(item.default)})')
+          for item in table),
+        ('name', name, 'name of the node'), *_COMMON]
+    known = [*(word for word, _ in words), *(argument for argument, _, _ in arguments)]
     return LaunchDescription([
         *(DeclareLaunchArgument(word, description=text) for word, text in words),
-        # Empty means not given: then a parameter file counts, and after it the default.
-        *(DeclareLaunchArgument(item.name, default_value='', description=(
-            f'{item.description} (default: {_text(item.default)})')) for item in table),
-        DeclareLaunchArgument('name', default_value=name, description='name of the node'),
-        *(DeclareLaunchArgument(argument, default_value=default, description=text)
-          for argument, default, text in _COMMON),
+        *_declared(arguments),
         OpaqueFunction(function=lambda context: [
-            *_misspelt(context.argv, [
-                *(word for word, _ in words), *(item.name for item in table), 'name',
-                *(argument for argument, _, _ in _COMMON)]),
+            *_misspelt(context.argv, known),
             *_entities(context.launch_configurations, executable, table,
                        [word for word, _ in words], managed)])])
+
+
+def _declared(arguments: Sequence[tuple[str, str, str]]) -> list[DeclareLaunchArgument]:
+    """Declare launch arguments, given by name, default and description."""
+    return [DeclareLaunchArgument(name, default_value=default, description=text)
+            for name, default, text in arguments]
 
 
 def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
@@ -72,7 +85,6 @@ def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
 
     They are not refused: a launch file that includes this one may have arguments of its own.
     """
-    from launch.actions import LogInfo
     words = [word.partition(':=')[0] for word in argv if ':=' in word]
     return [LogInfo(msg=f'argument {word} is none of this node{hint}') for word in words
             if word not in known and (hint := did_you_mean(word, known))]
@@ -81,9 +93,6 @@ def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
 def _entities(given: dict[str, str], executable: str, table: Sequence[Specification],
               words: Sequence[str], managed: bool) -> list[Any]:
     """Return the node as its arguments have it, with what watches it before it."""
-    from launch.substitutions import LaunchConfiguration
-    from launch_ros.actions import LifecycleNode, Node
-    from launch_ros.parameter_descriptions import ParameterValue
     types = {item.name: type(item.default) for item in table} | {'use_sim_time': bool}
     # Typed: else a scene named 2024 would be read as an integer.
     parameters: dict[str, Any] = {
@@ -103,9 +112,6 @@ def _entities(given: dict[str, str], executable: str, table: Sequence[Specificat
 
 def _watch(node: Any) -> Any:
     """Return what ends the launch with status 1 if the process of a node does not end with 0."""
-    from launch.actions import RegisterEventHandler
-    from launch.event_handlers import OnProcessExit
-
     def on_exit(event: Any, context: Any) -> None:
         if event.returncode != 0 and not context.is_shutdown:
             raise RuntimeError(f'{event.process_name} has ended with status {event.returncode}')
@@ -115,13 +121,6 @@ def _watch(node: Any) -> Any:
 
 def _transitions(node: Any) -> list[Any]:
     """Return what configures a lifecycle node when it has started, and then activates it."""
-    from launch.actions import EmitEvent, OpaqueFunction, RegisterEventHandler
-    from launch.event_handlers import OnProcessStart
-    from launch.events import matches_action
-    from launch_ros.event_handlers import OnStateTransition
-    from launch_ros.events.lifecycle import ChangeState
-    from lifecycle_msgs.msg import Transition
-
     def change(transition: int) -> list[EmitEvent]:
         return [EmitEvent(event=ChangeState(
             lifecycle_node_matcher=matches_action(node), transition_id=transition))]
@@ -153,11 +152,9 @@ _ARGUMENTS = (
     ('robot', 'six_joint_arm.urdf', 'its URDF, with a block for ros2_control'),
     ('controllers', 'six_joint_arm.controllers.yaml', 'parameters of controller_manager'))
 _RATE = ('rate', '250.0', 'how often joint states are published [Hz]')
-# Packages to launch along with the simulator, where installed, and what they do here.
-_STATE_PUBLISHER = ('robot_state_publisher',)
+# The packages of ros2_control that drive the robot.
 _CONTROL = ('controller_manager', 'joint_state_topic_hardware_interface',
             'joint_state_broadcaster', 'joint_trajectory_controller')
-_VIEWER = ('rviz2',)
 # These remappings connect the interface of ros2_control to the simulator.
 _REMAPPED = [('joint_states', '/robot_joint_states'),
              ('~/joint_commands', '/robot_joint_commands')]
@@ -170,47 +167,39 @@ def describe_robot() -> Any:
     Missing packages are left out and named; without ros2_control, the simulator's own joint
     states move the picture.
     """
-    # Imported here: only launch files need them.
-    from launch import LaunchDescription
-    from launch.actions import DeclareLaunchArgument, OpaqueFunction
     folder = Path(get_package_share_directory('hnn_vi_ros')) / 'config' / 'robots'
-    arguments = [*((name, str(folder / default), text) for name, default, text in _ARGUMENTS),
-                 _RATE]
     return LaunchDescription([
-        *(DeclareLaunchArgument(name, default_value=default, description=text)
-          for name, default, text in arguments),
+        *_declared([*((name, str(folder / default), text) for name, default, text in _ARGUMENTS),
+                    _RATE]),
         OpaqueFunction(function=lambda context: _robot_entities(context.launch_configurations))])
 
 
 def _robot_entities(given: dict[str, str]) -> list[Any]:
     """Return the nodes as the arguments have them, and what is said of those left out."""
-    from launch.actions import LogInfo
-    from launch_ros.actions import Node
     description = {'robot_description': Path(given['robot']).read_text(encoding='utf-8')}
-    absent = ((_missing(_STATE_PUBLISHER), 'no frames are published'),
-              (_missing(_CONTROL), 'no controller runs; ~/joint_commands and ~/joint_trajectory '
-                                   'take commands'),
-              (_missing(_VIEWER), 'no picture is shown'))
-    parts: list[Any] = [LogInfo(msg=f'{", ".join(missing)} not installed: {lost}')
-                        for missing, lost in absent if missing]
-    controlled = not _missing(_CONTROL)
-    parts.append(Node(
+    # What runs beside the simulator where its packages are installed, and what is lost else.
+    beside = (
+        (['robot_state_publisher'], 'no frames are published', [
+            Node(package='robot_state_publisher', executable='robot_state_publisher',
+                 parameters=[description])]),
+        (_CONTROL, 'no controller runs; ~/joint_commands and ~/joint_trajectory take commands', [
+            Node(package='controller_manager', executable='ros2_control_node', output='screen',
+                 parameters=[description, given['controllers']]),
+            Node(package='controller_manager', executable='spawner',
+                 arguments=['joint_state_broadcaster', 'joint_trajectory_controller'])]),
+        (['rviz2'], 'no picture is shown', [Node(package='rviz2', executable='rviz2')]))
+    lines: list[Any] = []
+    nodes: list[Any] = []
+    for packages, lost, own in beside:
+        if missing := _missing(packages):
+            lines.append(LogInfo(msg=f'{", ".join(missing)} not installed: {lost}'))
+        else:
+            nodes += own
+    simulator = Node(
         package='hnn_vi_ros', executable='simulator', name='hnn_simulator', output='screen',
         parameters=[{'scene': given['scene'], 'publish_rate': float(given['rate'])}],
-        remappings=_REMAPPED if controlled else []))
-    if not _missing(_STATE_PUBLISHER):
-        parts.append(Node(package='robot_state_publisher', executable='robot_state_publisher',
-                          parameters=[description]))
-    if controlled:
-        parts.append(Node(
-            package='controller_manager', executable='ros2_control_node', output='screen',
-            parameters=[description, given['controllers']]))
-        parts.append(Node(
-            package='controller_manager', executable='spawner',
-            arguments=['joint_state_broadcaster', 'joint_trajectory_controller']))
-    if not _missing(_VIEWER):
-        parts.append(Node(package='rviz2', executable='rviz2'))
-    return parts
+        remappings=[] if _missing(_CONTROL) else _REMAPPED)
+    return [*lines, simulator, *nodes]
 
 
 def _missing(packages: Sequence[str]) -> list[str]:

@@ -6,9 +6,10 @@ from pathlib import Path
 import runpy
 import subprocess
 import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS
+from launch_stand_ins import stand_in
 from processes import read_bag
 import pytest
 import yaml
@@ -25,36 +26,6 @@ FILES = {
 MANAGED = pytest.mark.parametrize('name', ['managed_simulator'], indirect=True)
 
 
-def declare(name, description, default_value=None):
-    return SimpleNamespace(kind='argument', name=name, default=default_value, text=description)
-
-
-def typed(value, value_type):
-    return SimpleNamespace(source=value, type=value_type)
-
-
-def thing(kind):
-    return lambda **fields: SimpleNamespace(kind=kind, **fields)
-
-
-STAND_INS = {
-    'launch': {'LaunchDescription': list},
-    'launch.actions': {'DeclareLaunchArgument': declare, 'EmitEvent': thing('event'),
-                       'LogInfo': thing('log'),
-                       'OpaqueFunction': thing('function'),
-                       'RegisterEventHandler': lambda handler: handler},
-    'launch.event_handlers': {'OnProcessExit': thing('exit'), 'OnProcessStart': thing('start')},
-    'launch.events': {'matches_action': lambda action: action},
-    'launch.substitutions': {'LaunchConfiguration': lambda name: f'${name}'},
-    'launch_ros': {},
-    'launch_ros.actions': {'LifecycleNode': thing('node'), 'Node': thing('node')},
-    'launch_ros.event_handlers': {'OnStateTransition': thing('transition')},
-    'launch_ros.events': {},
-    'launch_ros.events.lifecycle': {'ChangeState': thing('change')},
-    'launch_ros.parameter_descriptions': {'ParameterValue': typed},
-}
-
-
 @pytest.fixture(params=FILES)
 def name(request) -> str:
     return request.param
@@ -62,10 +33,7 @@ def name(request) -> str:
 
 @pytest.fixture
 def description(monkeypatch, name):
-    for module_name, members in STAND_INS.items():
-        module = ModuleType(module_name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, module_name, module)
+    stand_in(monkeypatch)
     path = LAUNCH_FILES / f'{name}.launch.py'
     return runpy.run_path(str(path))['generate_launch_description']()
 

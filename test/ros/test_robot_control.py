@@ -8,13 +8,13 @@ import runpy
 import signal
 import subprocess
 import sys
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
-from ament_index_python.packages import PackageNotFoundError
+from ament_index_python import packages
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros import launching
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.simulation.build import build
+from launch_stand_ins import stand_in
 import numpy as np
 from processes import finish, read_bag, start_executable
 import pytest
@@ -75,28 +75,19 @@ def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
 
 def described(monkeypatch, installed: set[str]) -> tuple[list, list]:
     """Return arguments and entities of robot.launch.py where some packages are installed."""
-    def thing(kind):
-        return lambda *words, **fields: SimpleNamespace(kind=kind, words=words, **fields)
-
-    for name, members in {
-            'launch': {'LaunchDescription': list},
-            'launch.actions': {'DeclareLaunchArgument': thing('argument'), 'LogInfo': thing('log'),
-                               'OpaqueFunction': thing('function')},
-            'launch_ros': {}, 'launch_ros.actions': {'Node': thing('node')}}.items():
-        module = ModuleType(name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, name, module)
+    stand_in(monkeypatch)
 
     def share(package: str) -> str:
         if package != 'hnn_vi_ros' and package not in installed:
-            raise PackageNotFoundError(package)
+            raise packages.PackageNotFoundError(package)
         return str(ROOT)
 
-    monkeypatch.setattr(launching, 'get_package_share_directory', share)
+    # Looked up when launching.py is imported, which the launch file does.
+    monkeypatch.setattr(packages, 'get_package_share_directory', share)
     description = runpy.run_path(
         str(ROOT / 'launch' / 'robot.launch.py'))['generate_launch_description']()
     *arguments, function = description
-    given = {argument.words[0]: argument.default_value for argument in arguments}
+    given = {argument.name: argument.default for argument in arguments}
     return arguments, function.function(SimpleNamespace(launch_configurations=given))
 
 
@@ -106,7 +97,7 @@ ALL = {'robot_state_publisher', 'controller_manager', 'joint_state_topic_hardwar
 
 def test_launch_of_a_robot_starts_what_is_installed_and_joins_its_topics(monkeypatch):
     arguments, entities = described(monkeypatch, ALL)
-    assert all(Path(argument.default_value).is_file() for argument in arguments[:3])
+    assert all(Path(argument.default).is_file() for argument in arguments[:3])
     assert [entity.executable for entity in entities] == [
         'simulator', 'robot_state_publisher', 'ros2_control_node', 'spawner', 'rviz2']
     simulator, publisher, manager, spawner, _ = entities
