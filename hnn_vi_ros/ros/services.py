@@ -19,7 +19,6 @@ from lifecycle_msgs.msg import State, Transition
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import CallbackGroup, ReentrantCallbackGroup
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
@@ -39,24 +38,22 @@ class SimulateSteps:
 
     Parameters
     ----------
-    node : Node
-        That serves it.
+    simulator : Simulator
+        The simulator to step.
     kind : type
         ``simulation_interfaces.action.SimulateSteps``.
     fill : callable
         Writes an Answer into a result.
-    simulator : Simulator
-        The simulator to step.
     group : CallbackGroup
         Which it belongs to.
 
     """
 
-    def __init__(self, node: Node, kind: Any, fill: Callable[[Any, Answer], Any],
-                 simulator: Simulator, group: CallbackGroup):
+    def __init__(self, simulator: Simulator, kind: Any, fill: Callable[[Any, Answer], Any],
+                 group: CallbackGroup):
         self._kind, self._fill, self._simulator = kind, fill, simulator
         self._goal: tuple[Any, Future] | None = None
-        ActionServer(node, kind, '~/simulate_steps', self._execute, callback_group=group,
+        ActionServer(simulator, kind, '~/simulate_steps', self._execute, callback_group=group,
                      cancel_callback=self._on_cancel)
 
     async def _execute(self, goal: ServerGoalHandle) -> Any:
@@ -124,7 +121,7 @@ def service_name(interface: str) -> str:
     return re.sub('(?<!^)(?=[A-Z])', '_', interface).lower()
 
 
-def offer_simulation_interfaces(node: Node, simulator: Simulator, group: CallbackGroup) -> None:
+def offer_simulation_interfaces(simulator: Simulator, group: CallbackGroup) -> None:
     """
     Create the services if simulation_interfaces can be imported.
 
@@ -132,10 +129,8 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
 
     Parameters
     ----------
-    node : Node
-        That offers them.
     simulator : Simulator
-        What they act on.
+        That offers them.
     group : CallbackGroup
         Which they belong to.
 
@@ -153,10 +148,11 @@ def offer_simulation_interfaces(node: Node, simulator: Simulator, group: Callbac
     services = SimulationServices(messages, simulator, offered)
     for interface, kind in offered.items():
         if interface == ACTION:
-            SimulateSteps(node, kind, services.fill, simulator, group)
+            SimulateSteps(simulator, kind, services.fill, group)
         else:
             name = service_name(interface)
-            node.create_service(kind, f'~/{name}', services.answering(name), callback_group=group)
+            simulator.create_service(
+                kind, f'~/{name}', services.answering(name), callback_group=group)
 
 
 class SimulationServices:
@@ -367,16 +363,14 @@ def _matches(wanted: Any, tags: tuple[str, ...]) -> bool:
     return enough(tag in tags for tag in wanted.tags)
 
 
-def offer_services(node: Node, simulator: Simulator) -> None:
+def offer_services(simulator: Simulator) -> None:
     """
     Create the services, with simulation_interfaces where it is installed.
 
     Parameters
     ----------
-    node : Node
-        That offers them.
     simulator : Simulator
-        What they act on.
+        That offers them.
 
     """
     def record(method: str, words: str) -> Answer:
@@ -406,5 +400,5 @@ def offer_services(node: Node, simulator: Simulator) -> None:
                 simulator.settings.step_count)),
             ('~/start_recording', Trigger, lambda *_: record('start_bag', 'recording to')),
             ('~/stop_recording', Trigger, lambda *_: record('stop_bag', 'recorded'))):
-        node.create_service(kind, name, answering(handler), callback_group=group)
-    offer_simulation_interfaces(node, simulator, group)
+        simulator.create_service(kind, name, answering(handler), callback_group=group)
+    offer_simulation_interfaces(simulator, group)

@@ -14,10 +14,10 @@ from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.initial_state import StateTopic
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
-from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
+from hnn_vi_ros.ros.plumbing.managed_node import steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
-from hnn_vi_ros.ros.run.control import Answer, Control
+from hnn_vi_ros.ros.run.control import Answer, Control, Simulator
 from hnn_vi_ros.ros.run.preparation import compile_rest, OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.services import offer_services
@@ -33,7 +33,7 @@ _PROGRESS = 5.0
 _OPENING_TIME = 5.0
 
 
-class SimulatorNode(ManagedNode):
+class SimulatorNode(Simulator):
     """
     Simulate a scene at a given pace, publish it, record it and show it.
 
@@ -44,8 +44,6 @@ class SimulatorNode(ManagedNode):
 
     Attributes
     ----------
-    run, control : Run, Control or None
-        The simulation and its control; None while the node is not configured.
     topics : Topics or None
         The node's publishers and subscriptions.
 
@@ -58,14 +56,12 @@ class SimulatorNode(ManagedNode):
 
     def __init__(self, arguments: Sequence[str] = ()):
         super().__init__('hnn_simulator')
-        self.run: Run | None = None
-        self.control: Control | None = None
         self.topics: Topics | None = None
         self._incomplete, self._stage = False, ''
         self._prepared: Prepared | None = None
         self._declared = Parameters(self, self.check, self.apply)
         refuse_unknown(self, PARAMETERS, ENDPOINTS, arguments)
-        offer_services(self, self)
+        offer_services(self)
 
     @property
     def refusal(self) -> str:

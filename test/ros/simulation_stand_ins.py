@@ -242,7 +242,7 @@ class Controlled:
 def active_simulator(monkeypatch: pytest.MonkeyPatch, modules: dict[str, ModuleType]) -> Simulator:
     """Return a simulator that offers its services and simulates."""
     node = Simulator(monkeypatch, modules)
-    offer_services(node, node)
+    offer_services(node)
     node.load('exact_harmonic_oscillator')
     node.control.active, node.state = True, State.PRIMARY_STATE_ACTIVE
     return node

@@ -41,7 +41,7 @@ def set_state(node: Simulator, wanted: int) -> int:
 
 def test_simulation_interfaces_that_are_not_installed_cost_nothing(monkeypatch):
     node = Simulator(monkeypatch, dict.fromkeys(interfaces()))
-    offer_services(node, node)
+    offer_services(node)
     assert node.offered.keys() == OWN
 
 

@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Control of when a run advances: start, halt, pause, steps by number, reset."""
 
+from abc import abstractmethod
 from collections.abc import Callable
 import gc
 import json
 import time
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
@@ -14,8 +15,6 @@ from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.run.timing import LONGEST_CALL
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
 from rclpy.task import Future
 from rclpy.timer import Timer
 
@@ -310,25 +309,26 @@ class Control:
                                      'stamp': run.sampler.stamp})
 
 
-class Simulator(Protocol):
-    """Node as the services need it; the refusal says why there is no run."""
+class Simulator(ManagedNode):
+    """
+    The simulator as its services need it.
 
-    run: Run | None
-    control: Control | None
+    Attributes
+    ----------
+    run, control : Run, Control or None
+        The simulation and its control; None while the node is not configured.
+
+    """
+
+    run: Run | None = None
+    control: Control | None = None
 
     @property
-    def settings(self) -> Settings: ...
+    @abstractmethod
+    def settings(self) -> Settings:
+        """Return the parameters."""
 
     @property
-    def state(self) -> int: ...
-
-    @property
-    def refusal(self) -> str: ...
-
-    def stop(self, status: int, reason: str) -> None: ...
-
-    async def change_state(self, transition: int) -> bool: ...
-
-    async def in_thread(self, work: Callable[[], Any]) -> Any: ...
-
-    def set_parameters_atomically(self, parameters: list[Parameter]) -> SetParametersResult: ...
+    @abstractmethod
+    def refusal(self) -> str:
+        """Return why there is no run to act on."""
