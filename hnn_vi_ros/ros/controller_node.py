@@ -13,11 +13,11 @@ from hnn_vi_ros.bags.cdr import MOMENTUM
 from hnn_vi_ros.control.planning import Planner
 from hnn_vi_ros.control.task import assign, Assignment
 from hnn_vi_ros.effects.commands import select
-from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.node_parameters import (
+    check_node_name, declare_parameters, refuse_unknown)
 from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
@@ -25,17 +25,15 @@ from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
 from hnn_vi_ros.ros.topics.hearing import Hearing
-from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
+from hnn_vi_ros.ros.topics.inputs import Input, nanoseconds, NEWEST, read_observation
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
 import numpy as np
 from rclpy.duration import Duration
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rclpy.timer import Timer
-from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -106,11 +104,7 @@ class ControllerNode(ManagedNode):
         super().__init__('hnn_controller')
         self.settings = declare_parameters(self, ControllerSettings)
         name = self.settings.simulator
-        try:
-            validate_topic_name(name)
-        except InvalidTopicNameException as problem:
-            raise ParameterError(f'parameter simulator = {name!r}: expected the full name of a '
-                                 'node, such as /hnn_simulator') from problem
+        check_node_name('simulator', name)
         self._topic = f'{name}/{self.settings.commands}'
         refuse_unknown(self, CONTROLLER_PARAMETERS, [
             Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
@@ -199,7 +193,7 @@ class ControllerNode(ManagedNode):
         if not self._active:
             return
         q, v = state_of(message, assigned.hamiltonian)
-        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        stamp = nanoseconds(message.header.stamp)
         if self._silent:
             self.get_logger().info(f'{self._states}: states again, after '
                                    f'{begin - self._heard:.3g} s')
@@ -256,9 +250,8 @@ class ControllerNode(ManagedNode):
             numbers = dict.fromkeys(assigned.numbers, 0.0) | dict(zip(names, u, strict=True))
             message = Float64MultiArray(data=[*numbers.values()])
         else:
-            message = JointState(header=Header(), name=names, effort=u)
-            seconds, message.header.stamp.nanosec = divmod(max(0, self._stamp), 10**9)
-            message.header.stamp.sec = seconds
+            stamp = Time(nanoseconds=max(0, self._stamp)).to_msg()
+            message = JointState(header=Header(stamp=stamp), name=names, effort=u)
         self._commands.publish(message)
 
     def _rest(self) -> None:

@@ -5,14 +5,12 @@
 from collections.abc import Callable
 from functools import partial
 
-from hnn_vi_ros.effects.commands import printable
-from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.ros.run.control import Answer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, state_values, Status
-from hnn_vi_ros.ros.topics.inputs import INITIAL_STATE
+from hnn_vi_ros.ros.topics.inputs import INITIAL_STATE, places_of
 from hnn_vi_ros.ros.topics.outputs import STATE_SET
 from hnn_vi_ros.ros.topics.topics import Topics
 import numpy as np
@@ -48,16 +46,12 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
     if hamiltonian.rotations:
         raise ValueError('no joint states make a state of bodies that turn; write it into the '
                          "scene's initial_state")
-    names = [coordinate.name for coordinate in hamiltonian.coordinates]
-    if len(message.name) != len(names) or sorted(message.name) != sorted(names):
-        raise ValueError(f'name = [{printable(message.name)}] must be the coordinates '
-                         f'{listed(names)}, each once')
-    places = [list(message.name).index(name) for name in names]
+    places = places_of(hamiltonian.coordinates, message.name, 'name')
     values = []
     for field in ('position', 'velocity'):
         array = np.array(getattr(message, field), dtype=np.float64)
-        if array.shape != (len(names),) or not np.isfinite(array).all():
-            raise ValueError(f'{field} must be {len(names)} finite numbers')
+        if array.shape != (len(places),) or not np.isfinite(array).all():
+            raise ValueError(f'{field} must be {len(places)} finite numbers')
         values.append(array[places])
     q, velocity = values
     with np.errstate(all='ignore'):
@@ -69,12 +63,12 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
     return q, p
 
 
-_COMPONENT = 'initial_state'
 # Characters of an answer.
 _LONGEST = 1000
 
 
-class StateTopic:
+def hear_initial_states(node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]
+                        ) -> None:
     """
     Take states for the next reset, and tell who sent them what came of it.
 
@@ -92,33 +86,29 @@ class StateTopic:
         Resets at once, or returns None where that is not asked for.
 
     """
+    answers = DiagnosticsPublisher(node, partial(topics.send, STATE_SET), run.scene.name)
 
-    def __init__(self, node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]):
-        self._node, self._run, self._reset = node, run, reset
-        self._answers = DiagnosticsPublisher(
-            node, partial(topics.send, STATE_SET), run.scene.name)
-        topics.hearing.hear(INITIAL_STATE, self._take)
+    def answer(level: bytes, text: str, values: dict[str, str]) -> None:
+        answers.publish([Status('initial_state', level, text[:_LONGEST], values)],
+                        run.sampler.stamp)
 
-    def _take(self, message: JointState) -> None:
-        run = self._run
+    def take(message: JointState) -> None:
         try:
             if not run.simulation.rescue_ready:
                 raise ValueError('what turns velocities into momenta is still being compiled: '
                                  'send it again in some seconds')
             q, p = initial_state(message, run.simulation.hamiltonian, run.start[1])
             run.simulation.check_state(q, p)
-            run.set_start(q, p)
-            done, text = self._reset(), 'taken for the next reset'
+            run.start = q, p
+            done, text = reset(), 'taken for the next reset'
             if done is not None:
                 if not done.success:
                     raise ValueError(done.message)
                 text = 'reset to it'
         except ValueError as problem:
-            self._answer(ERROR, ' '.join(str(problem).split()), {})
+            answer(ERROR, ' '.join(str(problem).split()), {})
             raise
-        self._answer(OK, text, state_values(run.simulation.hamiltonian.coordinates, q, p))
-        self._node.get_logger().info(f'~/initial_state: {text}', throttle_duration_sec=1.0)
+        answer(OK, text, state_values(run.simulation.hamiltonian.coordinates, q, p))
+        node.get_logger().info(f'~/initial_state: {text}', throttle_duration_sec=1.0)
 
-    def _answer(self, level: bytes, text: str, values: dict[str, str]) -> None:
-        self._answers.publish(
-            [Status(_COMPONENT, level, text[:_LONGEST], values)], self._run.sampler.stamp)
+    topics.hearing.hear(INITIAL_STATE, take)

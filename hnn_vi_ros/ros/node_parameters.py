@@ -5,7 +5,6 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-import re
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
@@ -15,9 +14,10 @@ from hnn_vi_ros.ros.settings import (
     PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.validate_topic_name import validate_topic_name
 
 # What rclpy declares in every node.
 ROS_OWN = ('use_sim_time', 'start_type_description_service')
@@ -140,7 +140,7 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     Parameters
     ----------
     node : Node
-        Whose parameters they are.
+        Whose parameters they are; what was given is declared automatically.
     settings : type
         Such as Settings: its fields are declared by ``parameter``.
 
@@ -152,19 +152,23 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     """
     values = {}
     for specification in specifications(settings):
-        name = specification.name
+        name, given = specification.name, specification.default
         if node.has_parameter(name):
+            # As it was given, without a descriptor, whose limits rclpy would refuse by at length.
+            given = node.get_parameter(name).value
             node.undeclare_parameter(name)
-        try:
-            parameter = node.declare_parameter(
-                name, specification.default, _descriptor(specification))
-        except (InvalidParameterTypeException, InvalidParameterValueException) as problem:
-            value = re.search(r'parameter value \((.*?)\)', str(problem))
-            given = f' = {value[1]}' if value else ''
-            raise ParameterError(f'parameter {name}{given}: {specification.expected}'
-                                 ) from problem
-        values[name] = specification.check(parameter.value)
+        values[name] = specification.check(given)
+        node.declare_parameter(name, specification.default, _descriptor(specification))
     return settings(**values)
+
+
+def check_node_name(role: str, name: str) -> None:
+    """Raise ParameterError if the parameter that names the node of a role names none."""
+    try:
+        validate_topic_name(name)
+    except InvalidTopicNameException as problem:
+        raise ParameterError(f'parameter {role} = {name!r}: expected the full name of a node, '
+                             f'such as /hnn_{role}') from problem
 
 
 class Parameters:

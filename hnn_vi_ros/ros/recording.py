@@ -138,19 +138,28 @@ class BagOutput(Sink):
         self._begin, self._bags = begin, []
         self._begun_at = state_file(begin.simulation)
         if self.wanted:
-            self._bags.append(self._free())
-            self._open_bag()
+            self.start()
         return self.wanted
 
     def start(self) -> None:
         """Begin one more bag, in the state of now."""
-        self._bags.append(self._free())
-        try:
-            self._open_bag()
-        except RecordingError:
-            self._bags.pop()
-            raise
-        self.wanted = True
+        scene, simulation, report, sampler = self._begin
+        bag = self._files.free(self._settings.record_path, 'bag', scene.name)
+        described = dump_yaml(report)
+        attachments = {
+            'scene.yaml': described.encode(),
+            'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
+        # Steps that were taken, a command that is held already: what the topics do not hold.
+        state, held = state_file(simulation), simulation.snapshot()['live.command']
+        if state != self._begun_at or held.any():
+            attachments[STATE_FILE] = state
+        sink = McapSink(bag, self._topics.tick, attachments, distribution() or 'unknown')
+        # Stamped with the state that the bag begins at, from which on it acts.
+        sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=described)))
+        sink.flush()
+        self._sink, self.target, self.wanted = sink, bag, True
+        self._bags.append(bag)
+        self.greeting = f'recording to {self.target}'
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
         """See Sink."""
@@ -171,27 +180,6 @@ class BagOutput(Sink):
     def files(self) -> list[str]:
         """See Sink."""
         return [line for bag in self._bags for line in bag_lines(bag)]
-
-    def _free(self) -> Path:
-        return self._files.free(self._settings.record_path, 'bag', self._begin.scene.name)
-
-    def _open_bag(self) -> None:
-        _, simulation, report, sampler = self._begin
-        scene = dump_yaml(report)
-        attachments = {
-            'scene.yaml': scene.encode(),
-            'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
-        # Steps that were taken, a command that is held already: what the topics do not hold.
-        state, held = state_file(simulation), simulation.snapshot()['live.command']
-        if state != self._begun_at or held.any():
-            attachments[STATE_FILE] = state
-        sink = McapSink(
-            self._bags[-1], self._topics.tick, attachments, distribution() or 'unknown')
-        # Stamped with the state that the bag begins at, from which on it acts.
-        sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=scene)))
-        sink.flush()
-        self._sink, self.target = sink, self._bags[-1]
-        self.greeting = f'recording to {self.target}'
 
 
 VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'

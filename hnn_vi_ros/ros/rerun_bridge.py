@@ -11,14 +11,14 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.cdr import decode_state, State
-from hnn_vi_ros.effects.commands import printable
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.node_parameters import (
+    check_node_name, declare_parameters, refuse_unknown)
 from hnn_vi_ros.ros.plumbing.graph import take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
@@ -27,6 +27,7 @@ from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
+from hnn_vi_ros.ros.topics.inputs import nanoseconds, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
@@ -36,11 +37,9 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -128,7 +127,7 @@ class BridgePicture:
                 self._sink.event(f'{values["alarm"]}: {status.message}',
                                  'ERROR' if status.level == ERROR else 'WARN')
             elif status.name == f'{simulator[1:]}: {EVENT}':
-                stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+                stamp = nanoseconds(message.header.stamp)
                 self._sink.event(status.message, 'INFO', (
                     stamp, math.floor(stamp * 1e-9 / self._step_size)))
             elif status.name == f'{simulator[1:]}: timing':
@@ -139,19 +138,15 @@ class BridgePicture:
 
     def plan(self, message: JointTrajectory) -> None:
         """Show a controller's plan; ValueError if it is not one of this scene."""
-        names = [coordinate.name for coordinate in self._hamiltonian.coordinates]
-        if sorted(message.joint_names) != sorted(names):
-            raise ValueError(f'joint_names are {printable(message.joint_names)}, expected '
-                             f'{", ".join(names)}')
-        order, d = [list(message.joint_names).index(name) for name in names], len(names)
+        order = places_of(self._hamiltonian.coordinates, message.joint_names, 'joint_names')
+        d = len(order)
         points = [(point.positions, point.velocities) for point in message.points]
         if any(len(half) != d for point in points for half in point):
             raise ValueError(f'a point has no {d} positions and velocities')
         q, v = np.array(points, dtype=np.float64).reshape(-1, 2, d)[:, :, order].swapaxes(0, 1)
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ValueError('a position or a velocity is not finite')
-        stamp = message.header.stamp
-        self._sink.plan(stamp.sec * 10**9 + stamp.nanosec, q, momentum(
+        self._sink.plan(nanoseconds(message.header.stamp), q, momentum(
             self._hamiltonian, q, v, np.zeros_like(v)) if len(q) else v)
 
     def close(self) -> None:
@@ -222,12 +217,8 @@ class RerunBridge(RobustNode):
     def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""
         simulator = self._settings.simulator
-        for role, name in (('simulator', simulator), ('controller', self._settings.controller)):
-            try:
-                validate_topic_name(name)
-            except InvalidTopicNameException as problem:
-                raise ParameterError(f'parameter {role} = {name!r}: expected the full name of a '
-                                     f'node, such as /hnn_{role}') from problem
+        check_node_name('simulator', simulator)
+        check_node_name('controller', self._settings.controller)
 
         def tell(message: DiagnosticArray) -> None:
             self._show(BridgePicture.tell, message, simulator)

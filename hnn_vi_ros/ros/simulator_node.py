@@ -11,7 +11,7 @@ from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.compilation import announced
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.initial_state import StateTopic
+from hnn_vi_ros.ros.initial_state import hear_initial_states
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import Discovery, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import steady_timer, SUCCESS
@@ -91,10 +91,9 @@ class SimulatorNode(Simulator):
             self.topics = Topics(self, settings)
             topics, discovery = self.topics.descriptions, Discovery(
                 self.topics.count_subscribers, settings.discovery_time)
-            prepared = await self.in_thread(
-                lambda: self._prepare(settings, topics, discovery))
+            prepared = await self.in_thread(lambda: self._prepare(settings, topics, discovery))
             self.run = Run(self, self.topics, prepared, settings, self.stop)
-            StateTopic(self, self.topics, self.run, self._reset_to_state)
+            hear_initial_states(self, self.topics, self.run, self._reset_to_state)
         except HnnViRosError:
             self._close_prepared()
             self._forget()

@@ -107,31 +107,6 @@ def _run(simulation: Simulation, scene: Scene, steps: int) -> float:
     return time.perf_counter() - start
 
 
-def resolved_scene(scene: Scene, simulation: Simulation, origin: int = 0, first_step: int = 0,
-                   chosen: Chosen | None = None) -> dict[str, Any]:
-    """
-    Return the scene with all defaults, what auto chose, and where it and H come from.
-
-    Parameters
-    ----------
-    scene : Scene
-        The simulated scene.
-    simulation : Simulation
-        Made of it.
-    origin, first_step : int
-        Stamp of step 0 [ns], and the step at the scene's initial state: what else a run needs
-        that is to be had again.
-    chosen : Chosen or None
-        The choice of the integrator auto, if it made one.
-
-    """
-    choice = {} if chosen is None else {
-        'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
-    begin = {'source': _place(scene.source), 'origin': origin, 'first_step': first_step}
-    return (scene.model_dump() | choice | simulation.hamiltonian.provenance
-            | {'model_files': scene.model_digests} | begin)
-
-
 def _place(file: Path) -> str:
     """Return where a file is; its name alone once the working directory has been removed."""
     try:
@@ -144,14 +119,17 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
                  microseconds_per_step: float | None = None, explain: bool = False,
                  chosen: Chosen | None = None) -> dict[str, Any]:
     """
-    Return the resolved scene, and whether it conserves H: what ~/scene and the log tell.
+    Return what ~/scene and the log tell: the scene with all defaults, and where it begins.
+
+    What auto chose, where H and the scene come from, and whether H is conserved are among it.
 
     Parameters
     ----------
     scene : Scene
         The simulated scene.
     simulation : Simulation
-        Made of it, in its initial state.
+        Made of it, in its initial state, whose step is told: what else a run needs that is to be
+        had again.
     origin : int
         Stamp of step 0 [ns].
     microseconds_per_step : float or None
@@ -163,8 +141,11 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         The choice of the integrator auto, if it made one.
 
     """
-    report = resolved_scene(scene, simulation, origin, simulation.steps, chosen) | {
-        'conservative': simulation.conservative}
+    choice = {} if chosen is None else {
+        'tolerance': asdict(chosen.tolerance), 'choice': asdict(chosen.choice)}
+    report = (scene.model_dump() | choice | simulation.hamiltonian.provenance | {
+        'model_files': scene.model_digests, 'source': _place(scene.source), 'origin': origin,
+        'first_step': simulation.steps, 'conservative': simulation.conservative})
     if explain:
         # Imported here: only those who ask for it wait for it.
         report['microseconds_per_step'] = _rounded(microseconds_per_step)

@@ -40,6 +40,8 @@ class Pacer:
 
     Attributes
     ----------
+    asked : float
+        The real-time factor that is asked for; 0 for as fast as possible.
     overruns : int
         Times that the debt grew beyond ``largest_debt`` and was given up.
 
@@ -53,6 +55,7 @@ class Pacer:
 
     def set_pace(self, real_time_factor: float) -> None:
         """Go on from now at another pace; see ``restart``."""
+        self.asked = real_time_factor
         self._wall_per_tick = self._tick / real_time_factor if real_time_factor > 0.0 else 0.0
         self.restart()
 

@@ -58,9 +58,6 @@ class Steps:
         simulation.steps, simulation.time = steps, steps * 0.25
         self.sampler.stamp, self.sampler.time = steps * 250_000_000, steps * 0.25
 
-    def set_start(self, q, p) -> None:
-        self.start = q, p
-
     def reset(self, time_too: bool) -> None:
         self.began.append((list(self.start[0]), time_too))
         self.simulation.q, self.simulation.p = self.start
@@ -169,7 +166,7 @@ def test_answer_to_a_reset_says_at_which_state_and_time_the_run_begins(control):
     control.request_steps(4)
     control.turn()
     # The state of another client's ~/initial_state.
-    control.run.set_start(np.array([0.1]), np.array([1e-17]))
+    control.run.start = np.array([0.1]), np.array([1e-17])
     success, message = control.reset(True)
     assert success and json.loads(message) == {
         'q': [0.1], 'p': [1e-17], 'reset_time': True, 'step': 0, 'time': 0.0, 'stamp': 0}

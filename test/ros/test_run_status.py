@@ -151,8 +151,8 @@ class Run:
         self.health = Health(self.sampler.stamp_at, [], SimpleNamespace(
             publish=lambda statuses, stamp: None), self.recording, lambda *line: None)
         self.status = RunStatus(
-            scene, self.simulation, self.sampler, self.monitor, self.recording, self.health,
-            factor)
+            scene, self.simulation, self.sampler, self.monitor, self.recording, self.health)
+        self.factor = factor
 
     def advance(self, count: int) -> None:
         for _ in range(count):
@@ -161,12 +161,12 @@ class Run:
             self.monitor.evaluate()
 
     def told(self, component: str, overruns: int = 0) -> tuple[bytes, str]:
-        status = self.status.statuses(pacer(overruns))[COMPONENTS.index(component)]
+        status = self.status.statuses(pacer(overruns, self.factor))[COMPONENTS.index(component)]
         return status.level, status.message
 
 
-def pacer(overruns: int = 0) -> SimpleNamespace:
-    return SimpleNamespace(overruns=overruns, led=False)
+def pacer(overruns: int = 0, asked: float = 1.0) -> SimpleNamespace:
+    return SimpleNamespace(overruns=overruns, asked=asked, led=False)
 
 
 def test_statuses_before_the_first_step_are_well(tmp_path):

@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
-from hnn_vi_ros.run.scene_report import resolved_scene, scene_report
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.simulation.build import build
@@ -80,7 +80,7 @@ def record(folder: Path, **described: object) -> Path:
 
 def described(**changes: object) -> str:
     scene = load_scene('exact_pendulum')
-    return dump_yaml(resolved_scene(scene, build(scene)) | changes)
+    return dump_yaml(scene_report(scene, build(scene)) | changes)
 
 
 READERS: dict[str, Callable] = {

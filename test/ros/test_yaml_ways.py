@@ -14,7 +14,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_node import recorded_qos
-from hnn_vi_ros.run.scene_report import resolved_scene
+from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest
@@ -104,7 +104,7 @@ def test_scene_is_read_by_each_way(ways, way):
     assert any(word in ways[way](SCENE) for word in ('valid', 'showing'))
 
 
-RESOLVED = dump_yaml(resolved_scene(
+RESOLVED = dump_yaml(scene_report(
     load_scene('exact_pendulum'), build(load_scene('exact_pendulum'))))
 PIECES = strategies.one_of(
     strategies.text(max_size=8), strategies.floats().map(str), strategies.integers().map(str),

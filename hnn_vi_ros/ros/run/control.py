@@ -182,11 +182,11 @@ class Control:
     def reset_time(self) -> Answer:
         """Restart simulated time from the current state; resets go back as before."""
         run, start = self.run, self.run.start
-        run.set_start(run.simulation.q.copy(), run.simulation.p.copy())
+        run.start = run.simulation.q.copy(), run.simulation.p.copy()
         try:
             return self.reset(True)
         finally:
-            run.set_start(*start)
+            run.start = start
 
     def set_period(self) -> None:
         """Follow a change of the pace."""

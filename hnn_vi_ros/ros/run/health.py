@@ -144,24 +144,19 @@ class RunStatus:
         The files.
     health : Health
         The alarms.
-    real_time_factor : float
-        The pace that is asked for; 0 for as fast as possible.
 
     Attributes
     ----------
-    asked : float
-        The pace that is asked for now.
     paused : bool
         Whether the run stands still.
 
     """
 
     def __init__(self, scene: Scene, simulation: Simulation, sampler: Sampler,
-                 monitor: Monitor, recording: Recording, health: Health,
-                 real_time_factor: float):
+                 monitor: Monitor, recording: Recording, health: Health):
         self._scene, self._simulation, self._sampler = scene, simulation, sampler
         self._monitor, self._recording, self._health = monitor, recording, health
-        self.asked, self.paused = real_time_factor, False
+        self.paused = False
         self._model = _model(scene, simulation)
         # When the last statuses were published.
         self._overruns, self._rescued = 0, 0
@@ -172,7 +167,7 @@ class RunStatus:
                 self._model, self._health.status(self._monitor.newest)]
 
     def _timing(self, pacer: Pacer) -> Status:
-        figures, asked, overruns = self._monitor.timing.figures, self.asked, pacer.overruns
+        figures, asked, overruns = self._monitor.timing.figures, pacer.asked, pacer.overruns
         of = '/clock' if pacer.led else 'real time'
         late, self._overruns = overruns - self._overruns, overruns
         level, message = OK, f'holds {asked:g} x {of}' if asked else 'as fast as possible'

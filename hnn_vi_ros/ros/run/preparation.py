@@ -181,8 +181,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
     if step:
-        log_lines.append(
-            LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
+        log_lines.append(LogLine(f'resumed {settings.resume} at t = {sampler.time:.9g} s', 'INFO'))
     if damage:
         log_lines.append(LogLine(damage, 'WARN'))
     sampler.count(settings.duration)
@@ -206,8 +205,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     # Here, since it takes a while: from now on there are files, to hold all that follows.
     freeze_memory()
     begin(OPENING)
-    recording = Recording(
-        logger, scene, simulation, settings, topics, box, report, sampler)
+    recording = Recording(logger, scene, simulation, settings, topics, box, report, sampler)
     simulation.rescue_ready = ready
     return Prepared(scene, chosen, simulation, box, report, recording, log_lines, origin, members,
                     twin)
@@ -259,10 +257,3 @@ def compile_rest(simulation: Simulation,
     except NotKept:
         return False
     return True
-
-
-def with_start(scene: Scene, q: np.ndarray, p: np.ndarray) -> Scene:
-    """Return the scene with another initial state."""
-    state = scene.initial_state.model_copy(
-        update={'q': list(map(float, q)), 'p': list(map(float, p))})
-    return scene.model_copy(update={'initial_state': state})

@@ -20,7 +20,7 @@ from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
-from hnn_vi_ros.ros.run.preparation import check_pace, Prepared, with_start
+from hnn_vi_ros.ros.run.preparation import check_pace, Prepared
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import (
@@ -31,10 +31,8 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
-from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import RescuePending, Sample
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-import numpy as np
 from rclpy.node import Node
 
 
@@ -57,15 +55,17 @@ class Run:
 
     Attributes
     ----------
-    simulation, recording, pacer, sampler
+    scene, simulation, recording, pacer, sampler
         The parts that others look at.
+    start : tuple of np.ndarray, shape (d,)
+        q and p at which the next reset begins; others may set it.
 
     """
 
     def __init__(self, node: Node, topics: Topics, prepared: Prepared, settings: Settings,
                  stop: Callable[[int, str], None]):
         self._node, self._topics, self._stop, self._settings = node, topics, stop, settings
-        self._scene, self.recording = prepared.scene, prepared.recording
+        self.scene, self.recording = prepared.scene, prepared.recording
         self._chosen = prepared.chosen
         self._watched = simulation = watched(prepared.simulation, prepared.scene)
         self._members = prepared.members
@@ -79,25 +79,24 @@ class Run:
             lambda: self.sampler.stamp)
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
-        self._start = self.simulation.q.copy(), self.simulation.p.copy()
-        self._own_start = self._next_start = self._start
+        # The initial states of the scene itself, of the run since its last reset, and of the next.
+        self._own_start = self._began_at = self.start = (
+            self.simulation.q.copy(), self.simulation.p.copy())
         self._batch, self._last_step, self._waits = 1, math.inf, False
         # In the sample after the figures are evaluated: both would take longer than a short tick.
         self._look_next = False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         clock = PaceClock(node)
-        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock,
-                           lambda: clock.led)
+        self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock, lambda: clock.led)
         self._diagnostics = DiagnosticsPublisher(
-            node, partial(topics.send, DIAGNOSTICS), self._scene.name)
+            node, partial(topics.send, DIAGNOSTICS), self.scene.name)
         self._status = StatusLine(node.get_logger())
         monitor = self._make_monitor()
         topics.open(
-            Material(self.simulation, monitor, prepared.box, self._scene.mechanism,
-                     settings.frame_id, bool(self._scene.events), self._spread),
+            Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
+                     settings.frame_id, bool(self.scene.events), self._spread),
             lambda: self.sampler.stamp, self.recording.write_other)
-        self._events = DiagnosticsPublisher(
-            node, partial(topics.send, EVENTS), self._scene.name)
+        self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)
         for line in prepared.log_lines:
@@ -120,7 +119,7 @@ class Run:
 
     def _begin(self, monitor: Monitor) -> None:
         """Watch and record from an initial state on."""
-        scene, settings, self._monitor = self._scene, self._settings, monitor
+        scene, settings, self._monitor = self.scene, self._settings, monitor
         samples = self.sampler.count(settings.duration)
         self._last_step = self.simulation.steps + samples * self.sampler.every
         self.recording.event(', '.join([
@@ -133,15 +132,14 @@ class Run:
             self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
             lambda text, level: self.tell(text, level, show=False), self._errors())
         self.status = RunStatus(scene, self.simulation, self.sampler, monitor, self.recording,
-                                self._health, settings.real_time_factor)
+                                self._health)
 
     def _tell_scene(self, report: dict[str, Any]) -> None:
         self._report = report
         self._topics.publish_scene(dump_yaml(report))
 
     def _errors(self) -> list[str]:
-        return [STEP_FAILED, EnergyGuard.kind,
-                *[BoxGuard.kind] * self._settings.stop_outside_box]
+        return [STEP_FAILED, EnergyGuard.kind, *[BoxGuard.kind] * self._settings.stop_outside_box]
 
     def tell(self, text: str, level: str, show: bool = True) -> None:
         """Log a line, and show it with the samples; level is INFO, WARN or ERROR."""
@@ -171,11 +169,6 @@ class Run:
         self.pacer.restart()
         self._monitor.timing.restart()
         self._status.restart(self.sampler.stamp)
-
-    @property
-    def scene(self) -> Scene:
-        """Return what is simulated."""
-        return self._scene
 
     @property
     def at_sample(self) -> bool:
@@ -282,16 +275,7 @@ class Run:
 
     @property
     def _moved_by_others(self) -> bool:
-        return bool(self.simulation.motors.takes) or self._start is not self._own_start
-
-    def set_start(self, q: np.ndarray, p: np.ndarray) -> None:
-        """Begin at this state from the next reset on."""
-        self._next_start = q, p
-
-    @property
-    def start(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the initial state from the next reset on."""
-        return self._next_start
+        return bool(self.simulation.motors.takes) or self._began_at is not self._own_start
 
     def reset(self, time_too: bool) -> None:
         """
@@ -312,25 +296,26 @@ class Run:
         origin = 0 if time_too else self.sampler.stamp
         before = self.simulation.snapshot()
         try:
-            self.simulation.restart(*self._next_start)
+            self.simulation.restart(*self.start)
         except (ValueError, StepFailure) as problem:
-            self._next_start = self._start
-            self.simulation.restart(*self._start)
+            self.start = self._began_at
+            self.simulation.restart(*self._began_at)
             self.simulation.restore(before)
             if isinstance(problem, StepFailure):
                 raise problem.dated(origin / 1e9) from problem
             raise
-        self._start = self._next_start
+        self._began_at = self.start
         # The files tell where they begin.
-        self._scene = with_start(self._scene, *self._start)
+        q, p = (part.tolist() for part in self._began_at)
+        self.scene = self.scene.changed({'initial_state': {'q': q, 'p': p}})
         self.sampler = Sampler(self.simulation, self._settings.publish_rate, origin)
         monitor = self._make_monitor()
         self._topics.follow(monitor)
         report = self._report | {
-            'initial_state': self._scene.initial_state.model_dump(), 'origin': origin,
+            'initial_state': self.scene.initial_state.model_dump(), 'origin': origin,
             'first_step': 0}
         self._status.close()
-        self.recording.renew(self._scene, report, self.sampler)
+        self.recording.renew(self.scene, report, self.sampler)
         self._tell_scene(report)
         paused = self.status.paused
         self._begin(monitor)
@@ -344,11 +329,11 @@ class Run:
     def apply(self, settings: Settings) -> None:
         """Go on with changed parameters."""
         if settings.real_time_factor != self._settings.real_time_factor:
-            factor = self.status.asked = settings.real_time_factor
-            self.pacer.set_pace(factor)
+            self.pacer.set_pace(settings.real_time_factor)
             self.start_clocks()
             guards = self._monitor.guards
-            if factor and not any(isinstance(guard, OverrunGuard) for guard in guards):
+            if self.pacer.asked and not any(
+                    isinstance(guard, OverrunGuard) for guard in guards):
                 guards.append(OverrunGuard(self.pacer))
         for guard in self._monitor.guards:
             guard.allow(settings.energy_band_limit, settings.energy_change_limit)

@@ -8,13 +8,28 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.effects.commands import (
     Command, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION, Observation, PATH, POSITION,
-    VELOCITY)
+    printable, VELOCITY)
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
+
+
+def nanoseconds(time: Any) -> int:
+    """Return a time or a duration of ROS [ns]."""
+    return int(time.sec * 10**9 + time.nanosec)
+
+
+def places_of(coordinates: Sequence[Coordinate], given: Sequence[str], field: str) -> list[int]:
+    """Return the places of coordinates among a message's names, or raise ValueError."""
+    names = [coordinate.name for coordinate in coordinates]
+    if sorted(given) != sorted(names):
+        raise ValueError(f'{field} = [{printable(given)}] must be the coordinates '
+                         f'{listed(names)}, each once')
+    return [list(given).index(name) for name in names]
 
 
 def body_of(coordinates: Sequence[Coordinate], names: Sequence[str]) -> str | None:
@@ -110,7 +125,7 @@ def read_joints(message: JointState, stamp: int) -> JointCommand:
 
 def read_observation(message: JointState, stamp: int) -> Observation:
     """Return what was seen of a machine; its header tells when, zero for now."""
-    seen = _nanoseconds(message.header.stamp.sec, message.header.stamp.nanosec)
+    seen = nanoseconds(message.header.stamp)
     return Observation(tuple(message.name), (seen - stamp) / 1e9 if seen else 0.0,
                        *_lists(message, (POSITION, VELOCITY)))
 
@@ -129,7 +144,7 @@ def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
 
 def read_path(message: JointTrajectory, stamp: int) -> JointPath:
     """Return the path; its header tells when it begins, zero for now."""
-    begin = _nanoseconds(message.header.stamp.sec, message.header.stamp.nanosec)
+    begin = nanoseconds(message.header.stamp)
     points, columns = message.points, []
     for name in ('positions', 'velocities', 'accelerations', 'effort'):
         rows = [getattr(point, name) for point in points]
@@ -143,14 +158,9 @@ def read_path(message: JointTrajectory, stamp: int) -> JointPath:
         raise ValueError('efforts along a path are not followed: leave them out')
     if positions is None:
         positions = np.empty((len(points), 0))
-    times = [_nanoseconds(point.time_from_start.sec, point.time_from_start.nanosec)
-             for point in points]
+    times = [nanoseconds(point.time_from_start) for point in points]
     return JointPath(tuple(message.joint_names), (begin - stamp) / 1e9 if begin else 0.0,
                      np.array(times) / 1e9, positions, velocities, accelerations)
-
-
-def _nanoseconds(seconds: int, nanoseconds: int) -> int:
-    return seconds * 10**9 + nanoseconds
 
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
