@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.viewer.phase_portrait import Bounds, box_of
 import numpy as np
 
 # Wall time that looking ahead may take, but for the batch of steps that exceeds it [s].
 _LONGEST = 0.1
-# Margin on each side of the states met, as a share of their extent.
-_MARGIN = 0.1
 
 
 class LookAhead(NamedTuple):
@@ -28,7 +27,7 @@ class LookAhead(NamedTuple):
 
     """
 
-    box: tuple[np.ndarray, np.ndarray]
+    box: Bounds
     microseconds_per_step: float | None
 
 
@@ -61,14 +60,4 @@ def look_ahead(simulation: Simulation, seconds: float) -> LookAhead:
         met += [states.min(axis=0, keepdims=True), states.max(axis=0, keepdims=True)]
         left, batch = left - n, 2 * batch
     simulation.restart(q0, p0, step=step)
-    extremes = np.vstack(met)
-    bounds = _widened(extremes.min(axis=0), extremes.max(axis=0))
-    return LookAhead((bounds[:q0.size], bounds[q0.size:]), fastest)
-
-
-def _widened(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    extent = high - low
-    # What stays where it is, but for rounding, is shown with one unit on either side.
-    moves = extent > 1e-9 * np.maximum(1.0, np.maximum(abs(low), abs(high)))
-    margin = np.where(moves, _MARGIN * extent, 1.0)
-    return np.stack([low - margin, high + margin], axis=-1)
+    return LookAhead(box_of(*np.hsplit(np.vstack(met), [q0.size])), fastest)

@@ -208,6 +208,7 @@ class Trajectory(TrajectoryData):
         """
         # Tables need no rerun.
         with optional('rerun', 'to_rerun'):
+            from hnn_vi_ros.viewer.phase_portrait import box_of
             from hnn_vi_ros.viewer.rerun_sink import RerunSink
         run, simulation = self.single(), self.simulation()
         scene = run.scene
@@ -219,7 +220,8 @@ class Trajectory(TrajectoryData):
         stamps = [round(t * 1e9) for t in run.t.tolist()]
         dH_dq, dH_dp = hamiltonian.gradient(run.q, run.p)
         sink = RerunSink(
-            scene.name, target, hamiltonian, run.q[0], run.p[0], box=hamiltonian.box,
+            scene.name, target, hamiltonian, run.q[0], run.p[0],
+            box=hamiltonian.box or box_of(run.q, run.p),
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=h, modified=False,
             conservative=run.work is None, interval=0, begin=(stamps[0], round(run.t[0] / h)))

@@ -7,14 +7,15 @@ from typing import Any
 
 from contourpy import contour_generator
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.phase_space import column_units, columns, scalar_columns
+from hnn_vi_ros.phase_space import scalar_columns
 import numpy as np
 
-GRID, LEVELS = 81, 12
-# Shares of a scale: for the lowest energy, and to where energy ends, which is passed by 2 %.
-_SHARES, _LENGTHS = np.linspace(-1.0, 1.0, 41), 1e-6 * 1.02 ** np.arange(1396)
-# Share of an energy that may be rounding.
-_LEAST = 1e-12
+GRID, LEVELS, _GAPS = 81, 12, 5
+# Margins on each side: of a path that is known, and of one that leaves its frame, as shares of
+# their extents.
+_MARGIN, _LEFT = 0.1, 0.05
+# Lowest and highest q and p, shape (d, 2) each.
+Bounds = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,24 @@ class Frame:
     p: tuple[float, float]
 
 
-def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-            box: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+def box_of(q: np.ndarray, p: np.ndarray) -> Bounds:
+    """Return the lowest and highest finite q and p, of shape (n, d) each, with a margin."""
+    states = np.hstack([q, p])
+    states = states[np.isfinite(states).all(axis=1)]
+    extremes = np.stack([states.min(axis=0), states.max(axis=0)], axis=-1)
+    extent = np.ptp(extremes, axis=-1)
+    # What stays where it is, but for rounding, is shown with one unit on either side.
+    moves = extent > 1e-9 * np.maximum(1.0, abs(extremes).max(axis=-1))
+    margin = np.where(moves, _MARGIN * extent, 1.0)[:, None]
+    box = extremes + margin * np.array([-1.0, 1.0])
+    return box[:q.shape[1]], box[q.shape[1]:]
+
+
+def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, box: Bounds) -> np.ndarray:
     """Return the lowest and the highest q, shape (2, d), with the attitudes of the start."""
     ends = np.array([q0, q0], dtype=np.float64)
     for axis in scalar_columns(hamiltonian.coordinates).values():
-        ends[:, axis] = (_around_q(axis, hamiltonian, q0, p0) if box is None
-                         else _widen(box[0][axis], q0[axis]))
+        ends[:, axis] = _widen(box[0][axis], q0[axis])
     return ends
 
 
@@ -52,34 +64,26 @@ def reach_of(hamiltonian: Hamiltonian, ends: np.ndarray) -> float:
     return float(abs(ends[:, places]).max()) if places else 1.0
 
 
-def frame_of(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-             box: tuple[np.ndarray, np.ndarray] | None) -> Frame:
+def frame_of(axis: int, q0: np.ndarray, p0: np.ndarray, box: Bounds) -> Frame:
     """
-    Choose the rectangle to show: the box of the training data, and the initial state.
+    Choose the rectangle to show: the box, and the initial state.
 
     Parameters
     ----------
     axis : int
         Index of the coordinate.
-    hamiltonian : Hamiltonian
-        H.
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
-    box : tuple of np.ndarray, shape (d, 2) each, or None
-        Lowest and highest q and p of the training data. Without it the rectangle holds the
-        initial state, and a quarter more than where this coordinate alone has the energy of the
-        start, and where its momentum alone has what :func:`free_energy` tells.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p of the training data, or of a path.
 
     """
-    if box is None:
-        return Frame(axis, _around_q(axis, hamiltonian, q0, p0),
-                     _around_p(axis, hamiltonian, q0, p0))
     return Frame(axis, _widen(box[0][axis], q0[axis]), _widen(box[1][axis], p0[axis]))
 
 
-def fitted(frame: Frame, path: np.ndarray, boxed: bool) -> Frame:
+def fitted(frame: Frame, path: np.ndarray) -> Frame:
     """
-    Return the frame that a recorded path has.
+    Return the frame, which is shown in any case, widened to hold a recorded path.
 
     Parameters
     ----------
@@ -87,104 +91,17 @@ def fitted(frame: Frame, path: np.ndarray, boxed: bool) -> Frame:
         The one that was chosen before the path was known.
     path : np.ndarray, shape (2, 2)
         Its lowest and highest q (first row) and p.
-    boxed : bool
-        Whether the frame is the box of the training data, which is shown in any case.
 
     """
     return Frame(frame.axis, *(
-        _fitted(interval, low, high, boxed)
+        _fitted(interval, low, high)
         for interval, (low, high) in zip((frame.q, frame.p), path.tolist(), strict=True)))
 
 
-def _fitted(interval: tuple[float, float], low: float, high: float, boxed: bool
-            ) -> tuple[float, float]:
-    width = interval[1] - interval[0]
-    # A quantity that only rounding or an error of the method changes keeps its scale.
-    if boxed or high - low < 1e-3 * width:
-        margin = 0.05 * width
-        return (interval[0] if interval[0] <= low else low - margin,
-                interval[1] if high <= interval[1] else high + margin)
-    margin = 0.125 * (high - low)
-    return low - margin, high + margin
-
-
-def free_energy(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray) -> float:
-    """
-    Return the energy that one coordinate could take from all: exact where H is a sum over them.
-
-    It is the kinetic energy of the start, and what each coordinate gives up where it alone goes
-    to its lowest energy, an angle within a turn and others as far from zero as all of their unit
-    together are at the start.
-    """
-    still = np.zeros_like(p0, dtype=np.float64)
-    rest = float(hamiltonian.energy(q0, still))
-    free = max(float(hamiltonian.energy(q0, p0)) - rest, 0.0)
-    for axis in scalar_columns(hamiltonian.coordinates).values():
-        free += rest - _lowest(axis, hamiltonian, q0)[0]
-    return free if free > _LEAST * abs(rest) else 0.0
-
-
-def _around_q(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray
-              ) -> tuple[float, float]:
-    """Return how far the energy of the start lets a coordinate go, the others at their lowest."""
-    still, far = np.zeros_like(p0, dtype=np.float64), _scale(axis, hamiltonian, q0)
-    energy, base = float(hamiltonian.energy(q0, p0)), np.array(q0, dtype=np.float64)
-    for other in {*scalar_columns(hamiltonian.coordinates).values()} - {axis}:
-        base[other] = _lowest(other, hamiltonian, q0)[1]
-    if not hamiltonian.energy(base, still) <= energy:
-        # Together they are not low.
-        base = np.asarray(q0, dtype=np.float64)
-    ends = []
-    for side in (-1.0, 1.0):
-        places = q0[axis] + side * far * _LENGTHS
-        above = _along(hamiltonian, base, axis, places) > energy
-        # What no energy bounds is shown as far as its scale.
-        ends.append(places[np.argmax(above)] if above.any() else side * max(far, side * q0[axis]))
-    if ends[1] - ends[0] < 1e-3 * far:
-        # At rest where energy is lowest.
-        ends = [q0[axis] - far, q0[axis] + far]
-    margin = 0.125 * (ends[1] - ends[0])
-    return float(ends[0] - margin), float(ends[1] + margin)
-
-
-def _around_p(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray
-              ) -> tuple[float, float]:
-    """Return how far a momentum alone goes at the coordinates of the start, both ways alike."""
-    still, free = np.zeros_like(p0, dtype=np.float64), free_energy(hamiltonian, q0, p0)
-    far = float(np.linalg.norm(p0)) or 1.0
-    q, p = np.tile(q0, (_LENGTHS.size, 1)), np.tile(still, (_LENGTHS.size, 1))
-    p[:, axis] = far * _LENGTHS
-    above = hamiltonian.energy(q, p) > float(hamiltonian.energy(q0, still)) + free
-    reach = p[np.argmax(above), axis] if free and above.any() else far
-    reach = 1.25 * float(max(reach, abs(p0[axis])))
-    return -reach, reach
-
-
-def _scale(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray) -> float:
-    """Return half a turn of an angle, and how far all coordinates of a unit are from zero."""
-    units = column_units(hamiltonian.coordinates)[0]
-    if units[axis] == 'rad':
-        return float(max(np.pi, abs(q0[axis])))
-    own = [i for i in scalar_columns(hamiltonian.coordinates).values() if units[i] == units[axis]]
-    return float(np.linalg.norm(q0[own])) or 1.0
-
-
-def _along(hamiltonian: Hamiltonian, q0: np.ndarray, axis: int, places: np.ndarray
-           ) -> np.ndarray:
-    """Return H at rest where one coordinate has these places and the others stay."""
-    q = np.tile(q0, (places.size, 1)).astype(np.float64)
-    q[:, axis] = places
-    # An attitude has a momentum less.
-    still = np.zeros((places.size, len(columns(hamiltonian.coordinates)[1])))
-    return np.asarray(hamiltonian.energy(q, still))
-
-
-def _lowest(axis: int, hamiltonian: Hamiltonian, q0: np.ndarray) -> tuple[float, float]:
-    """Return the least energy at rest along a coordinate, and where: no centre of Kepler's."""
-    places = np.append(_scale(axis, hamiltonian, q0) * _SHARES, q0[axis])
-    energy = _along(hamiltonian, q0, axis, places)
-    least = np.argmin(np.where(np.isfinite(energy), energy, np.inf))
-    return float(energy[least]), float(places[least])
+def _fitted(interval: tuple[float, float], low: float, high: float) -> tuple[float, float]:
+    margin = _LEFT * (interval[1] - interval[0])
+    return (interval[0] if interval[0] <= low else low - margin,
+            interval[1] if high <= interval[1] else high + margin)
 
 
 def _widen(interval: np.ndarray, value: float) -> tuple[float, float]:
@@ -220,10 +137,10 @@ def contours(hamiltonian: Hamiltonian, frame: Frame, q0: np.ndarray, p0: np.ndar
     return [(float(level), generator.lines(level)) for level in levels]
 
 
-def ticks(interval: tuple[float, float], gaps: int = 5) -> list[float]:
-    """Return the multiples in the interval of a round number, with at most ``gaps`` gaps."""
+def ticks(interval: tuple[float, float]) -> list[float]:
+    """Return the multiples in the interval of a round number, with at most five gaps."""
     low, high = interval
-    rough = (high - low) / gaps
+    rough = (high - low) / _GAPS
     power = 10.0 ** np.floor(np.log10(rough))
     spacing = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= rough)
     first, last = np.ceil(low / spacing - 1e-9), np.floor(high / spacing + 1e-9)

@@ -16,7 +16,7 @@ from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism, SILVER
 from hnn_vi_ros.mechanisms.skeleton import bones, lacking_shapes, moved, tip_of
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
-from hnn_vi_ros.viewer.phase_portrait import fitted, frame_of
+from hnn_vi_ros.viewer.phase_portrait import Bounds, fitted, frame_of
 from hnn_vi_ros.viewer.rerun_blueprint import PALETTE
 import numpy as np
 import rerun as rr
@@ -347,8 +347,8 @@ class Portraits:
         H.
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
-    box : tuple of np.ndarray, shape (d, 2) each, or None
-        Lowest and highest q and p of the training data.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p of the training data, or of a path.
     count : int
         Of the portraits.
     side : float
@@ -357,11 +357,10 @@ class Portraits:
     """
 
     def __init__(self, recording: rr.RecordingStream, hamiltonian: Hamiltonian, q0: np.ndarray,
-                 p0: np.ndarray, box: tuple[np.ndarray, np.ndarray] | None, count: int,
-                 side: float):
-        self._recording, self._hamiltonian, self._boxed = recording, hamiltonian, box is not None
+                 p0: np.ndarray, box: Bounds, count: int, side: float):
+        self._recording, self._hamiltonian = recording, hamiltonian
         self._start, self._side = (q0, p0), side
-        self._frames = [frame_of(axis, hamiltonian, q0, p0, box) for axis in range(count)]
+        self._frames = [frame_of(axis, q0, p0, box) for axis in range(count)]
         # The newest (q, p) of each, and the lowest and highest: shapes (count, 2), (count, 2, 2).
         self._last: np.ndarray | None = None
         self._path = np.tile([np.inf, -np.inf], (count, 2, 1))
@@ -414,7 +413,7 @@ class Portraits:
     def fit(self) -> None:
         """Draw the still parts again, in frames that hold the paths."""
         self._frames = [
-            fitted(frame, self._path[frame.axis], self._boxed)
+            fitted(frame, self._path[frame.axis])
             if np.isfinite(self._path[frame.axis]).all() else frame for frame in self._frames]
         self._draw()
 

@@ -17,7 +17,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
-from hnn_vi_ros.viewer.phase_portrait import ends_of, reach_of
+from hnn_vi_ros.viewer.phase_portrait import Bounds, ends_of, reach_of
 from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
 from hnn_vi_ros.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
@@ -60,8 +60,8 @@ class RerunSink:
         H, for the contours of the phase portraits and the names and units of the series.
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
-    box : tuple of np.ndarray, shape (d, 2) each, optional
-        Lowest and highest q and p of the training data.
+    box : tuple of np.ndarray, shape (d, 2) each
+        Lowest and highest q and p of the training data, or of a path.
     mechanism : callable, optional
         What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
     effects : sequence of Effect, optional
@@ -80,8 +80,6 @@ class RerunSink:
         The real-time factor that is asked for.
     begin : tuple of int
         Stamp [ns] and step of the initial state.
-    epoch : int
-        ROS time at stamp 0 [ns].
 
     Raises
     ------
@@ -91,18 +89,18 @@ class RerunSink:
     """
 
     def __init__(self, name: str, target: Target, hamiltonian: Hamiltonian, q0: np.ndarray,
-                 p0: np.ndarray, *, box: tuple[np.ndarray, np.ndarray] | None = None,
+                 p0: np.ndarray, *, box: Bounds,
                  mechanism: Mechanism | None = None, effects: Sequence[Effect] = (),
                  step_size: float = math.nan, conservative: bool = True,
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
-                 pace: float | None = None, begin: tuple[int, int] = (0, 0), epoch: int = 0):
+                 pace: float | None = None, begin: tuple[int, int] = (0, 0)):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
         # In a body that turns, no coordinate has a plane of its own with its momentum.
         self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
         self._robot = hamiltonian.robot
         self._picture: RobotPicture | None = None
-        self._interval, self._epoch, self._due = max(1, interval), epoch, 0
+        self._interval, self._due = max(1, interval), 0
         self._begin = begin
         self._pending: list[Sample] = []
         # Stamp, step, microseconds per step (median and p99), real-time factor.
@@ -230,11 +228,11 @@ class RerunSink:
         return min(max(GATHER_FILE, share), GATHER_MOST)
 
     def _draw_still(self, hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray,
-                    box: tuple[np.ndarray, np.ndarray] | None, pace: float | None) -> None:
+                    box: Bounds, pace: float | None) -> None:
         shown = self._portrayed
         parts, bounds = {}, None
         if self._mechanism is not None:
-            ends = ends_of(hamiltonian, q0, p0, box)
+            ends = ends_of(hamiltonian, q0, box)
             self._reach = reach_of(hamiltonian, ends)
             parts = self._mechanism(ends, self._reach)
             bounds = bounds_of(parts)
@@ -378,8 +376,7 @@ class RerunSink:
         stamp = np.array(stamps, dtype=np.int64)
         return [rr.TimeColumn('sim_time', duration=stamp.astype('timedelta64[ns]')),
                 rr.TimeColumn('step', sequence=steps),
-                rr.TimeColumn('ros_time',
-                              timestamp=(self._epoch + stamp).astype('datetime64[ns]'))]
+                rr.TimeColumn('ros_time', timestamp=stamp.astype('datetime64[ns]'))]
 
     def _columns(self, path: str, times: list[rr.TimeColumn], columns: rr.ComponentColumnList
                  ) -> None:

@@ -21,7 +21,8 @@ STATE = Sample(0, 0, np.array([1.0]), np.array([-2.0]), np.array([1.0]), np.arra
 def test_bands_are_the_state_less_and_plus_its_spread_where_there_are_members(
         tmp_path: Path, band: bool):
     path = tmp_path / 'recording.rrd'
-    sink = RerunSink('test', path, HarmonicOscillator(), STATE.q, STATE.p, interval=0, band=band)
+    sink = RerunSink('test', path, HarmonicOscillator(), STATE.q, STATE.p, interval=0, band=band,
+                     box=(np.array([[0.0, 2.0]]), np.array([[-3.0, 0.0]])))
     for step in range(3):
         sink.write(replace(STATE, step=step, stamp=step * 10**7,
                            spread=np.array([0.25, 0.5]) * step))

@@ -25,7 +25,8 @@ def test_picture_is_drawn_by_the_viewer(tmp_path):
                             INTEGRATORS['variational_euler'](), 0.01, [1.0], [0.0])
     recording, picture = tmp_path / 'run.rrd', tmp_path / 'picture.png'
     sink = RerunSink('test', recording, simulation.hamiltonian, simulation.q.copy(),
-                     simulation.p.copy(), mechanism=MECHANISMS['mass_spring'])
+                     simulation.p.copy(), mechanism=MECHANISMS['mass_spring'],
+                     box=(np.array([[-1.0, 1.0]]), np.array([[-1.0, 1.0]])))
     for _ in range(500):
         simulation.advance(1)
         sink.write(Sample(

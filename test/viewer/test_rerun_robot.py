@@ -10,6 +10,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.mechanisms.skeleton import skeleton
 from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.viewer.phase_portrait import box_of
 from hnn_vi_ros.viewer.rerun_entities import bounds_of_path, bounds_of_robot, collisions_of
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
@@ -25,7 +26,8 @@ ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
 def record(path: Path, robot: RigidBodyTree, q: np.ndarray, efforts: np.ndarray | None = None
            ) -> dict[str, dict[str, list]]:
     """Return what has a time in a recording of so many samples."""
-    sink = RerunSink('arm', path, robot, q[0], np.zeros(q.shape[1]), interval=0)
+    sink = RerunSink('arm', path, robot, q[0], np.zeros(q.shape[1]), interval=0,
+                     box=box_of(q, np.zeros(q.shape)))
     for n, row in enumerate(q):
         rest = np.zeros(len(row))
         sink.write(Sample(n, n * 1000, row, rest, rest, rest, 1.0, np.nan, 0.0,

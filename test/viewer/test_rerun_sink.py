@@ -27,7 +27,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun_reader import read
 
-STEP, EPOCH = 10_000_000, 1_780_000_000_000_000_000
+STEP = 10_000_000
 BOX = (np.array([[-1.5, 1.5]]), np.array([[-1.5, 1.5]]))
 SERIES = ('/state/q', '/state/p', '/energy/H', '/energy/modified', '/energy/error')
 DRAWN = ('/phase/x/trail', '/phase/x/state', '/world/spring', '/world/mass')
@@ -46,7 +46,7 @@ def oscillate(count: int) -> Iterator[Sample]:
 
 def open_sink(target: Path | str | int, **options) -> RerunSink:
     return RerunSink('test', target, HarmonicOscillator(), np.array([1.0]), np.array([0.0]),
-                     box=BOX, epoch=EPOCH, **options)
+                     box=BOX, **options)
 
 
 def record(path: Path, count: int, **options) -> list[Sample]:
@@ -93,19 +93,19 @@ def test_recording_holds_every_entity_and_a_blueprint(drawn):
 
 
 def test_frame_in_a_closed_recording_holds_the_path(path: Path):
-    sink = RerunSink('test', path, HarmonicOscillator(), np.array([1.0]), np.array([0.0]),
-                     interval=0)
+    sink = open_sink(path, interval=0)
     for sample in oscillate(3):
-        # Farther than its energy lets it: something drives it.
+        # Farther than its box: something drives it.
         sink.write(replace(sample, q=sample.q * 5.0, p=np.array([0.1 * sample.step])))
     sink.close()
     scales = [row for chunk in RrdReader(path).stream()
               if chunk.is_static and chunk.entity_path == '/phase/x'
               for row in chunk.to_record_batch().column('Transform3D:scale').to_pylist()]
     before, after = (1.0 / np.array(scale[0])[:2] for scale in scales)
-    assert before == pytest.approx([1.25, -1.25], rel=0.03)
-    # p went from 0 to 0.2, an eighth of which is free on each side; stored as float32.
-    assert after[1] == pytest.approx(-0.125, rel=1e-6)
+    # Stored as float32.
+    assert before == pytest.approx([1.5, -1.5], rel=1e-6)
+    # p stayed within the box; q went to 5, beyond which a twentieth of its width is free.
+    assert after == pytest.approx([0.5 * (5.0 + 0.15 + 1.5), -1.5], rel=1e-6)
 
 
 def test_recording_without_a_mechanism_has_no_world(path: Path):
@@ -123,7 +123,7 @@ def test_values_and_times_read_back_equal_those_written(drawn):
     for rows in entities.values():
         assert rows['step'] == [s.step for s in samples]
         assert rows['sim_time'] == [s.stamp for s in samples]
-        assert rows['ros_time'] == [EPOCH + s.stamp for s in samples]
+        assert rows['ros_time'] == [s.stamp for s in samples]
 
 
 def test_recording_that_is_not_conservative_shows_work_and_no_modified_energy(path: Path):

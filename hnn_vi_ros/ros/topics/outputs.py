@@ -134,7 +134,7 @@ ROBOT = Output('robot_description', String, LATCHED,
 def _markers(run: Material, publisher: Publisher) -> Encode:
     assert run.mechanism is not None, 'the row asks for it'
     hamiltonian = run.simulation.hamiltonian
-    ends = ends_of(hamiltonian, run.simulation.q, run.simulation.p, run.box)
+    ends = ends_of(hamiltonian, run.simulation.q, run.box)
     return MarkerEncoder(publisher.get_subscription_count, MECHANISMS[run.mechanism],
                          reach_of(hamiltonian, ends), run.frame_id).encode
 
