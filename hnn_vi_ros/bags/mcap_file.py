@@ -77,8 +77,6 @@ class Survey:
         Those behind the data.
     gaps : list of Gap
         What cannot be read and may have held messages, attachments or metadata.
-    private : int
-        Bytes of records whose kind is not known.
     summary : bool or None
         Whether the records behind the data are unchanged; None without a CRC.
     chunked : bool
@@ -103,7 +101,6 @@ class Survey:
     definitions: list[Schema | Channel] = field(default_factory=list)
     repeated: list[Schema | Channel] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    private: int = 0
     summary: bool | None = None
     chunked: bool = False
     another: Gap | None = None
@@ -208,7 +205,6 @@ def _add(found: Survey, stream: BinaryIO, frame: Frame) -> None:
     elif opcode == Opcode.DATA_END:
         found.end = frame.start
     elif opcode > Opcode.DATA_END:
-        found.private += frame.length
         found.gaps.append(Gap(frame.start - PREFIX.size, frame.end, False))
     else:
         _add_record(found, decode(opcode, read_content(stream, frame)), frame.start)

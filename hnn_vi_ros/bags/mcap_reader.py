@@ -3,7 +3,7 @@
 """Read the messages of a bag in the order of their times, an unfinished or damaged one as well."""
 
 from collections.abc import Collection, Iterator
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import final, NamedTuple
 
@@ -16,7 +16,6 @@ from mcap.records import Channel, Schema
 import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
-_BLOCK = 2**20
 # Messages that wait for earlier ones hold at most so many bytes, as much as some largest chunks;
 # each takes so many more.
 _HELD, _BESIDES = 2**30, 160
@@ -130,8 +129,7 @@ class BagReader:
         found = sha256()
         for path in self._files:
             with path.open('rb') as stream:
-                while block := stream.read(_BLOCK):
-                    found.update(block)
+                file_digest(stream, lambda: found)
         return found.hexdigest()
 
     def attachment(self, name: str) -> bytes:

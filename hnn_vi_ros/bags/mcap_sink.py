@@ -134,7 +134,6 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        self._check_open()
         # The format holds the sequence in 32 bits.
         sequence = self._ticks & 0xFFFFFFFF
         with self._abandoning():
@@ -164,7 +163,6 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        self._check_open()
         with self._abandoning():
             if topic not in self._others:
                 self._others[topic] = [self._register(topic), 0]
@@ -233,10 +231,6 @@ class McapSink:
         file = Extent(self._path.name, sum(counts), self._first, self._last)
         return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
 
-    def _check_open(self) -> None:
-        if self._stream is None:
-            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
-
     def _add_metadata(self) -> None:
         # As rosbag2 does: once at the start for a file that is cut off, once at the end.
         self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
@@ -264,6 +258,8 @@ class McapSink:
     @contextmanager
     def _abandoning(self) -> Iterator[None]:
         """Abandon the file in its current state where it cannot be written any more."""
+        if self._stream is None:
+            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
         try:
             yield
         except OSError as problem:

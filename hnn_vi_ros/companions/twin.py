@@ -3,6 +3,7 @@
 """Comparison of a simulation with the machine that it is the twin of, while both run."""
 
 from collections import deque
+from collections.abc import Callable
 from typing import NamedTuple
 import warnings
 
@@ -84,6 +85,10 @@ class Twin:
         Names of the observed coordinates.
     newest : Report or None
         Of the last observation.
+    heard : callable
+        Called with each report.
+    times : deque of float
+        Valid prediction times of the last thousand predictions that ended [s].
     failed : int
         Predictions that could not begin or go on.
     outside : float
@@ -118,8 +123,7 @@ class Twin:
         first.compile_rescue()
         first.hamiltonian.compile()
         self._every = _LONGEST / observer.predictions
-        self.newest: Report | None = None
-        self.failed = 0
+        self.heard: Callable[[Report], None] = lambda report: None
         self._simulation, self._domain = simulation, domain_of(simulation.hamiltonian)
         with scene.placed('effects', place):
             if problem := self.unstable:
@@ -128,13 +132,13 @@ class Twin:
 
     def _forget(self) -> None:
         """Know nothing of the machine."""
-        self.newest, self.failed = None, 0
+        self.newest: Report | None = None
+        self.failed = 0
         self._before: tuple[float, np.ndarray] | None = None
-        self._ended: deque[float] = deque(maxlen=_KEPT)
+        self.times: deque[float] = deque(maxlen=_KEPT)
         self._due = -np.inf
         self._outside, self._last_outside, self._furthest, self.beyond = 0, -np.inf, 0.0, ''
-        self._times: dict[bool, deque[float]] = {
-            out: deque(maxlen=_KEPT) for out in (False, True)}
+        self._times: dict[bool, deque[float]] = {out: deque(maxlen=_KEPT) for out in (False, True)}
         self._count, self._mean, self._square = 0, np.zeros(len(self.names)), np.zeros(
             len(self.names))
         for prediction in self._predictions:
@@ -183,19 +187,9 @@ class Twin:
             'for the masses here')
 
     @property
-    def times(self) -> list[float]:
-        """Return the valid prediction times of the last thousand predictions that ended [s]."""
-        return list(self._ended)
-
-    @property
-    def running(self) -> list[float]:
-        """Return for how long each prediction has been valid that has not ended [s]."""
-        return [self._now - began for one in self._active() if (began := one.began) is not None]
-
-    @property
     def valid_prediction_time(self) -> float:
         """Return the median over ended predictions [s]; NaN before one has ended."""
-        return float(np.median(self._ended)) if self._ended else np.nan
+        return float(np.median(self.times)) if self.times else np.nan
 
     @property
     def outside(self) -> float:
@@ -250,6 +244,7 @@ class Twin:
             self._due = (now if late else self._due) + self._every
         self.newest = Report(seen.delay, position - self._at(self._simulation, seen.delay),
                              error, normalised, age)
+        self.heard(self.newest)
 
     def _judge(self, prediction: Prediction, error: np.ndarray, delay: float
                ) -> tuple[float, float]:
@@ -259,7 +254,7 @@ class Twin:
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
             normalised = float(np.where(error == 0.0, 0.0, error**2 / self._variance).sum())
         if not normalised < VALID or age >= _LONGEST - _SAME:
-            self._ended.append(min(age, _LONGEST))
+            self.times.append(min(age, _LONGEST))
             self._times[self._last_outside >= prediction.began].append(min(age, _LONGEST))
             prediction.began = None
         return normalised, age

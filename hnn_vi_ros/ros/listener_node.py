@@ -28,7 +28,7 @@ def main(argv: list[str]) -> None:
     """Listen until the node is stopped."""
     arguments.listener().parse_args(own_arguments(argv))
     with ros_process(argv) as received:
-        with plain_ros_errors('ROS'):
+        with plain_ros_errors():
             node = Listener()
         refuse_unknown(node, (), (), argv)
         while not received:

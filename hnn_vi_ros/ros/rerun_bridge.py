@@ -195,7 +195,7 @@ class RerunBridge(RobustNode):
     """
 
     def __init__(self, arguments: Sequence[str] = (), trust_code: bool = False):
-        with plain_ros_errors('ROS'):
+        with plain_ros_errors():
             super().__init__(
                 'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])

@@ -36,11 +36,9 @@ def write_curves(path: Path, name: str,
         rrb.TimeSeriesView(origin='/log10', name=f'{name}: log10 of the loss'),
         collapse_panels=True))
     for (label, (steps, values)), color in zip(curves.items(), PALETTE, strict=False):
-        entity = f'/log10/{rr.escape_entity_path_part(label)}'
-        recording.log(entity, rr.SeriesLines(names=label, colors=color), static=True)
-        recording.send_columns(
-            entity, indexes=[rr.TimeColumn('step', sequence=np.asarray(steps, dtype=np.int64))],
-            columns=rr.Scalars.columns(scalars=np.log10(np.maximum(values, _LEAST))))
+        _send(recording, f'/log10/{rr.escape_entity_path_part(label)}',
+              rr.TimeColumn('step', sequence=np.asarray(steps, dtype=np.int64)),
+              np.log10(np.maximum(values, _LEAST)), rr.SeriesLines(names=label, colors=color))
     recording.flush()
     recording.disconnect()
 
@@ -99,10 +97,11 @@ def write_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
                 name=f'{coordinate.name} [{coordinate.q_unit}], measured in white',
                 origin=origin, plot_legend=rrb.PlotLegend(visible=False)))
             for k, (t, q) in enumerate(run.predicted):
-                _send(stream, f'{origin}/predicted/{k}', f'from {t[0]:.6g} s', t, q[:, i],
-                      rr.SeriesLines.from_fields(colors=PALETTE[k % len(PALETTE)], widths=1.0))
-            _send(stream, f'{origin}/measured', 'measured', run.t, run.q[:, i],
-                  rr.SeriesLines.from_fields(colors=WHITE, widths=2.0))
+                _send(stream, f'{origin}/predicted/{k}', rr.TimeColumn(_TIME, duration=t), q[:, i],
+                      rr.SeriesLines(names=f'from {t[0]:.6g} s', widths=1.0,
+                                     colors=PALETTE[k % len(PALETTE)]))
+            _send(stream, f'{origin}/measured', rr.TimeColumn(_TIME, duration=run.t), run.q[:, i],
+                  rr.SeriesLines(names='measured', widths=2.0, colors=WHITE))
         tabs.append(rrb.Vertical(*views, name=run.name))
     stream.send_blueprint(rrb.Blueprint(
         rrb.Tabs(*tabs), rrb.TimePanel(timeline=_TIME, state='collapsed'), collapse_panels=True))
@@ -110,8 +109,7 @@ def write_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
     stream.disconnect()
 
 
-def _send(stream: rr.RecordingStream, entity: str, name: str, t: np.ndarray, values: np.ndarray,
+def _send(stream: rr.RecordingStream, entity: str, index: rr.TimeColumn, values: np.ndarray,
           style: rr.SeriesLines) -> None:
-    stream.log(entity, style, rr.SeriesLines.from_fields(names=name), static=True)
-    stream.send_columns(entity, indexes=[rr.TimeColumn(_TIME, duration=t)],
-                        columns=rr.Scalars.columns(scalars=values))
+    stream.log(entity, style, static=True)
+    stream.send_columns(entity, indexes=[index], columns=rr.Scalars.columns(scalars=values))

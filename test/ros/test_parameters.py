@@ -35,7 +35,7 @@ def declare(*arguments: str) -> tuple[Settings, Node]:
     context = Context()
     rclpy.init(args=['--ros-args', *arguments], context=context)
     try:
-        with plain_ros_errors('ROS'):
+        with plain_ros_errors():
             node = Node('hnn_simulator', context=context, enable_rosout=False,
                         start_parameter_services=False,
                         automatically_declare_parameters_from_overrides=True)

@@ -149,7 +149,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     """
 
     def __init__(self, name: str):
-        with plain_ros_errors('ROS'):
+        with plain_ros_errors():
             RobustNode.__init__(self, name, automatically_declare_parameters_from_overrides=True)
         # All services of this group answer while a transition is under way.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())

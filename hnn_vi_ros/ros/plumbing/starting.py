@@ -36,7 +36,7 @@ def own_arguments(argv: Sequence[str]) -> list[str]:
             ours = word == '--'
         elif ours and ':=' in word:
             raise ParameterError(f'unknown argument {word!r}; {_SYNTAX}')
-    with plain_ros_errors('ROS'):
+    with plain_ros_errors():
         return remove_ros_args(argv)
 
 
@@ -52,12 +52,12 @@ def init_ros(argv: Sequence[str]) -> None:
     """
     spare_output()
     log_plainly()
-    with plain_ros_errors('ROS'):
+    with plain_ros_errors():
         rclpy.init(args=list(argv), signal_handler_options=SignalHandlerOptions.NO)
 
 
 @contextmanager
-def plain_ros_errors(what: str) -> Iterator[None]:
+def plain_ros_errors() -> Iterator[None]:
     """Turn what ROS refuses into a ParameterError of one line."""
     # Its own log of the same error would add further lines.
     set_logger_level('rcl', LoggingSeverity.FATAL)
@@ -65,7 +65,7 @@ def plain_ros_errors(what: str) -> Iterator[None]:
         with warnings.catch_warnings(action='ignore', category=RuntimeWarning):
             yield
     except UnknownROSArgsError as problem:
-        raise ParameterError(f'{what}: unknown ROS argument {problem}; {_SYNTAX}') from problem
+        raise ParameterError(f'ROS: unknown ROS argument {problem}; {_SYNTAX}') from problem
     except (RuntimeError, ValueError, NameValidationException, ParameterException) as problem:
         text = ' '.join(str(problem).split()).partition(', at /')[0].rstrip('.')
         for words in ('failed to initialize rcl: ', 'Failed to parse ROS arguments: '):
@@ -78,7 +78,7 @@ def plain_ros_errors(what: str) -> Iterator[None]:
             text += ('; security is on, which needs a middleware that was built with it and a '
                      'keystore: see docs/how-to/security.md, or set '
                      'ROS_SECURITY_ENABLE=false')
-        raise ParameterError(f'{what}: {text}') from problem
+        raise ParameterError(f'ROS: {text}') from problem
     finally:
         # Unless --log-level has set it.
         if get_logger_effective_level('rcl') == LoggingSeverity.FATAL:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -122,7 +122,7 @@ class ReplayNode(RobustNode):
     """
 
     def __init__(self, bag: Path, values: dict[str, Value], arguments: Sequence[str]):
-        with plain_ros_errors('ROS'):
+        with plain_ros_errors():
             super().__init__('hnn_replay', parameter_overrides=[
                 Parameter(name, value=value) for name, value in values.items()],
                 automatically_declare_parameters_from_overrides=True)
@@ -140,15 +140,19 @@ class ReplayNode(RobustNode):
                 f'{(last - self.reader.first) * 1e-9:g} s long')
         if settings.duration:
             last = min(last, first + round(settings.duration * 1e9))
-        tell_time = self._open_clock() if settings.publish_clock else None
+        clock = create_publisher(
+            self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS) if settings.publish_clock else None
         self.player = Player(
             lambda: read_ahead(chain(
                 self._latched(first), self.reader.messages(self.publishers_of, first, last))),
-            lambda message: self.publishers_of[message.channel].publish(message.data), tell_time,
+            lambda message: self.publishers_of[message.channel].publish(message.data),
+            None if clock is None else lambda stamp: clock.publish(clock_message(stamp)),
             first, last, settings.rate, settings.loop, settings.start_paused)
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
-        self._discovery = Discovery(self._count_subscribers, settings.discovery_time)
+        self._discovery = Discovery(lambda: sum(
+            publisher.get_subscription_count() for publisher in self.publishers_of.values()),
+            settings.discovery_time)
         self._timer = steady_timer(self, DISCOVERY_PERIOD, self._start_when_discovered)
 
     @property
@@ -210,11 +214,6 @@ class ReplayNode(RobustNode):
                       in self.reader.messages(latched, last=first - 1)}
             yield from (message._replace(time=first) for message in newest.values())
 
-    def _open_clock(self) -> Callable[[int], None]:
-        """Return what publishes the time of the bag [ns]."""
-        clock = create_publisher(self, ClockMessage, CLOCK_TOPIC, CLOCK_QOS)
-        return lambda stamp: clock.publish(clock_message(stamp))
-
     def _publisher(self, number: int) -> Publisher:
         channel = self.reader.channels[number]
         schema = self.reader.schemas.get(channel.schema_id)
@@ -231,10 +230,6 @@ class ReplayNode(RobustNode):
                 channel.metadata.get('offered_qos_profiles', '')))
         except (RuntimeError, ValueError, InvalidTopicNameException) as problem:
             raise RecordingError(' '.join(str(problem).split())) from problem
-
-    def _count_subscribers(self) -> int:
-        return sum(publisher.get_subscription_count()
-                   for publisher in self.publishers_of.values())
 
     def _start_when_discovered(self) -> None:
         if self._discovery.over:

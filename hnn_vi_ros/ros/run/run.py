@@ -72,8 +72,9 @@ class Run:
         uncertainty = prepared.scene.uncertainty
         self._spread = None if self._members is None or uncertainty is None else SpreadTopic(
             self._members, simulation.hamiltonian, uncertainty.limit)
-        self._twin = None if prepared.twin is None else TwinTopic(
-            prepared.twin, partial(topics.send, PREDICTION_ERROR), lambda: (
+        self._twin = prepared.twin
+        self._twin_topic = None if self._twin is None else TwinTopic(
+            self._twin, partial(topics.send, PREDICTION_ERROR), lambda: (
                 topics.hearing.ignored[OBSERVATIONS.topic],
                 topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp)
@@ -160,7 +161,7 @@ class Run:
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
         self._report_alarms(self._monitor.look())
-        more = [one.status() for one in (self._spread, self._twin) if one is not None]
+        more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
         self._diagnostics.publish(
             [*self.status.statuses(self.pacer), *more], self.sampler.stamp, record=False)
 

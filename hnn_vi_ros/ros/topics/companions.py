@@ -8,13 +8,11 @@ import math
 from hnn_vi_ros.bags.cdr import MOMENTUM, Template
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Report, Twin
-from hnn_vi_ros.effects.commands import Command, Observation
 from hnn_vi_ros.guards.bounds import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
 from hnn_vi_ros.ros.topics.messages import encode_numbers, named_numbers
-from hnn_vi_ros.simulation import Simulation
 
 
 class SpreadTopic:
@@ -77,7 +75,7 @@ SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time
 
 class TwinTopic:
     """
-    Publish the prediction error of each observation, as a companion of the simulation.
+    Publish the prediction error of each observation.
 
     The named positions of ~/prediction_error are: observed less simulated coordinates;
     observed less predicted ones; and the scalars of the prediction. It is stamped with the time
@@ -101,20 +99,7 @@ class TwinTopic:
         self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
         self._template = Template(named_numbers(labels))
-
-    def begin(self, simulation: Simulation) -> None:
-        """See Companion."""
-        self._twin.begin(simulation)
-
-    def advance(self, n: int) -> None:
-        """See Companion."""
-        self._twin.advance(n)
-
-    def set_command(self, command: Command) -> None:
-        """See Companion; publish the errors that an observation shows."""
-        self._twin.set_command(command)
-        if isinstance(command, Observation) and self._twin.newest is not None:
-            self._publish(self._twin.newest)
+        twin.heard = self._publish
 
     def _publish(self, report: Report) -> None:
         self._template.numbers[0][:] = [
@@ -123,11 +108,6 @@ class TwinTopic:
         now = self._stamp()
         self._template.set_stamp(max(0, now + round(report.delay * 1e9)))
         self._send(self._template.serialized(), now)
-
-    @property
-    def unstable(self) -> str:
-        """See Twin."""
-        return self._twin.unstable
 
     def status(self) -> Status:
         """Return how well the machine is followed."""
