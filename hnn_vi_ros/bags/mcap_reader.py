@@ -132,12 +132,10 @@ class BagReader:
                 file_digest(stream, lambda: found)
         return found.hexdigest()
 
-    def attachment(self, name: str) -> bytes:
-        """Return a file that is kept with the bag, or raise RecordingError."""
-        for source in self._sources:
-            if (found := source.attachment(name)) is not None:
-                return found
-        raise RecordingError(f'{self.path}: holds no {name}; was it recorded by the simulator?')
+    def attachment(self, name: str) -> bytes | None:
+        """Return a file that is kept with the bag; None if there is none of this name."""
+        found = (source.attachment(name) for source in self._sources)
+        return next((data for data in found if data is not None), None)
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return the newest metadata of a name; empty if there is none."""

@@ -88,8 +88,8 @@ class SignalReader:
     def commanded_before(self) -> bool:
         """Return whether a simulator held a command when it began the bag, which lacks that."""
         try:
-            state = safetensors.numpy.load(self.bag.attachment(STATE_FILE))
-        except (RecordingError, safetensors.SafetensorError, ValueError, KeyError):
+            state = safetensors.numpy.load(self.bag.attachment(STATE_FILE) or b'')
+        except (safetensors.SafetensorError, ValueError, KeyError):
             return False
         return 'live.command' in state and bool(state['live.command'].any())
 

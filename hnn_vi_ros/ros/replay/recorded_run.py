@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.topics.inputs import INPUTS
-from hnn_vi_ros.ros.topics.remapped_topics import attached, own_topics
+from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run.held_state import STATE_FILE
 from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import Scene
@@ -111,7 +111,7 @@ class RecordedRun:
         nodes, self._names = simulators(self.reader, self._topics)
         self.node = _chosen(nodes, node, str(self.reader.path))
         self._where = f'{self.reader.path}: its scene'
-        kept = attached(self.reader, 'scene.yaml')
+        kept = self.reader.attachment('scene.yaml')
         self.scene, self.described = described_scene(
             self._published_scene() if kept is None else kept, self._where, trust_code)
         assert self.scene.step_size is not None, 'a recorded scene has one'
@@ -225,17 +225,17 @@ class RecordedRun:
     @cached_property
     def own(self) -> bool:
         """Return whether the simulator recorded the bag: then it holds all samples of the run."""
-        return bool(attached(self.reader, 'scene.yaml'))
+        return bool(self.reader.attachment('scene.yaml'))
 
     @property
     def held_state(self) -> bytes | None:
         """Return the state of a simulation at the start of a bag begun in the middle of a run."""
-        return attached(self.reader, STATE_FILE)
+        return self.reader.attachment(STATE_FILE)
 
     @property
     def spacing(self) -> int | None:
         """Return the time from sample to sample that was asked for [ns]; None if not recorded."""
-        if (text := attached(self.reader, 'parameters.yaml')) is None:
+        if (text := self.reader.attachment('parameters.yaml')) is None:
             return None
         where = f'{self.reader.path}: its parameters'
         rate = parse_mapping(text, where, RecordingError)[0].get('publish_rate')

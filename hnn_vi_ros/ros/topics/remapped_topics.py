@@ -18,13 +18,6 @@ KEY = 'remapped'
 _STRING = 'std_msgs/msg/String'
 
 
-def attached(reader: BagReader, name: str) -> bytes | None:
-    """Return a file that is kept with a bag, None without one."""
-    with suppress(RecordingError):
-        return reader.attachment(name)
-    return None
-
-
 def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
     """
     Return what topics of a node are called, by their full names, where these are others.
@@ -68,7 +61,7 @@ def own_topics(reader: BagReader) -> dict[str, int]:
 
 def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
     """Yield the texts that may be scenes: that of the bag, else the first of each such topic."""
-    if (kept := attached(reader, 'scene.yaml')) is not None:
+    if (kept := reader.attachment('scene.yaml')) is not None:
         yield kept
         return
     for topic, number in topics.items():
