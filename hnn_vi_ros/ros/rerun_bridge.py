@@ -73,7 +73,7 @@ class BridgePicture:
     def __init__(self, scene: Scene, target: Target, name: str):
         simulation = build(scene)
         hamiltonian = simulation.hamiltonian
-        box = hamiltonian.box or look_ahead(simulation, _SEEN).box
+        box = hamiltonian.box or look_ahead(simulation, _SEEN)
         self._step_size, self._energy0 = simulation.step_size, simulation.energy
         self._conservative, self._hamiltonian = simulation.conservative, hamiltonian
         self._integrator = None if simulation.modified_energy is None else simulation.integrator

@@ -116,8 +116,7 @@ def _place(file: Path) -> str:
 
 
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
-                 microseconds_per_step: float | None = None, explain: bool = False,
-                 chosen: Chosen | None = None) -> dict[str, Any]:
+                 explain: bool = False, chosen: Chosen | None = None) -> dict[str, Any]:
     """
     Return what ~/scene and the log tell: the scene with all defaults, and where it begins.
 
@@ -132,11 +131,9 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         had again.
     origin : int
         Stamp of step 0 [ns].
-    microseconds_per_step : float or None
-        Measured wall time of a step [us].
     explain : bool
-        Whether to tell that, and to measure what each effect adds; compiles a kernel for each.
-        Without it equal runs tell the same.
+        Whether to measure the wall time of a step, and what each effect adds; compiles a kernel
+        for each. Without it equal runs tell the same.
     chosen : Chosen or None
         The choice of the integrator auto, if it made one.
 
@@ -147,16 +144,13 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
         'model_files': scene.model_digests, 'source': _place(scene.source), 'origin': origin,
         'first_step': simulation.steps, 'conservative': simulation.conservative})
     if explain:
-        # Imported here: only those who ask for it wait for it.
-        report['microseconds_per_step'] = _rounded(microseconds_per_step)
+        costs = measure_effects(scene.parts())
+        report['microseconds_per_step'] = _microseconds(costs.total)
         report['added_microseconds'] = {
-            label: _rounded(1e6 * seconds)
-            for label, seconds in measure_effects(scene.parts()).added.items()}
+            label: _microseconds(seconds) for label, seconds in costs.added.items()}
     return report
 
 
-def _rounded(microseconds: float | None) -> float | None:
-    """Return it to the nanosecond, beyond which all is noise; None for no measured time."""
-    if microseconds is None or math.isnan(microseconds):
-        return None
-    return round(float(microseconds), 3)
+def _microseconds(seconds: float) -> float | None:
+    """Return a time to the nanosecond, beyond which all is noise; None if it was not measured."""
+    return None if math.isnan(seconds) else round(1e6 * seconds, 3)

@@ -79,7 +79,7 @@ def _make_tick(node: Node, folder: Path
     """Return what the node does for a sample, the times of its guards [s], and the files."""
     scene = load_scene(_SCENE)
     simulation = build(scene)
-    box = look_ahead(simulation, 1.0).box
+    box = look_ahead(simulation, 1.0)
     sampler = Sampler(simulation, 1.0 / simulation.step_size)
     topics = Topics(node, parameters.Settings())
     scale = SampledScale(simulation.hamiltonian)

@@ -108,7 +108,7 @@ def _grow(node: Node, folder: Path, ticks: int) -> float:
     """Return by how much the memory of this process grows while it hands samples out [MB]."""
     scene = load_scene(_SCENE).with_overrides(_STEP, None)
     simulation = build(scene)
-    box = look_ahead(simulation, 1.0).box
+    box = look_ahead(simulation, 1.0)
     sampler, topics = Sampler(simulation, 1.0 / _STEP), Topics(node, parameters.Settings())
     monitor = Monitor(simulation, 1, _STEP, None, lambda text, first: None)
     topics.open(Material(simulation, monitor, box, scene.mechanism), lambda: 0,

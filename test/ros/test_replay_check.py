@@ -430,7 +430,7 @@ def test_rate_in_a_bag_that_is_none_is_one_line(tmp_path, monkeypatch, rate):
 def test_state_of_a_step_beyond_all_stamps_is_one_line(tmp_path):
     scene = load_scene('exact_pendulum')
     run = RecordedRun(record_run(tmp_path / 'bag', scene, 5, begin=3))
-    state = safetensors.numpy.load(run.held_state)
+    state = safetensors.numpy.load(run.reader.attachment(STATE_FILE))
     state['steps'] = np.array(2**62)
     bag = rewritten(run.reader, tmp_path / 'a.mcap',
                     files={STATE_FILE: safetensors.numpy.save(state)})
@@ -448,7 +448,8 @@ def test_run_resumed_from_a_log_goes_on_as_the_unbroken_one(tmp_path, name):
     whole = record_run(tmp_path / 'whole', scene, 200)
     bag = record_run(tmp_path / 'bag', scene, 100, close=False)
     resumption = resume(bag)
-    simulation = resumption.simulation()
+    simulation = build(resumption.scene)
+    simulation.restart(simulation.q.copy(), simulation.p.copy(), step=resumption.step)
     run = RecordedRun(whole)
     samples = list(run.samples())
     assert resumption.step == run.step_of(samples[99][0]) == simulation.steps

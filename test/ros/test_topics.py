@@ -321,9 +321,8 @@ def test_scene_report_names_effects_and_what_they_cost(tmp_path):
     assert (report['origin'], report['first_step']) == (5, 0)
     assert report['hamiltonian'] == {'kind': 'free_particle', 'mass': MASS, 'names': ['x']}
     assert not {'microseconds_per_step', 'added_microseconds'} & report.keys()
-    assert scene_report(scene, simulation, 0, None, True)['microseconds_per_step'] is None
-    explained = scene_report(scene, simulation, 0, 1.23456, True)
-    assert explained['microseconds_per_step'] == 1.235
+    explained = scene_report(scene, simulation, explain=True)
+    assert 0.0 < explained['microseconds_per_step'] < 1e4
     added = explained['added_microseconds']
     assert added.keys() == {'external_force'}
     # A force on one coordinate costs nanoseconds; a mistaken unit would be off by 1e6.
@@ -333,8 +332,7 @@ def test_scene_report_names_effects_and_what_they_cost(tmp_path):
 def test_look_ahead_leaves_the_simulation_as_it_was(tmp_path):
     simulation, fresh = (simulation_of(tmp_path, OSCILLATOR) for _ in range(2))
     before = simulation.snapshot()
-    found = look_ahead(simulation, 10.0)
-    assert 0.0 < found.microseconds_per_step < 1e4
+    look_ahead(simulation, 10.0)
     after = simulation.snapshot()
     assert before.keys() == after.keys()
     assert all(np.array_equal(before[key], after[key]) for key in before)
@@ -345,7 +343,7 @@ def test_look_ahead_leaves_the_simulation_as_it_was(tmp_path):
 
 
 def test_look_ahead_finds_the_extent_of_the_motion(tmp_path):
-    (q,), (p,) = look_ahead(simulation_of(tmp_path, OSCILLATOR), 7.0).box
+    (q,), (p,) = look_ahead(simulation_of(tmp_path, OSCILLATOR), 7.0)
     # The unit circle, with a margin of a tenth of its diameter; h = 0.01 misses 1e-4 of it.
     for low, high in (q, p):
         assert (low, high) == (pytest.approx(-1.2, abs=1e-3), pytest.approx(1.2, abs=1e-3))
@@ -353,11 +351,11 @@ def test_look_ahead_finds_the_extent_of_the_motion(tmp_path):
 
 def test_look_ahead_shows_what_does_not_move_with_room_around_it(tmp_path):
     found = look_ahead(simulation_of(tmp_path, COMMANDED), 1.0)
-    np.testing.assert_array_equal(found.box, [[[-1.0, 1.0]]] * 2)
+    np.testing.assert_array_equal(found, [[[-1.0, 1.0]]] * 2)
 
 
 def test_look_ahead_of_a_step_that_fails_ends_there(tmp_path):
     simulation = simulation_of(tmp_path, FAILING)
     found = look_ahead(simulation, 100.0)
     assert simulation.steps == 0 and simulation.q[0] == 1.0
-    assert np.isfinite(found.box).all() and found.microseconds_per_step > 0.0
+    assert np.isfinite(found).all()

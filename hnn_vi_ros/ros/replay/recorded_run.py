@@ -17,12 +17,9 @@ from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run.held_state import STATE_FILE
 from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene, ONE_RUN, only_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
 import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
@@ -59,13 +56,6 @@ class Resumption:
     step: int
     origin: int
     damage: str = ''
-
-    def simulation(self) -> Simulation:
-        """Return a simulation that stands where the log ends; HnnViRosError if none can be."""
-        simulation = build(self.scene)
-        state = self.scene.initial_state
-        simulation.restart(state.q, state.p, step=self.step)
-        return simulation
 
 
 class RecordedRun:
@@ -226,11 +216,6 @@ class RecordedRun:
     def own(self) -> bool:
         """Return whether the simulator recorded the bag: then it holds all samples of the run."""
         return bool(self.reader.attachment('scene.yaml'))
-
-    @property
-    def held_state(self) -> bytes | None:
-        """Return the state of a simulation at the start of a bag begun in the middle of a run."""
-        return self.reader.attachment(STATE_FILE)
 
     @property
     def spacing(self) -> int | None:

@@ -15,7 +15,7 @@ from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run.held_state import restore_state
+from hnn_vi_ros.run.held_state import restore_state, STATE_FILE
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
@@ -174,7 +174,7 @@ def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
     q, p = simulation.q.copy(), simulation.p.copy()
     change = shake * _size(simulation)
     simulation.restart(q + change, p + change, step=run.first_step)
-    if (state := run.held_state) is not None:
+    if (state := run.reader.attachment(STATE_FILE)) is not None:
         restore_state(simulation, state, str(run.reader.path), change)
     return simulation
 

@@ -189,13 +189,12 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('looking ahead')
     seconds = _SEEN * (factor or 1.0)
     with announced(tell):
-        box, cost = look_ahead(simulation, min(seconds, settings.duration or seconds))
-    if simulation.hamiltonian.box is not None:
-        box = simulation.hamiltonian.box
-    if settings.explain and scene.effects:
+        box = simulation.hamiltonian.box or look_ahead(
+            simulation, min(seconds, settings.duration or seconds))
+    if settings.explain:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
-    report = scene_report(scene, simulation, origin, cost, settings.explain, chosen)
+    report = scene_report(scene, simulation, origin, settings.explain, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
     if settings.autostart:
