@@ -71,42 +71,42 @@ class BridgePicture:
     """
 
     def __init__(self, scene: Scene, target: Target, name: str):
-        simulation = build(scene)
-        hamiltonian = simulation.hamiltonian
-        box = hamiltonian.box or look_ahead(simulation, _SEEN)
-        self._step_size, self._energy0 = simulation.step_size, simulation.energy
-        self._conservative, self._hamiltonian = simulation.conservative, hamiltonian
-        self._integrator = None if simulation.modified_energy is None else simulation.integrator
+        # It stays in its initial state.
+        self._simulation = simulation = build(scene)
+        self._hamiltonian = hamiltonian = simulation.hamiltonian
+        self._energy0, self._modified = simulation.energy, simulation.modified_energy is not None
         self.samples = 0
         self._sink = RerunSink(
-            name, target, hamiltonian, simulation.q.copy(), simulation.p.copy(), box=box,
+            name, target, hamiltonian, simulation.q.copy(), simulation.p.copy(),
+            box=hamiltonian.box or look_ahead(simulation, _SEEN),
             mechanism=MECHANISMS[scene.mechanism] if scene.mechanism else None,
             effects=simulation.effects, step_size=simulation.step_size,
-            conservative=simulation.conservative, modified=self._integrator is not None)
+            conservative=simulation.conservative, modified=self._modified)
 
     def show(self, state: State) -> None:
         """Show a sample; without ~/state its energy is that of the scene's own H."""
-        hamiltonian, h = self._hamiltonian, self._step_size
+        simulation, hamiltonian = self._simulation, self._hamiltonian
+        h, energy0 = simulation.step_size, self._energy0
         dH_dq, dH_dp = map(np.asarray, hamiltonian.gradient(state.q, state.p))
         if math.isnan(state.energy):
             state = state._replace(
                 dp_dt=momentum_rates(hamiltonian.rotations, state.q, state.p, dH_dq, dH_dp),
                 energy=float(hamiltonian.energy(state.q, state.p)),
-                work=0.0 if self._conservative else math.nan)
+                work=0.0 if simulation.conservative else math.nan)
         modified: Any = math.nan
-        if self._integrator is not None:
-            modified = self._integrator.modified_energy(
+        if self._modified:
+            modified = simulation.integrator.modified_energy(
                 hamiltonian, h, state.q, state.p, state.energy, -state.dp_dt, dH_dp)
         step = state.stamp * 1e-9 / h
         if not step < _MOST_STEPS:
             raise RecordingError(f'its scene has steps of {h:g} s, of which its stamps are more '
                                  'than can be counted; is its step_size right?')
-        balance = state.energy - self._energy0 - state.work
+        balance = state.energy - energy0 - state.work
         self._sink.write(Sample(
             step=round(step), stamp=state.stamp, q=state.q,
             p=state.p, dH_dq=-state.dp_dt, dH_dp=dH_dp, energy=state.energy,
             modified_energy=modified, work=state.work,
-            energy_error=balance / abs(self._energy0) if self._energy0 else balance))
+            energy_error=balance / abs(energy0) if energy0 else balance))
         self.samples += 1
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
@@ -129,7 +129,7 @@ class BridgePicture:
             elif status.name == f'{simulator[1:]}: {EVENT}':
                 stamp = nanoseconds(message.header.stamp)
                 self._sink.event(status.message, 'INFO', (
-                    stamp, math.floor(stamp * 1e-9 / self._step_size)))
+                    stamp, math.floor(stamp * 1e-9 / self._simulation.step_size)))
             elif status.name == f'{simulator[1:]}: timing':
                 median, p99, pace = (float(values.get(name, math.nan)) for name in (
                     'microseconds_per_step_median', 'microseconds_per_step_p99',

@@ -214,18 +214,13 @@ def main(argv: list[str]) -> int:
     with ros_process(argv) as received:
         node = SimulatorNode(argv)
         try:
-            _spin(node, received)
+            executor = node.serve(received, node.settings.autostart)
+            if node.control is not None:
+                # Those who wait for steps are answered; a client may be gone by now.
+                with suppress(RCLError):
+                    take_once(executor)
+            if node.topics is not None:
+                node.topics.wait_for_delivery(received)
         finally:
             status = node.end(node.finish())
     return status
-
-
-def _spin(node: SimulatorNode, received: list[int]) -> None:
-    """Serve until the node has an exit status."""
-    executor = node.serve(received, node.settings.autostart)
-    if node.control is not None:
-        # Those who wait for steps are answered; a client may be gone by now.
-        with suppress(RCLError):
-            take_once(executor)
-    if node.topics is not None:
-        node.topics.wait_for_delivery(received)

@@ -87,11 +87,6 @@ class Pacer:
         return LARGEST_DEBT_TO_OTHERS if self.led else LARGEST_DEBT
 
     @property
-    def paced(self) -> bool:
-        """Return whether a clock sets the pace."""
-        return self._wall_per_tick > 0.0
-
-    @property
     def wait(self) -> float:
         """Return the wall time until the next tick is due [s]; endless if others decide that."""
         if self.led:

@@ -93,15 +93,12 @@ def fitted(frame: Frame, path: np.ndarray) -> Frame:
         Its lowest and highest q (first row) and p.
 
     """
-    return Frame(frame.axis, *(
-        _fitted(interval, low, high)
-        for interval, (low, high) in zip((frame.q, frame.p), path.tolist(), strict=True)))
-
-
-def _fitted(interval: tuple[float, float], low: float, high: float) -> tuple[float, float]:
-    margin = _LEFT * (interval[1] - interval[0])
-    return (interval[0] if interval[0] <= low else low - margin,
-            interval[1] if high <= interval[1] else high + margin)
+    sides = []
+    for (low, high), (least, most) in zip((frame.q, frame.p), path.tolist(), strict=True):
+        margin = _LEFT * (high - low)
+        sides.append((low if low <= least else least - margin,
+                      high if most <= high else most + margin))
+    return Frame(frame.axis, *sides)
 
 
 def _widen(interval: np.ndarray, value: float) -> tuple[float, float]:

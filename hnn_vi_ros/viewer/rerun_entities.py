@@ -404,11 +404,9 @@ class Portraits:
 
     def _note(self, points: np.ndarray) -> None:
         """Widen the known lowest and highest (q, p) by points, shape (n, count, 2)."""
-        finite = np.isfinite(points)
-        self._path[..., 0] = np.minimum(self._path[..., 0], np.where(
-            finite, points, np.inf).min(axis=0, initial=np.inf))
-        self._path[..., 1] = np.maximum(self._path[..., 1], np.where(
-            finite, points, -np.inf).max(axis=0, initial=-np.inf))
+        low, high = (np.where(np.isfinite(points), points, end) for end in (np.inf, -np.inf))
+        self._path[..., 0] = np.minimum(self._path[..., 0], low.min(axis=0, initial=np.inf))
+        self._path[..., 1] = np.maximum(self._path[..., 1], high.max(axis=0, initial=-np.inf))
 
     def fit(self) -> None:
         """Draw the still parts again, in frames that hold the paths."""

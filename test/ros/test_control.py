@@ -211,7 +211,7 @@ def test_request_for_steps_goes_on_after_a_step_that_waits(control):
 
 def test_run_goes_on_after_a_step_that_waits(control):
     control.set_paused(False)
-    control.run.pacer.due, control.run.pacer.paced = lambda: True, False
+    control.run.pacer.due, control.run.pacer.asked = lambda: True, 0.0
     control.run.waits = True
     control.turn()
     assert control.running and control.run.simulation.steps == 0

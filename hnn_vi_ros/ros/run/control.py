@@ -266,7 +266,7 @@ class Control:
                 time.sleep(LONGEST_CALL)
             elif taken == 0:
                 self.set_paused(True)
-            elif (run.at_sample and run.pacer.paced and not run.pacer.led
+            elif (run.at_sample and run.pacer.asked and not run.pacer.led
                   and run.simulation.motors.takes):
                 return
 

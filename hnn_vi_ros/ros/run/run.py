@@ -206,7 +206,8 @@ class Run:
             self._health.add_failure(
                 failure.dated(self.sampler.time), simulation.steps, self._stamp)
             where = f'at the last good state, t = {self.sampler.time:.9g} s'
-            if self._moved_by_others:
+            # Messages of others may have brought it about.
+            if self.simulation.motors.takes or self._began_at is not self._own_start:
                 why = self._twin.unstable if self._twin is not None else ''
                 self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
             else:
@@ -273,10 +274,6 @@ class Run:
         self._stamp = sample.stamp
         # Bands belong to samples.
         self.recording.write(sample, self._topics.publish(replace(sample, spread=None)))
-
-    @property
-    def _moved_by_others(self) -> bool:
-        return bool(self.simulation.motors.takes) or self._began_at is not self._own_start
 
     def reset(self, time_too: bool) -> None:
         """
