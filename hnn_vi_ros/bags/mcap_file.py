@@ -394,8 +394,7 @@ class McapFile(Source):
         """Note the chunks up to one that contradicts those before it; return its place."""
         seen = set[tuple[ChunkHead | None, int]]()
         for chunk, indexes in self.survey.chunks:
-            head = chunk_head(read_content(stream, chunk._replace(
-                length=min(chunk.length, HEAD))))
+            head = chunk_head(read_content(stream, chunk._replace(length=min(chunk.length, HEAD))))
             if head is not None and head.crc and (head, chunk.length) in seen:
                 # A copy of one before it.
                 self.unread[chunk.start] = chunk.length

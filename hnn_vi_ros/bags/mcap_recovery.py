@@ -427,8 +427,7 @@ def _survey(file: McapFile, stamps: Stamps, stream: BinaryIO) -> Recovery:
     recovery.damaged, recovery.unread = len(file.unread), sum(file.unread.values())
     recovery.another = file.survey.another and file.survey.another.start
     recovery.files = file.survey.missing
-    total = max(file.counted or 0,
-                counted_messages(file.path.parent, [file.path.name]) or 0)
+    total = max(file.counted or 0, counted_messages(file.path.parent, [file.path.name]) or 0)
     recovery.fewer = max(0, max(total, _described(file)) - recovery.messages)
     if file.counted is not None:
         recovery.more = max(0, recovery.messages - file.counted)

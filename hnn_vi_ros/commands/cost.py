@@ -56,8 +56,7 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
     own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
         # Whatever is wrong with the scene itself is said by its place in the file.
-        build(Parts(
-            scene, problem.hamiltonian, scene.create_integrator(), list(problem.effects)))
+        build(Parts(scene, problem.hamiltonian, scene.create_integrator(), list(problem.effects)))
         given = scene.integrator.model_dump(exclude={'kind'}, exclude_defaults=True)
         own = Method(scene.integrator.kind, given)
     line = ProgressLine()

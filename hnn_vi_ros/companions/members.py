@@ -184,8 +184,7 @@ def measured_momenta(hamiltonian: Hamiltonian) -> bool:
     return FAMILIES[checkpoint.card.family].measured_momenta
 
 
-def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndarray
-                  ) -> np.ndarray:
+def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     """
     Return the momenta of another Hamiltonian for the velocities that p has by one.
 

@@ -425,8 +425,7 @@ def _solve_node(system: System, h: float, own: Sequence[int], state: State, hist
 
     solved = system.solve(equation, (state.z, carry), x, _scales(system, h, state, own))
     total, rest = plus(base, carry, h * _halves(_turned(solved.found), own))
-    return (solved, rest + (total - solved.x),
-            remembered(counts, earlier, solved.x - base))
+    return (solved, rest + (total - solved.x), remembered(counts, earlier, solved.x - base))
 
 
 def _with_halves(z: torch.Tensor, own: Sequence[int], x: torch.Tensor) -> torch.Tensor:

@@ -16,8 +16,7 @@ from hnn_vi_ros.effects.commands import select
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.node_parameters import (
-    check_node_name, declare_parameters, refuse_unknown)
+from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint

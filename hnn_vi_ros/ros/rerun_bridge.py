@@ -17,8 +17,7 @@ from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.node_parameters import (
-    check_node_name, declare_parameters, refuse_unknown)
+from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
@@ -284,8 +283,7 @@ class RerunBridge(RobustNode):
         try:
             self._show(BridgePicture.show, decode_state(payload))
         except ValueError as problem:
-            self.get_logger().error(
-                f'~/state is no state: {problem}', throttle_duration_sec=1.0)
+            self.get_logger().error(f'~/state is no state: {problem}', throttle_duration_sec=1.0)
 
     def _on_plan(self, message: JointTrajectory) -> None:
         """Show a controller's plan, or say why that is none."""

@@ -343,8 +343,7 @@ class SimulationServices:
         # That of the features has no result.
         if hasattr(response, 'result'):
             kind = getattr(type(response), code, None)
-            response.result.result = getattr(self._messages.Result, code) \
-                if kind is None else kind
+            response.result.result = getattr(self._messages.Result, code) if kind is None else kind
             response.result.error_message = message
         return response
 

@@ -62,8 +62,7 @@ class Specification:
         if kind in (int, float) and isinstance(value, int | float):
             good = good and self.smallest <= value <= self.largest
         elif isinstance(value, str):
-            good = good and len(value) <= _LONGEST and (
-                not self.choices or value in self.choices)
+            good = good and len(value) <= _LONGEST and (not self.choices or value in self.choices)
         if not (good and isinstance(value, Value)):
             raise ParameterError(f'parameter {self.name} = {repr(value)[:80]}: {self.expected}')
         return value
@@ -82,8 +81,7 @@ class Specification:
 
 def parameter(default: Value, *words: Any, **more: Any) -> Any:
     """Return the field of a parameter, whose name is the field's; see Specification."""
-    return field(default=default,
-                 metadata={'item': Specification('', default, *words, **more)})
+    return field(default=default, metadata={'item': Specification('', default, *words, **more)})
 
 
 def specifications(settings: type) -> tuple[Specification, ...]:
@@ -200,8 +198,7 @@ class ControllerSettings:
         True, 'configure and activate without being asked to; false leaves that to a lifecycle '
         'manager')
     task: str = parameter('swing_up', 'name of a shipped task, or path of a task file (.yaml)')
-    scene: str = parameter(
-        '', "the model, a scene by its name or path; empty takes the task's")
+    scene: str = parameter('', "the model, a scene by its name or path; empty takes the task's")
     simulator: str = parameter(
         '/hnn_simulator', 'full name of the node that takes the commands: a simulator')
     commands: str = parameter(

@@ -190,8 +190,7 @@ class SimulatorNode(Simulator):
     def _reset_to_state(self) -> Answer | None:
         """Reset at once, if that is what a state to begin at asks for."""
         settings = self.settings
-        return self._driven.reset(
-            settings.reset_time) if settings.reset_on_initial_state else None
+        return self._driven.reset(settings.reset_time) if settings.reset_on_initial_state else None
 
     def _close_run(self) -> None:
         if self.run is not None and not self.run.close():

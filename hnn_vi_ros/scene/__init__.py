@@ -165,8 +165,7 @@ class Scene(StrictModel):
         # The code that it names was admitted when it was read.
         scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
                            f'{self.name} as changed')
-        scene._origin = replace(
-            self._origin, replaced=self._origin.replaced | changes.keys())
+        scene._origin = replace(self._origin, replaced=self._origin.replaced | changes.keys())
         return scene
 
     def with_overrides(self, step_size: float | None = None, integrator: str | None = None,
@@ -308,16 +307,14 @@ class Scene(StrictModel):
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws '
                 f'{"a body that turns" if self.mechanism in TURNING else "scalar coordinates"}, '
-                f'but H has {listed(c.name for c in coordinates)}; leave it out or take '
-                'another')
+                f'but H has {listed(c.name for c in coordinates)}; leave it out or take another')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]
             if len(numbers) > 3:
                 numbers[2:-1] = ['...']
             raise SceneError(
-                f'{self.place("mechanism")}: {self.mechanism} draws '
-                f'{", ".join(numbers)} coordinates, but H has {len(names)}; leave it out or take '
-                'another')
+                f'{self.place("mechanism")}: {self.mechanism} draws {", ".join(numbers)} '
+                f'coordinates, but H has {len(names)}; leave it out or take another')
 
     def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
         arguments = choice.model_dump()

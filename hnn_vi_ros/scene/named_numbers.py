@@ -66,8 +66,7 @@ def check_known(owner: str, names: Iterable[str], known: Mapping[str, float]) ->
     """Raise ValueError, which lists the numbers that are known, unless all names are of these."""
     for name in names:
         if name not in known:
-            raise ValueError(f'{owner} has no number {name!r}; it has: '
-                             f'{listed(known) or "none"}')
+            raise ValueError(f'{owner} has no number {name!r}; it has: {listed(known) or "none"}')
 
 
 def numbers_in(name: str, value: Any) -> Iterator[tuple[str, float]]:

@@ -119,9 +119,8 @@ class Origin:
         if not os.path.isfile(file):
             name = str(file)
             what = f'{name!r} {no_file(file)}' if os.path.exists(file) else f'no file {name!r}'
-            raise ModelError(f'{place}: {what}; give a path from the '
-                             'folder of the scene or the working directory, or '
-                             'package://PACKAGE/PATH')
+            raise ModelError(f'{place}: {what}; give a path from the folder of the scene or the '
+                             'working directory, or package://PACKAGE/PATH')
         self._check_digest(file, '.urdf', *key, 'file')
         return file
 

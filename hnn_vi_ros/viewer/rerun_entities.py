@@ -255,8 +255,7 @@ class ForceArrows:
         self._curl = state.gauge.T - state.gauge
         self.scale = math.nan
 
-    def columns(self, samples: Sequence[Sample]
-                ) -> Iterator[tuple[str, rr.ComponentColumnList]]:
+    def columns(self, samples: Sequence[Sample]) -> Iterator[tuple[str, rr.ComponentColumnList]]:
         """Yield the name of each force and its arrows at n samples, from where the bodies are."""
         q = np.array([sample.q for sample in samples])
         forces = {name: np.array([self._force(effect, own, sample) for sample in samples])

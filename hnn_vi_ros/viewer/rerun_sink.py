@@ -182,8 +182,7 @@ class RerunSink:
             path: np.ndarray = tips[-1] if tips else np.zeros((0, 3))
             self._columns(layout.PLAN, times, rr.LineStrips3D.columns(strips=path[None]))
 
-    def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float
-               ) -> None:
+    def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float) -> None:
         """Show the wall time of a step [us], median and p99, and the pace, if there is one."""
         if self._newest is not None and np.isfinite(real_time_factor):
             self._timings.append((self._newest.stamp, self._newest.step,

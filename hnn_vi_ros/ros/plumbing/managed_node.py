@@ -252,8 +252,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                 f'transition {transition} refused: the node is {label}',
                 throttle_duration_sec=1.0)
             return False
-        before = LifecycleState(
-            state_id=self.state, label=self._machine.current_state[1])
+        before = LifecycleState(state_id=self.state, label=self._machine.current_state[1])
         self._machine.trigger_transition_by_id(transition, True)
         try:
             found = getattr(self, _PUBLIC[transition])(before)
@@ -266,8 +265,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
             raise
         self._end_transition(result)
         if result == SUCCESS:
-            self.get_logger().info(
-                f'{before.label} -> {self._machine.current_state[1]}')
+            self.get_logger().info(f'{before.label} -> {self._machine.current_state[1]}')
         return result == SUCCESS
 
     def _end_transition(self, result: TransitionCallbackReturn) -> None:

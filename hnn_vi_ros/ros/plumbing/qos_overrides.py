@@ -66,8 +66,7 @@ def expected(name: str, value: object) -> str:
 def create_publisher(node: Node, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
     """Create a publisher whose QoS the user can set."""
     # A copy: rclpy writes into the profile, which other topics may share.
-    return node.create_publisher(
-        message_type, topic, copy(qos), qos_overriding_options=_options())
+    return node.create_publisher(message_type, topic, copy(qos), qos_overriding_options=_options())
 
 
 def create_subscription(node: Node, message_type: type, topic: str, callback: Callable[..., None],

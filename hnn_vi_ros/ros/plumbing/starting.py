@@ -76,8 +76,7 @@ def plain_ros_errors() -> Iterator[None]:
             text += '; set ROS_LOG_DIR to a folder that can be written'
         if os.environ.get('ROS_SECURITY_ENABLE', '').lower() == 'true':
             text += ('; security is on, which needs a middleware that was built with it and a '
-                     'keystore: see docs/how-to/security.md, or set '
-                     'ROS_SECURITY_ENABLE=false')
+                     'keystore: see docs/how-to/security.md, or set ROS_SECURITY_ENABLE=false')
         raise ParameterError(f'ROS: {text}') from problem
     finally:
         # Unless --log-level has set it.

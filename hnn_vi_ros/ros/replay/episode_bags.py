@@ -61,8 +61,7 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
                 **plan.record['sweep'], 'index': episode.number, 'values': values}).encode(),
             # Its noise is not that of a run of the scene by itself.
             STATE_FILE: state_file(simulation)})
-        sink.write_other(_topic(*SCENE[:3]), sampler.stamp,
-                         serialize(String(data=report)))
+        sink.write_other(_topic(*SCENE[:3]), sampler.stamp, serialize(String(data=report)))
         encode = encode_sample(simulation.hamiltonian.coordinates)
         for sample in episode.samples():
             sink.write(sample.stamp, encode(sample))

@@ -138,9 +138,8 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
         f'{agreed}; then {difference.name} differs at t = {difference.stamp * 1e-9:.9g} s by '
         f'{size:.3g}: {difference.recorded!r} in the log, {difference.simulated!r} now; the '
         f'largest difference, {margin.difference:.3g} of {margin.name} at t = '
-        f'{margin.stamp * 1e-9:.9g} s, is '
-        f'{"within" if within else "beyond"} what round-off explains, {margin.explained:.3g}'
-        f'{commands}{missing}',
+        f'{margin.stamp * 1e-9:.9g} s, is {"within" if within else "beyond"} what round-off '
+        f'explains, {margin.explained:.3g}{commands}{missing}',
         within and bool(others) and not missing)
 
 

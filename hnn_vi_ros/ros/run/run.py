@@ -23,8 +23,7 @@ from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import check_pace, Prepared
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
-from hnn_vi_ros.ros.topics.diagnostics import (
-    DiagnosticsPublisher, EVENT, OK, state_values, Status)
+from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EVENT, OK, state_values, Status
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
@@ -330,8 +329,7 @@ class Run:
             self.pacer.set_pace(settings.real_time_factor)
             self.start_clocks()
             guards = self._monitor.guards
-            if self.pacer.asked and not any(
-                    isinstance(guard, OverrunGuard) for guard in guards):
+            if self.pacer.asked and not any(isinstance(guard, OverrunGuard) for guard in guards):
                 guards.append(OverrunGuard(self.pacer))
         for guard in self._monitor.guards:
             guard.allow(settings.energy_band_limit, settings.energy_change_limit)

@@ -169,8 +169,7 @@ def message_definition(type_name: str) -> str:
     definitions: dict[str, str] = {}
     _collect_definitions(type_name, definitions)
     root, *others = definitions.items()
-    return root[1] + ''.join(
-        f'\n{_SEPARATOR}\nMSG: {name}\n{text}' for name, text in others)
+    return root[1] + ''.join(f'\n{_SEPARATOR}\nMSG: {name}\n{text}' for name, text in others)
 
 
 def _collect_definitions(name: str, definitions: dict[str, str]) -> None:
