@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command lines of this room; this file imports none of the libraries that the work takes."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from hnn_vi_ros.command_line import complete_by, Parser, seconds
@@ -15,6 +16,11 @@ def _add_run(parser: Parser) -> None:
     parser.add_argument('--duration', type=seconds, default=10.0, metavar='SECONDS',
                         help='simulated time [s] (default: 10)')
     parser.add_argument('--force', action='store_true', help='overwrite files that exist')
+
+
+def _add_files(parser: Parser, written: Mapping[str, str]) -> None:
+    for option, text in written.items():
+        parser.add_argument(option, type=Path, metavar='FILE', help=text)
 
 
 def run() -> Parser:
@@ -31,16 +37,12 @@ def run() -> Parser:
         "in place of the scene's")), 'integrator')
     parser.add_argument('--every', type=int, default=1, metavar='N',
                         help='steps from one sample to the next (default: 1)')
-    parser.add_argument('--plot', type=Path, metavar='FILE', help=(
-        'draw coordinates, momenta and energy over time: .png, .svg or .pdf'))
-    parser.add_argument('--portrait', type=Path, metavar='FILE', help=(
-        'draw the phase portraits: .png, .svg or .pdf'))
-    parser.add_argument('--animate', type=Path, metavar='FILE', help=(
-        'draw the mechanism in motion, in real time: .gif'))
-    parser.add_argument('--rerun', type=Path, metavar='FILE', help=(
-        'write a recording for the rerun viewer: .rrd'))
-    parser.add_argument('--csv', type=Path, metavar='FILE', help=(
-        'write the samples as text: a column each for t, coordinates, momenta and H'))
+    _add_files(parser, {
+        '--plot': 'draw coordinates, momenta and energy over time: .png, .svg or .pdf',
+        '--portrait': 'draw the phase portraits: .png, .svg or .pdf',
+        '--animate': 'draw the mechanism in motion, in real time: .gif',
+        '--rerun': 'write a recording for the rerun viewer: .rrd',
+        '--csv': 'write the samples as text: a column each for t, coordinates, momenta and H'})
     return parser
 
 
@@ -106,10 +108,9 @@ def cost() -> Parser:
         'say what to take for an error of this size'))
     parser.add_argument('--seconds', type=seconds, default=60.0, metavar='SECONDS', help=(
         'processor time that may be taken, about, compilation included [s] (default: 60)'))
-    parser.add_argument('--plot', type=Path, metavar='FILE', help=(
-        'draw error against time: .png, .svg or .pdf'))
-    parser.add_argument('--csv', type=Path, metavar='FILE', help=(
-        'write every method and step size as a line of text'))
+    _add_files(parser, {
+        '--plot': 'draw error against time: .png, .svg or .pdf',
+        '--csv': 'write every method and step size as a line of text'})
     return parser
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import math
 import sys
 import time
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hnn_vi_ros.files.standard_streams import rewrite_line
 from hnn_vi_ros.guards.base import Alarm, Observed, StateGuard
@@ -259,28 +259,21 @@ def quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]
     return values[order[np.minimum(places, values.size - 1)]].tolist()
 
 
-class Logger(Protocol):
-    """The methods needed of a logger: ROS loggers have them."""
-
-    def info(self, message: str) -> None:
-        """Log a line."""
-
-
 class StatusLine:
     """
     Show time, energy and pace: rewritten in place on a terminal, else logged now and then.
 
     Parameters
     ----------
-    logger : Logger
+    log : callable
         Takes the lines when standard output is no terminal.
     now : callable
         A steady clock [s].
 
     """
 
-    def __init__(self, logger: Logger, now: Callable[[], float] = time.monotonic):
-        self._logger, self._now = logger, now
+    def __init__(self, log: Callable[[str], object], now: Callable[[], float] = time.monotonic):
+        self._log, self._now = log, now
         self._terminal = sys.stdout.isatty()
         self._interval = 0.2 if self._terminal else 5.0
         self._shown = False
@@ -306,7 +299,7 @@ class StatusLine:
             rewrite_line(sys.stdout, text)
             self._shown = True
         else:
-            self._logger.info(text)
+            self._log(text)
 
     def close(self) -> None:
         """Leave the line on the terminal: what is printed next begins a line of its own."""

@@ -90,7 +90,7 @@ class Run:
         self.pacer = Pacer(self.sampler.tick, settings.real_time_factor, clock, lambda: clock.led)
         self._diagnostics = DiagnosticsPublisher(
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
-        self._status = StatusLine(node.get_logger())
+        self._status = StatusLine(node.get_logger().info)
         monitor = self._make_monitor()
         topics.open(
             Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
