@@ -18,7 +18,7 @@ from hnn_vi_ros.ros.plumbing.managed_node import steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log, RCLError
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.run.control import Answer, Control, Simulator
-from hnn_vi_ros.ros.run.preparation import compile_rest, OPENING, prepare, Prepared
+from hnn_vi_ros.ros.run.preparation import check_pace, compile_rest, OPENING, prepare, Prepared
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.services import offer_services
 from hnn_vi_ros.ros.settings import PARAMETERS, Settings
@@ -154,8 +154,8 @@ class SimulatorNode(Simulator):
 
     def check(self, settings: Settings) -> None:
         """Raise ParameterError if changed parameters do not fit the run, if there is one."""
-        if self.control is not None:
-            self.control.run.check(settings)
+        if self.run is not None:
+            check_pace(settings.real_time_factor, self.run.sampler.tick)
 
     def apply(self, settings: Settings) -> None:
         """Go on with changed parameters, if there is a run."""

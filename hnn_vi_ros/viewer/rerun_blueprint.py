@@ -38,11 +38,6 @@ def phase_path(coordinate: Coordinate) -> str:
     return f'/phase/{rr.escape_entity_path_part(coordinate.name)}'
 
 
-def plan_path(coordinate: Coordinate) -> str:
-    """Return the entity that holds a controller's plan in a phase portrait."""
-    return f'{phase_path(coordinate)}/plan'
-
-
 def part_path(name: str) -> str:
     """Return the entity that holds a part of the mechanism."""
     return f'/world/{rr.escape_entity_path_part(name)}'

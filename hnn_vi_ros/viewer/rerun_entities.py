@@ -397,8 +397,8 @@ class Portraits:
         count = len(self._frames)
         self._note(np.stack([q[:, :count], p[:, :count]], axis=-1))
         for frame in self._frames:
-            path = layout.plan_path(self._hamiltonian.coordinates[frame.axis])
-            self._recording.send_columns(path, times, rr.LineStrips2D.columns(
+            path = layout.phase_path(self._hamiltonian.coordinates[frame.axis])
+            self._recording.send_columns(f'{path}/plan', times, rr.LineStrips2D.columns(
                 strips=np.stack([q[:, frame.axis], p[:, frame.axis]], axis=-1)[None]), strict=True)
 
     def _note(self, points: np.ndarray) -> None:

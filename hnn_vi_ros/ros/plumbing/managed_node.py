@@ -170,11 +170,6 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         """Return whether a timer calls so often that signals are noticed by its calls."""
         return False
 
-    @property
-    def busy(self) -> bool:
-        """Return whether a thread of ``in_thread`` is at work."""
-        return any(thread.is_alive() for thread in self._threads)
-
     def stop(self, status: int, reason: str) -> None:
         """Let the process end with this status, and say why."""
         if self.exit_status is None:
@@ -221,7 +216,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
 
     def end(self, status: int) -> int:
         """Destroy the node and return the status; end the process if a thread is at work."""
-        busy = self.busy
+        busy = any(thread.is_alive() for thread in self._threads)
         self.destroy_node()
         if busy:
             # A compilation that nobody needs cannot be interrupted, nor be left to run into the

@@ -39,16 +39,13 @@ class Endpoint(NamedTuple):
     topic: str
     kind: Literal['publisher', 'subscription']
 
-    @property
-    def policies(self) -> list[str]:
-        """Return the policies that it has: nothing outlives its lifespan in a subscription."""
-        return [name for name in POLICIES if self.kind == 'publisher' or name != 'lifespan']
-
 
 def parameter_names(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
     """Return the names of all parameters by which the QoS of a node can be set."""
-    return [f'{PREFIX}{node.resolve_topic_name(endpoint.topic)}.{endpoint.kind}.{policy}'
-            for endpoint in endpoints for policy in endpoint.policies]
+    # Nothing outlives its lifespan in a subscription.
+    return [f'{PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}'
+            for topic, kind in endpoints for policy in POLICIES
+            if kind == 'publisher' or policy != 'lifespan']
 
 
 def expected(name: str, value: object) -> str:

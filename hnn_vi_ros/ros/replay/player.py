@@ -56,12 +56,6 @@ def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | No
     return batch, None
 
 
-def _begun(messages: Iterator[Recorded]) -> Iterator[Recorded]:
-    """Return an iterator whose first message is there already."""
-    first = list(islice(messages, 1))
-    return chain(first, messages)
-
-
 class Player(threading.Thread):
     """
     Publish messages when they are due, in a thread of its own.
@@ -112,7 +106,9 @@ class Player(threading.Thread):
     def run(self) -> None:
         """Play until the end, or until it is stopped."""
         try:
-            upcoming = _begun(self._read())
+            messages = self._read()
+            # Once the first message is there already.
+            upcoming: Iterator[Recorded] = chain(list(islice(messages, 1)), messages)
             self._since = time.monotonic_ns()
             while True:
                 # Those of the next round are read while this one is played.

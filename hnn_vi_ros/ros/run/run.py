@@ -20,7 +20,7 @@ from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
-from hnn_vi_ros.ros.run.preparation import check_pace, Prepared
+from hnn_vi_ros.ros.run.preparation import Prepared
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EVENT, OK, state_values, Status
@@ -318,10 +318,6 @@ class Run:
         self._begin(monitor)
         self.status.paused = paused
         self.watch()
-
-    def check(self, settings: Settings) -> None:
-        """Raise ParameterError if parameters do not fit the run."""
-        check_pace(settings.real_time_factor, self.sampler.tick)
 
     def apply(self, settings: Settings) -> None:
         """Go on with changed parameters."""

@@ -66,8 +66,8 @@ class DiagnosticsPublisher:
         message.status = [DiagnosticStatus(
             level=status.level, name=f'{self._name}: {status.component}',
             message=status.message, hardware_id=self._hardware_id,
-            values=[KeyValue(key=key, value=_shown(value))
-                    for key, value in status.values.items()])
+            values=[KeyValue(key=key, value=f'{one:.6g}' if isinstance(one, float) else str(one))
+                    for key, one in status.values.items()])
             for status in statuses]
         self._send(serialize(message), stamp if record else None)
 
@@ -78,7 +78,3 @@ def state_values(coordinates: Sequence[Coordinate], q: np.ndarray, p: np.ndarray
     names, momenta = columns(coordinates)
     return {name: repr(value) for name, value in zip(
         [*names, *(f'p_{name}' for name in momenta)], [*q.tolist(), *p.tolist()], strict=True)}
-
-
-def _shown(value: object) -> str:
-    return f'{value:.6g}' if isinstance(value, float) else str(value)
