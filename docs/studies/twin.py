@@ -48,7 +48,7 @@ def replay(twin: Twin, simulation: Accompanied, motion: Run, q: np.ndarray, v: n
         simulation.set_command(motion.forces[k])
         simulation.advance(steps)
     # Those that the end of the run ends count by their age, as in evaluate.
-    return twin.times + [age for age in twin.running if age >= min(_HORIZONS)]
+    return [*twin.times, *(age for age in twin.running if age >= min(_HORIZONS))]
 
 
 def main(argv: Sequence[str]) -> None:

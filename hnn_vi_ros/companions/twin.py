@@ -187,6 +187,11 @@ class Twin:
             'for the masses here')
 
     @property
+    def running(self) -> list[float]:
+        """Return for how long each prediction has been valid that has not ended [s]."""
+        return [self._now - began for one in self._active() if (began := one.began) is not None]
+
+    @property
     def valid_prediction_time(self) -> float:
         """Return the median over ended predictions [s]; NaN before one has ended."""
         return float(np.median(self.times)) if self.times else np.nan

@@ -62,7 +62,7 @@ def test_twin_of_a_machine_that_it_knows_predicts_it_to_the_end(tmp_path: Path):
     assert all(report.error == 0.0 for report in reports)
     # It ends after two seconds all the same; one begins every half of one, the first at once.
     assert len(twin.times) == 1 and twin.valid_prediction_time == pytest.approx(2.0, abs=1e-9)
-    assert len(twin._active()) == 4
+    assert len(twin.running) == 4
 
 
 def independent_time(scene: Scene, machine: Simulation, first: int, deviation: float) -> float:
@@ -127,10 +127,10 @@ def test_nothing_is_predicted_across_a_silence_of_the_machine(tmp_path: Path, ga
     follow(twin, accompanied, machine, 3, velocity=False)
     for one in (accompanied, machine):
         one.advance(gap)
-    running = len(twin._active())
+    running = len(twin.running)
     accompanied.set_command(seen(machine, velocity=False))
     # No velocity is that between observations further apart than the time-out.
-    assert len(twin._active()) <= running
+    assert len(twin.running) <= running
     # A prediction of which nobody has seen the end tells nothing, least of all 10 s.
     assert len(twin.times) <= 1 and all(time <= 2.0 for time in twin.times)
     assert running == (1 if gap == 200 else 0)
