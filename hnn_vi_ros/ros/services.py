@@ -29,75 +29,6 @@ _FAILED = 'RESULT_OPERATION_FAILED'
 _PERIOD = 0.02
 
 
-class SimulateSteps:
-    """
-    Serve the action.
-
-    Every goal is accepted: by the definition, one that cannot be reached is answered by a result
-    that says why, which a rejection could not do.
-
-    Parameters
-    ----------
-    simulator : Simulator
-        The simulator to step.
-    kind : type
-        ``simulation_interfaces.action.SimulateSteps``.
-    fill : callable
-        Writes an Answer into a result.
-    group : CallbackGroup
-        Which it belongs to.
-
-    """
-
-    def __init__(self, simulator: Simulator, kind: Any, fill: Callable[[Any, Answer], Any],
-                 group: CallbackGroup):
-        self._kind, self._fill, self._simulator = kind, fill, simulator
-        self._goal: tuple[Any, Future] | None = None
-        ActionServer(simulator, kind, '~/simulate_steps', self._execute, callback_group=group,
-                     cancel_callback=self._on_cancel)
-
-    async def _execute(self, goal: ServerGoalHandle) -> Any:
-        """Take the steps of a goal; a second goal is answered at once, as a second service is."""
-        control = self._simulator.control
-        if control is None:
-            return self._finish(goal, Answer(False, self._simulator.refusal))
-        future = control.request_steps(int(goal.request.steps), self._feedback(goal))
-        if not future.done():
-            self._goal = goal, future
-            if goal.is_cancel_requested:
-                # Since before it began.
-                control.cancel_steps(future)
-        return self._finish(goal, await future)
-
-    def _feedback(self, goal: ServerGoalHandle) -> Callable[[int, int], None]:
-        """Return what reports progress to a client: after the first batch, and the last."""
-        last = -math.inf
-
-        def tell(done: int, left: int) -> None:
-            nonlocal last
-            now = time.monotonic()
-            if left == 0 or now - last >= _PERIOD:
-                last = now
-                goal.publish_feedback(
-                    self._kind.Feedback(completed_steps=done, remaining_steps=left))
-        return tell
-
-    def _on_cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        """Take no more steps of this goal; what was taken is not taken back."""
-        if self._goal is not None and self._goal[0] == goal and self._simulator.control:
-            self._simulator.control.cancel_steps(self._goal[1])
-        return CancelResponse.ACCEPT
-
-    def _finish(self, goal: ServerGoalHandle, answer: Answer) -> Any:
-        if answer.success:
-            goal.succeed()
-        elif goal.is_cancel_requested:
-            goal.canceled()
-        else:
-            goal.abort()
-        return self._fill(self._kind.Result(), answer)
-
-
 _INTERFACES = 'simulation_interfaces'
 # What each interface that is served here adds to the features that are reported.
 INTERFACES = {
@@ -148,7 +79,8 @@ def offer_simulation_interfaces(simulator: Simulator, group: CallbackGroup) -> N
     services = SimulationServices(messages, simulator, offered)
     for interface, kind in offered.items():
         if interface == ACTION:
-            SimulateSteps(simulator, kind, services.fill, group)
+            ActionServer(simulator, kind, '~/simulate_steps', services.simulate_steps,
+                         callback_group=group, cancel_callback=services.cancel_steps)
         else:
             name = service_name(interface)
             simulator.create_service(
@@ -172,8 +104,10 @@ class SimulationServices:
 
     """
 
-    def __init__(self, messages: ModuleType, simulator: Simulator, offered: Mapping[str, type]):
-        self._simulator, self._messages = simulator, messages
+    def __init__(self, messages: ModuleType, simulator: Simulator, offered: Mapping[str, Any]):
+        self._simulator, self._messages, self._offered = simulator, messages, offered
+        # The goal of the action that steps are taken for, and what will hold their end.
+        self._goal: tuple[Any, Future] | None = None
         kinds = messages.SimulatorFeatures
         self._features = sorted(getattr(kinds, feature) for name in offered
                                 for feature in INTERFACES[name] if hasattr(kinds, feature))
@@ -191,11 +125,6 @@ class SimulationServices:
                 code, message = getattr(problem, 'code', _FAILED), str(problem)
             return self._fill(response, code, message or '')
         return answer
-
-    def fill(self, response: Any, answer: Answer) -> Any:
-        """Write an answer into a response, and return that."""
-        return self._fill(response, 'RESULT_OK', '') if answer.success else self._fill(
-            response, _FAILED, answer.message)
 
     def get_simulator_features(self, request: Any, response: Any) -> None:
         """Return what is supported."""
@@ -285,6 +214,54 @@ class SimulationServices:
         if self._simulator.state == State.PRIMARY_STATE_UNCONFIGURED:
             raise WorldError('NO_WORLD_LOADED', self._simulator.refusal)
         await self._unload()
+
+    async def simulate_steps(self, goal: ServerGoalHandle) -> Any:
+        """
+        Take the steps of a goal of the action; a second goal is answered at once, as a service is.
+
+        Every goal is accepted: by the definition, one that cannot be reached is answered by a
+        result that says why, which a rejection could not do.
+        """
+        control = self._simulator.control
+        if control is None:
+            return self._finish(goal, Answer(False, self._simulator.refusal))
+        future = control.request_steps(int(goal.request.steps), self._feedback(goal))
+        if not future.done():
+            self._goal = goal, future
+            if goal.is_cancel_requested:
+                # Since before it began.
+                control.cancel_steps(future)
+        return self._finish(goal, await future)
+
+    def _feedback(self, goal: ServerGoalHandle) -> Callable[[int, int], None]:
+        """Return what reports progress to a client: after the first batch, and the last."""
+        last = -math.inf
+
+        def tell(done: int, left: int) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if left == 0 or now - last >= _PERIOD:
+                last = now
+                goal.publish_feedback(
+                    self._offered[ACTION].Feedback(completed_steps=done, remaining_steps=left))
+        return tell
+
+    def cancel_steps(self, goal: ServerGoalHandle) -> CancelResponse:
+        """Take no more steps of this goal; what was taken is not taken back."""
+        if self._goal is not None and self._goal[0] == goal and self._simulator.control:
+            self._simulator.control.cancel_steps(self._goal[1])
+        return CancelResponse.ACCEPT
+
+    def _finish(self, goal: ServerGoalHandle, answer: Answer) -> Any:
+        if answer.success:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            goal.abort()
+        return self._fill(self._offered[ACTION].Result(),
+                          'RESULT_OK' if answer.success else _FAILED,
+                          '' if answer.success else answer.message)
 
     def _control(self, code: str) -> Control:
         """Return the control of the run; WorldError with this code while there is none."""
