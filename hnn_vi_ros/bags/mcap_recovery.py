@@ -23,7 +23,7 @@ from hnn_vi_ros.bags.mcap_records import (
     chunk_head, crc_of, decode, frames_in, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack,
     walk)
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files.regular_file import open_file
+from hnn_vi_ros.files.regular_file import numbered, open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from mcap.opcode import Opcode
 from mcap.records import DataEnd, MessageIndex
@@ -486,10 +486,7 @@ def _read_back(path: Path, messages: int) -> None:
 
 def _keep(path: Path) -> Path:
     """Give a file a second name, that none has yet, and return that."""
-    number = 0
-    while True:
-        number += 1
-        original = path.with_name(f'{path.name}.orig' + (f'-{number}' if number > 1 else ''))
+    for original in numbered(path.with_name(f'{path.name}.orig')):
         try:
             os.link(path, original)
         except FileExistsError:
@@ -499,7 +496,8 @@ def _keep(path: Path) -> Path:
             if original.exists():
                 continue
             path.rename(original)
-        return original
+        break
+    return original
 
 
 def _is_bag(path: Path) -> bool:

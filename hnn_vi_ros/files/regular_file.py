@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Open regular files, refuse what only looks like one, and write files that are new."""
 
+from collections.abc import Iterator
 import errno
+from itertools import count
 import os
 from pathlib import Path
 import stat
@@ -79,6 +81,13 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
     except OSError as problem:
         raise SceneError(f'{path}: cannot be written ({problem.strerror}); name another file'
                          ) from problem
+
+
+def numbered(path: Path, suffix: str = '') -> Iterator[Path]:
+    """Yield a path, and then others of its name, with -2, -3 and so on before a suffix of it."""
+    yield path
+    for number in count(2):
+        yield path.with_name(f'{path.name.removesuffix(suffix)}-{number}{suffix}')
 
 
 def no_file(path: Path, missing: str = 'no such file') -> str:

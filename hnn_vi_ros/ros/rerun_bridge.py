@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import repeat
 import math
 from pathlib import Path
 import time
@@ -12,6 +13,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
+from hnn_vi_ros.files.regular_file import numbered
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.mechanisms import MECHANISMS
@@ -203,8 +205,10 @@ class RerunBridge(RobustNode):
         refuse_unknown(self, BRIDGE_PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._settings)
+        self._targets = numbered(self.target, self.target.suffix) if isinstance(
+            self.target, Path) else repeat(self.target)
         self.problem: HnnViRosError | None = None
-        self._described, self._scenes = '', 0
+        self._described = ''
         self._picture: BridgePicture | None = None
 
     def listen(self) -> None:
@@ -263,20 +267,12 @@ class RerunBridge(RobustNode):
             return
         with self._end_if_lost():
             self.close()
-            target = self._next_target()
+            # After the first, a file that is not there yet.
+            target = next(target for target in self._targets if target == self.target
+                          or not (isinstance(target, Path) and target.exists()))
             self._picture = BridgePicture(scene, target, 'bridge')
             shown = f'port {target}' if isinstance(target, int) else target
             self.get_logger().info(f'showing {self._settings.simulator} on {shown}')
-
-    def _next_target(self) -> Target:
-        """Return where the next picture goes: after the first, a file that is not there yet."""
-        target, self._scenes = self.target, self._scenes + 1
-        if isinstance(target, Path):
-            first = target
-            while self._scenes > 1 and (target := first.with_name(
-                    f'{first.stem}-{self._scenes}{first.suffix}')).exists():
-                self._scenes += 1
-        return target
 
     def _on_state(self, payload: bytes) -> None:
         """Show a sample."""

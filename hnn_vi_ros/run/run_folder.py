@@ -3,6 +3,7 @@
 """Folder of a run's files, which overwrites nothing, and the report of how to open them."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime, UTC
 import os
 from pathlib import Path
@@ -12,6 +13,7 @@ import sys
 from typing import final
 
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.regular_file import numbered
 
 
 def bag_lines(bag: Path) -> list[str]:
@@ -77,19 +79,15 @@ def create_run_folder(scene: str, home: Path) -> Path:
         The folder cannot be created.
 
     """
-    stem = f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'
-    runs = folder = home / 'runs'
+    folder = runs = home / 'runs'
     try:
-        folder.mkdir(exist_ok=True)
-        number = 1
-        while True:
-            folder = runs / (stem if number == 1 else f'{stem}-{number}')
+        runs.mkdir(exist_ok=True)
+        for folder in numbered(runs / f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'):
             # Not looked for before: another process may make it in between.
-            try:
+            with suppress(FileExistsError):
                 folder.mkdir()
-                return folder
-            except FileExistsError:
-                number += 1
+                break
+        return folder
     except OSError as problem:
         raise RecordingError(
             f'{folder} cannot be created ({problem.strerror}); set record_path and '
@@ -133,10 +131,8 @@ class RunFiles:
         else:
             self._folder = self._folder or create_run_folder(scene, self._home)
             first = self._folder / default
-        path, number = first, 1
-        while path in self._used or (number > 1 and path.exists()):
-            number += 1
-            path = first.with_name(f'{first.stem}-{number}{first.suffix}')
+        path = next(path for path in numbered(first, first.suffix) if path not in self._used
+                    and not (path != first and path.exists()))
         self._used.add(path)
         return path
 
