@@ -99,11 +99,6 @@ class BagReader:
         self.last = max((part.piece.last for part in self._parts), default=0)
 
     @property
-    def unread(self) -> int:
-        """Return how many parts could not be read; damaged messages count once they were met."""
-        return sum(len(source.unread) for source in self._sources)
-
-    @property
     def damage(self) -> str:
         """Return what is to be reported of parts that could not be read; empty if none."""
         found = []
