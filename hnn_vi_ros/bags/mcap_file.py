@@ -20,7 +20,7 @@ from hnn_vi_ros.bags.bag_metadata import DEFINITIONS, described_channels
 from hnn_vi_ros.bags.bag_source import Piece, Source
 from hnn_vi_ros.bags.mcap_records import (
     chunk_head, ChunkHead, crc_of, decode, files_in, Frame, Gap, HEAD, is_another_kind,
-    is_consistent, MAGIC, MESSAGE, PREFIX, read_content, records_in, unpack, walk)
+    is_consistent, MAGIC, MESSAGE, PREFIX, read_at, read_content, records_in, unpack, walk)
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
 from mcap.opcode import Opcode
@@ -157,8 +157,7 @@ def survey(stream: BinaryIO, size: int | None = None) -> Survey:
     """
     whole = os.fstat(stream.fileno()).st_size
     size = whole if size is None else size
-    stream.seek(0)
-    found = Survey(stream.read(len(MAGIC)) == MAGIC, size)
+    found = Survey(read_at(stream, 0, len(MAGIC)) == MAGIC, size)
     for frame in walk(stream, size):
         if isinstance(frame, Gap):
             found.gaps.append(frame)
@@ -185,9 +184,9 @@ def survey(stream: BinaryIO, size: int | None = None) -> Survey:
 def _second(found: Survey, stream: BinaryIO, header: Frame) -> int:
     """Return where the file of a header begins behind another one, 0 if that is the first."""
     begin = header.start - PREFIX.size
-    stream.seek(max(0, begin - len(MAGIC)))
-    if begin > len(MAGIC) and stream.read(len(MAGIC)) == MAGIC and found.is_mcap:
-        return begin - len(MAGIC)
+    before = begin - len(MAGIC)
+    if before > 0 and read_at(stream, before, len(MAGIC)) == MAGIC and found.is_mcap:
+        return before
     return begin if found.header is not None else 0
 
 
@@ -367,8 +366,7 @@ class McapFile(Source):
         """Note what is in the file up to a place; return where another one begins before that."""
         self.survey: Survey = survey(stream, end)
         if not self.survey.is_mcap:
-            stream.seek(0)
-            refuse_pointer(stream.read(32), self.name, RecordingError)
+            refuse_pointer(read_at(stream, 0, 32), self.name, RecordingError)
             reason = 'it does not begin like one' if stream.seek(0, 2) else 'it is empty'
             raise RecordingError(f'{self.name}: no MCAP file: {reason}; give a bag or its file')
         self.pieces, self.unread, self.incomplete, self.held = [], {}, 0, self.survey.messages

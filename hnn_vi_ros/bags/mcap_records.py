@@ -156,12 +156,17 @@ def _message(content: bytes) -> Message | None:
                    publish_time=publish_time, data=content[MESSAGE_HEAD:])
 
 
+def read_at(stream: BinaryIO, start: int, length: int = -1) -> bytes:
+    """Return bytes of a stream from a place on, all by default, as far as they are there."""
+    stream.seek(start)
+    return stream.read(length)
+
+
 def read_content(stream: BinaryIO, frame: Frame) -> bytes:
     """Return the content of a frame, as far as present; nothing of one that is too large."""
     if frame.length > LARGEST:
         return b''
-    stream.seek(frame.start)
-    return stream.read(frame.length)
+    return read_at(stream, frame.start, frame.length)
 
 
 def crc_of(stream: BinaryIO, start: int, end: int) -> int:
@@ -302,8 +307,7 @@ def files_in(stream: BinaryIO, size: int) -> Iterator[int]:
     """Yield where MCAP files seem to begin in the first bytes of a stream, other than at 0."""
     begin = MAGIC + bytes([Opcode.HEADER])
     for start in range(1, size, _WINDOW):
-        stream.seek(start)
-        window = stream.read(min(_WINDOW + len(begin) - 1, size - start))
+        window = read_at(stream, start, min(_WINDOW + len(begin) - 1, size - start))
         yield from (start + found.start() for found in re.finditer(re.escape(begin), window))
 
 

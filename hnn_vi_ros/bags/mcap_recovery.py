@@ -20,8 +20,8 @@ from hnn_vi_ros.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)
 from hnn_vi_ros.bags.mcap_file import Definitions, Indexed, McapFile, Survey
 from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, crc_of, decode, frames_in, Gap, MAGIC, MESSAGE, PREFIX, read_content, unpack,
-    walk)
+    chunk_head, crc_of, decode, frames_in, Gap, MAGIC, MESSAGE, PREFIX, read_at, read_content,
+    unpack, walk)
 from hnn_vi_ros.errors import listed, RecordingError
 from hnn_vi_ros.files.regular_file import numbered, open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -145,8 +145,7 @@ def contradicted(stream: BinaryIO, survey: Survey) -> int:
 
 def data_crc_holds(stream: BinaryIO, survey: Survey) -> bool:
     """Return whether the data are unchanged, header and metadata too, where known."""
-    stream.seek(survey.end)
-    data_end = decode(Opcode.DATA_END, stream.read(_CRC.size))
+    data_end = decode(Opcode.DATA_END, read_at(stream, survey.end, _CRC.size))
     return isinstance(data_end, DataEnd) and data_end.data_section_crc in (
         0, crc_of(stream, 0, survey.end - PREFIX.size))
 
@@ -157,14 +156,12 @@ def _framed(stream: BinaryIO) -> bool:
     for frame in walk(stream, size):
         if isinstance(frame, Gap):
             return False
-        stream.seek(frame.start - PREFIX.size)
-        if PREFIX.unpack(stream.read(PREFIX.size)) != (frame.opcode, frame.length):
+        prefix = read_at(stream, frame.start - PREFIX.size, PREFIX.size)
+        if PREFIX.unpack(prefix) != (frame.opcode, frame.length):
             return False
         end, last = frame.end, frame.opcode
-    stream.seek(0)
-    begin = stream.read(len(MAGIC))
-    stream.seek(end)
-    return last == Opcode.FOOTER and begin == stream.read() == MAGIC
+    return last == Opcode.FOOTER and read_at(stream, 0, len(MAGIC)) == MAGIC == read_at(
+        stream, end)
 
 
 def _defined_twice(file: McapFile) -> bool:
