@@ -154,7 +154,7 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     for specification in specifications(settings):
         name, given = specification.name, specification.default
         if node.has_parameter(name):
-            # As it was given, without a descriptor, whose limits rclpy would refuse by at length.
+            # It is checked before it has a descriptor: errors of rclpy take several lines.
             given = node.get_parameter(name).value
             node.undeclare_parameter(name)
         values[name] = specification.check(given)
