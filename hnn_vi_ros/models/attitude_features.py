@@ -22,13 +22,9 @@ def group_of(model: Checkpoint) -> LieGroupCard:
 
 def widened(model: Checkpoint, network: str) -> Layers:
     """Return a network as one of all of (x, R row by row, pi), which ignores what it sees not."""
-    card, (weights, biases) = group_of(model), model.networks[network]
-    first, *others = weights
-    columns = card.columns(getattr(card, f'{network}_depends_on'))
-    wide = np.zeros((len(first), 2 * card.size + 6))
-    if columns:
-        wide[:, columns] = first
-    return Layers((wide, *others), biases)
+    card = group_of(model)
+    return model.networks[network].widened(
+        2 * card.size + 6, card.columns(getattr(card, f'{network}_depends_on')))
 
 
 def turn_matrices(q: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ that, from ``member1.`` to ``memberN.``. The metadata entry ``model_card`` is a
 ModelCard as JSON. Nothing in it is ever executed.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 import hashlib
@@ -61,6 +61,13 @@ class Layers(NamedTuple):
     def widths(self) -> list[int]:
         """Return the numbers of inputs and of the outputs of each layer."""
         return [self.weights[0].shape[1], *map(len, self.weights)]
+
+    def widened(self, inputs: int, places: Sequence[int]) -> 'Layers':
+        """Return the same network of so many inputs, at whose places are those that it sees."""
+        first, *others = self.weights
+        wide = np.zeros((len(first), inputs))
+        wide[:, [*places]] = first[:, :len(places)]
+        return Layers((wide, *others), self.biases)
 
 
 def widths_of(networks: Mapping[str, Layers]) -> dict[str, Any]:

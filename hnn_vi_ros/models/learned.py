@@ -17,7 +17,7 @@ from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 # States of the box at which rounding is measured.
-_SAMPLES = 64
+SAMPLES = 64
 _EPS = float(np.finfo(np.float64).eps)
 # How far apart these and those that they are compared with are, relative to the largest.
 _AWAY = 1e3 * _EPS
@@ -94,10 +94,10 @@ class LearnedHamiltonian(Hamiltonian):
         return Kernel(energy, gradient, hessian_vector, parameters, self.dimension, (0.0, 0.0),
                       compiled=True, rotations=self.rotations)
 
-    def _samples(self) -> np.ndarray:
-        """Return states of the box, shape (m, 2 d)."""
+    def _samples(self, count: int = SAMPLES) -> np.ndarray:
+        """Return states of the box, shape (count, 2 d)."""
         low, high = np.concatenate(self.box).T
-        return np.random.default_rng(0).uniform(low, high, (_SAMPLES, low.size))
+        return np.random.default_rng(0).uniform(low, high, (count, low.size))
 
 
 def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.ndarray:
@@ -156,7 +156,7 @@ def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) 
 
 def padded(layers: Layers, part: str) -> Layers:
     """Return a network of one ``part``, q or p, as one of both; leave one of both unchanged."""
-    first, *others = layers.weights
-    zero = np.zeros_like(first)
-    parts = {'both': (first,), 'q': (first, zero), 'p': (zero, first)}
-    return Layers((np.hstack(parts[part]), *others), layers.biases)
+    if part == 'both':
+        return layers
+    n = layers.widths[0]
+    return layers.widened(2 * n, range(n) if part == 'q' else range(n, 2 * n))

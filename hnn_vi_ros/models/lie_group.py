@@ -8,16 +8,13 @@ from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.attitude_features import (
     add_turn_slope, group_of, see, see_change, widened)
 from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.outputs import pack_layers
 from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
 from hnn_vi_ros.networks.perceptron_memory import pack
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
-
-# States at which rounding is measured.
-_SAMPLES = 64
 
 
 class LieGroupHamiltonian(LearnedHamiltonian):
@@ -71,13 +68,13 @@ class LieGroupHamiltonian(LearnedHamiltonian):
             RootWork.empty(2 * card.size + 6, len(card.entries), card.size))
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
-    def _samples(self) -> np.ndarray:
-        """Return states of the box, shape (m, 2 d), with any attitude; the last column is zero."""
+    def _samples(self, count: int = SAMPLES) -> np.ndarray:
+        """Return states of the box with any attitude; the last column is zero."""
         rng = np.random.default_rng(0)
-        q, p = (rng.uniform(part[:, 0], part[:, 1], (_SAMPLES, len(part))) for part in self.box)
-        attitudes = rng.normal(size=(_SAMPLES, 4))
+        q, p = (rng.uniform(part[:, 0], part[:, 1], (count, len(part))) for part in self.box)
+        attitudes = rng.normal(size=(count, 4))
         q[:, -4:] = attitudes / np.linalg.norm(attitudes, axis=1, keepdims=True)
-        return np.hstack([q, p, np.zeros((_SAMPLES, 1))])
+        return np.hstack([q, p, np.zeros((count, 1))])
 
 
 @kept(error_model='numpy')

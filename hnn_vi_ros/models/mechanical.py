@@ -1,19 +1,111 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A learned Hamiltonian of a mechanism: a mass matrix and a potential that are networks of q."""
+"""
+A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), M and V being networks of q.
+
+``inertia``, ``slope`` and ``slope_change`` are what a mean of mechanisms needs of each member.
+"""
+
+from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.features import even_layers, pack_features
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.features import (
+    add_covector, add_covector_change, even_layers, Features, pack_features, see, see_change)
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
-from hnn_vi_ros.models.mechanical_kernel import (
-    energy, gradient, hessian_vector, MassNetwork, MechanicalParameters, MechanicalWork,
-    PotentialNetwork)
-from hnn_vi_ros.models.outputs import pack_layers
-from hnn_vi_ros.models.priors import prior_of
-from hnn_vi_ros.networks.perceptron_memory import pack
+from hnn_vi_ros.models.outputs import (
+    input_gradient, input_hessian_vector, output_tangents, pack_layers, PackedOutputs, weigh)
+from hnn_vi_ros.models.priors import (
+    add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_of, prior_potential,
+    subtract_turned_mass)
+from hnn_vi_ros.models.roots import (
+    evaluate_root, transposed_product, turn_root, weigh_entries, weigh_entry_changes)
+from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
+
+
+class MassNetwork(NamedTuple):
+    """
+    The network of M of k entries.
+
+    Parameters
+    ----------
+    outputs : PackedOutputs
+        The network of y.
+    seen : Features
+        Its inputs from q.
+    places : np.ndarray of int, shape (k, 2)
+        Row and column of each entry in L.
+    scale : np.ndarray, shape (d,)
+        The diagonal of S.
+    floor : float
+        Constant added to the diagonal of L L^T.
+
+    """
+
+    outputs: PackedOutputs
+    seen: Features
+    places: np.ndarray
+    scale: np.ndarray
+    floor: float
+
+
+class PotentialNetwork(NamedTuple):
+    """The network of V, and what it sees of q."""
+
+    network: PackedPerceptron
+    seen: Features
+
+
+class MechanicalWork(NamedTuple):
+    """
+    Space for one state; what ends in ``_v`` is a change along a direction.
+
+    Parameters
+    ----------
+    y, y_v, c, c_v : np.ndarray, shape (k,)
+        The entries, and their cotangent u_i w_j L_ij'(y): the derivative of -H by them.
+    L, L_v, factor : np.ndarray, shape (d, d)
+        L, and the Cholesky factor of S^-1 M S^-1.
+    v, u, u_v, w, w_v : np.ndarray, shape (d,)
+        The velocity, u = S v and w = L^T u.
+    turned : np.ndarray, shape (d,)
+        L'^T u of the change L' of L.
+
+    """
+
+    y: np.ndarray
+    y_v: np.ndarray
+    c: np.ndarray
+    c_v: np.ndarray
+    L: np.ndarray
+    L_v: np.ndarray
+    factor: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+    u_v: np.ndarray
+    w: np.ndarray
+    w_v: np.ndarray
+    turned: np.ndarray
+
+    @classmethod
+    def empty(cls, entries: int, d: int) -> 'MechanicalWork':
+        """Return space for so many entries and coordinates."""
+        return cls(*np.zeros((4, entries)), *np.zeros((3, d, d)), *np.zeros((6, d)))
+
+
+class MechanicalParameters(NamedTuple):
+    """Parameters of the functions of a mechanism: M, V, what a prior adds, and space."""
+
+    mass: MassNetwork
+    potential: PotentialNetwork
+    prior: Prior
+    work: MechanicalWork
 
 
 class MechanicalHamiltonian(LearnedHamiltonian):
@@ -68,3 +160,217 @@ class MechanicalHamiltonian(LearnedHamiltonian):
         return MechanicalParameters(
             mass, potential, prior_of(mechanical),
             MechanicalWork.empty(len(mechanical.entries), self.dimension))
+
+
+@kept(error_model='numpy')
+def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
+    """Return H; see Kernel."""
+    potential, prior, v = parameters.potential, parameters.prior, parameters.work.v
+    _solve(parameters, q, p)
+    see(potential.seen, q)
+    x = potential.seen.inputs
+    half = x.size // 2
+    energy = perceptron.energy(potential.network, x[:half], x[half:])
+    if prior.present:
+        energy += prior_potential(prior, q)
+    for i in range(p.size):
+        energy += 0.5 * p[i] * v[i]
+    return energy
+
+
+@kept(error_model='numpy')
+def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
+             dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
+    """Fill the gradient; see Kernel."""
+    d, v = parameters.mass.scale.size, parameters.work.v
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        _fill_slope(parameters, q[a:b], dH_dq[a:b])
+        for i in range(d):
+            dH_dp[a + i] = v[i]
+
+
+@kept(error_model='numpy')
+def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
+                   v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
+                   product_p: np.ndarray) -> None:
+    """Fill the change of the gradient along (v_q, v_p): that of its lines, one by one."""
+    scale, u_v, factor = parameters.mass.scale, parameters.work.u_v, parameters.work.factor
+    d = scale.size
+    for a in range(0, q.size, d):
+        b = a + d
+        _solve(parameters, q[a:b], p[a:b])
+        # A u = S^-1 p with A = L L^T + floor + S^-1 M S^-1 of the prior, so
+        # A u' = S^-1 p' - L' w - L (L'^T u) - S^-1 M' v.
+        for i in range(d):
+            u_v[i] = v_p[a + i] / scale[i]
+        _turn_mass(parameters, q[a:b], v_q[a:b], product_q[a:b])
+        solve_lower(factor, u_v)
+        solve_upper(factor, u_v)
+        for i in range(d):
+            product_p[a + i] = u_v[i] / scale[i]
+        _change_slope(parameters, q[a:b], v_q[a:b], product_p[a:b], product_q[a:b])
+
+
+@kept(error_model='numpy')
+def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -> float:
+    """
+    Fill M(q) on and below its diagonal, row by row, shape (d d,); q is padded to that size.
+
+    This, ``slope`` and ``slope_change`` are called by address: they take the arrays that a kernel's
+    three functions take, and are called in this order.
+    """
+    scale, factor = parameters.mass.scale, parameters.work.factor
+    d = scale.size
+    _fill_mass(parameters, q[:d])
+    for i in range(d):
+        for j in range(i + 1):
+            mass[i * d + j] = scale[i] * factor[i, j] * scale[j]
+    return 0.0
+
+
+@kept(error_model='numpy')
+def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq: np.ndarray,
+          unused: np.ndarray) -> None:
+    """Fill V' - (v . M v)_q / 2 at held v: H_q where p is M v."""
+    _set_velocity(parameters, v)
+    _fill_slope(parameters, q, dH_dq)
+
+
+@kept(error_model='numpy')
+def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
+                 v_q: np.ndarray, v_change: np.ndarray, change: np.ndarray,
+                 turned: np.ndarray) -> None:
+    """Fill the change of ``slope`` with q and with v, and M' v, of M that changes with q."""
+    scale, u_v = parameters.mass.scale, parameters.work.u_v
+    _set_velocity(parameters, v)
+    u_v[:] = 0.0
+    _turn_mass(parameters, q, v_q, change)
+    for i in range(scale.size):
+        turned[i] = -scale[i] * u_v[i]
+        u_v[i] = scale[i] * v_change[i]
+    _change_slope(parameters, q, v_q, v_change, change)
+
+
+@part(error_model='numpy')
+def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np.ndarray,
+                             product_q: np.ndarray) -> None:
+    """Add V''(q) v_q."""
+    seen = potential.seen
+    see(seen, q)
+    see_change(seen, v_q)
+    input_gradient(potential.network, seen.inputs, seen.cotangent)
+    input_hessian_vector(potential.network, seen.inputs, seen.change, seen.cotangent_change)
+    add_covector(seen, 1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, 1.0, product_q)
+
+
+@part(error_model='numpy')
+def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
+               product_q: np.ndarray) -> None:
+    """Subtract S^-1 M' v from u_v, and fill the change of -sum_ij u_i w_j L_ij' at held u, w."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    outputs, seen, places, scale = mass.outputs, mass.seen, mass.places, mass.scale
+    y, y_v = work.y, work.y_v
+    L, L_v, turned = work.L, work.L_v, work.turned
+    u, u_v, w = work.u, work.u_v, work.w
+    d = scale.size
+    product_q[:] = 0.0
+    weigh_entries(places, True, work.y, u, work.w, work.c)
+    see_change(seen, v_q)
+    weigh(outputs, work.c)
+    input_gradient(outputs.network, seen.inputs, seen.cotangent)
+    input_hessian_vector(outputs.network, seen.inputs, seen.change, seen.cotangent_change)
+    add_covector(seen, -1.0, seen.cotangent_change, product_q)
+    add_covector_change(seen, -1.0, product_q)
+    output_tangents(outputs, y_v)
+    turn_root(places, True, y, y_v, L_v)
+    transposed_product(L_v, u, turned)
+    for i in range(d):
+        for j in range(i + 1):
+            u_v[i] -= L_v[i, j] * w[j] + L[i, j] * turned[j]
+    if prior.present:
+        subtract_turned_mass(prior, q, v_q, work.v, scale, u_v)
+
+
+@part(error_model='numpy')
+def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
+                  v_change: np.ndarray, product_q: np.ndarray) -> None:
+    """Add what the slope changes by with u, w and V; after _turn_mass, of u_v = S v_change."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    outputs, seen, places = mass.outputs, mass.seen, mass.places
+    L, turned = work.L, work.turned
+    u, u_v, w, w_v = work.u, work.u_v, work.w, work.w_v
+    d = u.size
+    for j in range(d):
+        w_v[j] = turned[j]
+        for i in range(j, d):
+            w_v[j] += L[i, j] * u_v[i]
+    weigh_entry_changes(places, True, work.y, work.y_v, u, u_v, w, w_v, work.c_v)
+    weigh(outputs, work.c_v)
+    input_gradient(outputs.network, seen.inputs, seen.cotangent)
+    add_covector(seen, -1.0, seen.cotangent, product_q)
+    _differentiate_potential(parameters.potential, q, v_q, product_q)
+    if prior.present:
+        add_prior_slope_change(prior, q, work.v, v_q, v_change, product_q)
+
+
+@part(error_model='numpy')
+def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> None:
+    """Fill y, L, the Cholesky factor of S^-1 M S^-1, and v, u, w; NaN if no factor exists."""
+    scale, work = parameters.mass.scale, parameters.work
+    factor, v, u = work.factor, work.v, work.u
+    _fill_mass(parameters, q)
+    for i in range(u.size):
+        u[i] = p[i] / scale[i]
+    if not factorise(factor):
+        u[:] = np.nan
+    solve_lower(factor, u)
+    solve_upper(factor, u)
+    for i in range(u.size):
+        v[i] = u[i] / scale[i]
+    transposed_product(work.L, u, work.w)
+
+
+@part(error_model='numpy')
+def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
+    """Fill y, L, and S^-1 M S^-1 on and below its diagonal in the place of its factor."""
+    mass, prior, work = parameters.mass, parameters.prior, parameters.work
+    L, factor = work.L, work.factor
+    see(mass.seen, q)
+    evaluate_root(mass.outputs, mass.places, True, mass.seen.inputs, work.y, L)
+    for i in range(q.size):
+        for j in range(i + 1):
+            factor[i, j] = mass.floor if i == j else 0.0
+            for k in range(j + 1):
+                factor[i, j] += L[i, k] * L[j, k]
+    if prior.present:
+        add_mass(prior, q, mass.scale, factor)
+
+
+@part(error_model='numpy')
+def _set_velocity(parameters: MechanicalParameters, velocity: np.ndarray) -> None:
+    """Fill v, u and w, of a velocity; after _fill_mass."""
+    scale, work = parameters.mass.scale, parameters.work
+    for i in range(scale.size):
+        work.v[i] = velocity[i]
+        work.u[i] = scale[i] * velocity[i]
+    transposed_product(work.L, work.u, work.w)
+
+
+@part(error_model='numpy')
+def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarray) -> None:
+    """Fill V' - (v . M v)_q / 2 at held v; after _solve or _set_velocity."""
+    mass, potential, work = parameters.mass, parameters.potential, parameters.work
+    prior = parameters.prior
+    weigh_entries(mass.places, True, work.y, work.u, work.w, work.c)
+    weigh(mass.outputs, work.c)
+    input_gradient(mass.outputs.network, mass.seen.inputs, mass.seen.cotangent)
+    see(potential.seen, q)
+    input_gradient(potential.network, potential.seen.inputs, potential.seen.cotangent)
+    dH_dq[:] = 0.0
+    add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq)
+    add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq)
+    if prior.present:
+        add_prior_slope(prior, q, work.v, dH_dq)

@@ -12,7 +12,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.ensemble import MeanHamiltonian
-from hnn_vi_ros.models.mechanical_kernel import inertia, slope, slope_change
+from hnn_vi_ros.models.mechanical import inertia, slope, slope_change
 import numpy as np
 
 
@@ -25,7 +25,7 @@ class MeanParameters(NamedTuple):
     first : Target
         The first of the members: what is compiled before the first step.
     members : tuple of Target
-        Of each ``inertia``, ``slope`` and ``slope_change`` of mechanical_kernel.py, by address.
+        Of each ``inertia``, ``slope`` and ``slope_change`` of mechanical.py, by address.
     wholes : tuple of Target
         Of each its Hamiltonian, whose energy at rest is V.
     factor : np.ndarray, shape (d, d)

@@ -17,7 +17,7 @@ from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 # States of the box at which W is looked at.
-_SAMPLES = 1024
+_STATES = 1024
 # Condition of W in units in which the box is a cube; beyond it, u' keeps too few digits.
 _LARGEST_CONDITION = 1e6
 # Motions fix W only along their paths, and it varies freely elsewhere; these keep it regular.
@@ -68,7 +68,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
     def __init__(self, checkpoint: Checkpoint):
         super().__init__(checkpoint)
         half = 0.5 * np.ptp(np.concatenate(self.box), axis=1)
-        problem = irregularity(self.two_forms(self._states()), half)
+        problem = irregularity(self.two_forms(self._samples(_STATES)), half)
         if problem:
             raise ModelError(f'{problem}, so its motions are not defined there; train it anew: '
                              f'{REMEDY}')
@@ -80,7 +80,7 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
         return found
 
     def _kernel(self) -> Kernel:
-        parameters, z, d = self._parameters(), self._states(), self.dimension
+        parameters, z, d = self._parameters(), self._samples(_STATES), self.dimension
 
         def energies(z: np.ndarray) -> np.ndarray:
             return np.array([[_energy(parameters, x[:d], x[d:])] for x in z])
@@ -96,10 +96,6 @@ class SymplecticFormHamiltonian(LearnedHamiltonian):
             self._packed('energy'), pack_outputs(self.checkpoint, 'one_form', 'both'),
             np.array(self.checkpoint.card.mass), np.empty((n, n)), np.empty((n, n)),
             np.empty(n), 0.0, 0.0)
-
-    def _states(self) -> np.ndarray:
-        low, high = np.concatenate(self.box).T
-        return np.random.default_rng(0).uniform(low, high, (_SAMPLES, 2 * self.dimension))
 
 
 def irregularity(two_forms: np.ndarray, half: np.ndarray) -> str:
