@@ -91,9 +91,9 @@ _FOLDERS = {
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
-# What users call a kind, where that is another word.
 # What lists all shipped ones of a kind.
 _ALL = {'scene': '; `hnn scene --list` lists them'}
+# What users call a kind, where that is another word.
 _WHAT = {'training': 'training configuration'}
 
 

@@ -133,15 +133,10 @@ class ProgressLine:
         if now < self._next:
             return
         self._next = now + self._interval
-        text = f'{share:4.0%}  {what}'
-        if self._terminal:
-            done = round(_BAR * share)
-            text = f'[{"#" * done}{"." * (_BAR - done)}] {text}'
-            # A line that is wrapped would not be cleared as a whole.
-            rewrite_line(sys.stderr, text[:shutil.get_terminal_size().columns - 1])
-            self._shown = True
-        else:
-            print(text, file=sys.stderr, flush=True)
+        done = round(_BAR * share)
+        bar = f'[{"#" * done}{"." * (_BAR - done)}] ' if self._terminal else ''
+        _show_progress(f'{bar}{share:4.0%}  {what}')
+        self._shown = self._terminal
 
     def close(self) -> None:
         """Clear the line: what is printed next takes its place."""
@@ -156,11 +151,7 @@ def elapsed(what: str) -> Iterator[None]:
 
     def show() -> None:
         while not done.wait(1.0 if terminal else _ELSEWHERE):
-            text = f'{what}, {time.monotonic() - begin:.0f} s so far'
-            if terminal:
-                rewrite_line(sys.stderr, text)
-            else:
-                print(text, file=sys.stderr, flush=True)
+            _show_progress(f'{what}, {time.monotonic() - begin:.0f} s so far')
 
     thread = threading.Thread(target=show, daemon=True)
     thread.start()
@@ -171,6 +162,15 @@ def elapsed(what: str) -> Iterator[None]:
         thread.join()
         if terminal:
             rewrite_line(sys.stderr, '')
+
+
+def _show_progress(text: str) -> None:
+    """Write a line on standard error, on a terminal in place of the one before."""
+    if sys.stderr.isatty():
+        # A line that is wrapped would not be cleared as a whole.
+        rewrite_line(sys.stderr, text[:shutil.get_terminal_size().columns - 1])
+    else:
+        print(text, file=sys.stderr, flush=True)
 
 
 def _guarded(number: int, stream: TextIO | None) -> _Plain:

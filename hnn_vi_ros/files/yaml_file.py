@@ -93,7 +93,7 @@ def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
         The exception to raise, with one line: file, line, key, what is expected.
 
     """
-    data, places = parse_mapping(_read(path, error), path, error)
+    data, places = parse_mapping(read_text(path, error), path, error)
     return validate(data, places, schema, error, trust_code=True), places
 
 
@@ -122,7 +122,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
         raise error(_describe(known, schema, problem)) from problem
 
 
-def _read(path: Path, error: type[HnnViRosError]) -> bytes:
+def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
     """Return the content of a regular file; of one that is too large as much as shows that."""
     try:
         if not os.path.isfile(path):
