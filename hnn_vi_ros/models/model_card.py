@@ -5,7 +5,7 @@
 from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.models.energy_error import EnergyError, Interval
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS
@@ -13,7 +13,6 @@ from hnn_vi_ros.models.seen import DomainCard, SelectionCard
 import numpy as np
 from pydantic import Field, model_validator
 
-Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=100_000)]],
                    Field(min_length=3, max_length=100)]
 

@@ -3,25 +3,25 @@
 """Domain of the model of a machine, and how the model was chosen: entries of its card."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Any
 
 from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.models.energy_error import Interval
 import numpy as np
 from pydantic import Field
 
 # Units of forces, of momenta in base units.
 _FORCES = {'kg m/s': 'N', 'kg m2/s': 'N m', '1': '1'}
 
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 Errors = dict[str, list[float | None]]
 
 
 class DomainCard(StrictModel):
     """The ranges [low, high] of the motions that a model was learned from."""
 
-    q: list[Range] = Field(min_length=1, description='of each coordinate')
-    v: list[Range] = Field(min_length=1, description='of each velocity')
-    forces: list[Range] = Field(description='of each motor; empty where no forces were measured')
+    q: list[Interval] = Field(min_length=1, description='of each coordinate')
+    v: list[Interval] = Field(min_length=1, description='of each velocity')
+    forces: list[Interval] = Field(description='of each motor; empty where no forces were measured')
 
     @classmethod
     def of(cls, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> 'DomainCard':

@@ -5,7 +5,7 @@
 from pathlib import Path
 
 from hnn_vi_ros.errors import ModelError, ParameterError
-from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.import_checkpoint import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
@@ -119,7 +119,7 @@ def test_imported_body_has_the_energy_and_gradient_of_its_source(tmp_path: Path,
     network = LieGroupNetwork.of(model)
     R = torch.tensor(R0.as_matrix())[None]
     at, u = torch.tensor(q[None, :places]), torch.zeros((1, 1), dtype=torch.float64)
-    held = network.held(at, R, u[:, :0])
+    held = HeldBody(network, at, R, u[:, :0])
     np.testing.assert_allclose(held.velocity(torch.tensor(p[None]))[0].detach(), dH_dp,
                                rtol=0.0, atol=1e-12)
     # The map of inputs, and friction, of the networks of their names.

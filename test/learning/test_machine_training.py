@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
 from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
-from hnn_vi_ros.learning.families.choices import combination, Structure
+from hnn_vi_ros.learning.families.choices import combination, FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import (
@@ -48,10 +48,11 @@ def random_motions(d: int, seed: int = 0) -> list[Run]:
 
 
 @pytest.mark.parametrize('structure', [
-    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[-1.0, 1.0]], stribeck=1),
+    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[-1.0, 1.0]],
+              friction=FrictionChoice(stribeck=1)),
     Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]],
               [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], diagonal_mass=True),
-    Structure(['revolute'], [[1.0]], [], coulomb=0),
+    Structure(['revolute'], [[1.0]], [], friction=FrictionChoice(coulomb=0)),
     Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
               prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]]),
     Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
@@ -62,8 +63,8 @@ def random_motions(d: int, seed: int = 0) -> list[Run]:
     Structure(['prismatic', 'prismatic'], [[1.0, 0.0], [1.0, -1.0]], [[0.0, 1.0]],
               prior='kepler'),
     Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
-    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, 0.0, 0.0]], [], viscous=False,
-              coulomb=0, friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
+    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, 0.0, 0.0]], [],
+              friction=FrictionChoice(viscous=False, coulomb=0), friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
     Structure(['revolute', 'revolute'], [[1.0, 0.0]], [], friction_features=[]),
 ])
 def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.families.choices import Structure
+from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -25,12 +25,13 @@ import torch
 H = 0.01
 STRUCTURES = {
     'arm': Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
-                     stribeck=1),
+                     friction=FrictionChoice(stribeck=1)),
     'prior': Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
                        prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]],
                        friction_features=[[1.0, 0.0]]),
     'three': Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0]],
-                       [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], load=True),
+                       [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                       friction=FrictionChoice(load=True)),
 }
 
 

@@ -9,7 +9,7 @@ from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.tasks.body import LieSteps, Node
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import save_checkpoint
@@ -112,7 +112,7 @@ def test_momenta_of_velocities_have_these_velocities(name: str):
         len(random_lie_group(name).card.box.q) - 1, 3)
     x, R, v = (torch.tensor(part) for part in (q[:, :-4], turn_matrices(q[:, -4:]), v))
     p = network.momenta(x, R, v)
-    found = network.held(x, R, v[:, :0]).of_body(p)
+    found = HeldBody(network, x, R, v[:, :0]).of_body(p)
     assert (found - v).abs().max() <= 10.0 * ROUND_OFF
 
 

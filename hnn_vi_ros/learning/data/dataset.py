@@ -12,7 +12,8 @@ from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.data.runs import part_of
-from hnn_vi_ros.models.model_card import Box, Interval
+from hnn_vi_ros.models.energy_error import Interval
+from hnn_vi_ros.models.model_card import Box
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from scipy.integrate import solve_ivp

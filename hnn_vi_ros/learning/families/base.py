@@ -50,9 +50,10 @@ def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor
     best = w = guess
     least = torch.full(guess.shape[:1], torch.inf, dtype=guess.dtype)
     share, step = torch.ones_like(least), torch.zeros_like(guess)
+    unrecorded = torch.no_grad()(residual)
     for k in range(_MOST):
         cheap = matrix is not None and k < _CHEAP
-        value, slopes = (_value(residual, w), matrix) if cheap else _with_slopes(residual, w)
+        value, slopes = (unrecorded(w), matrix) if cheap else _with_slopes(residual, w)
         size = (value / residual_unit).square().sum(dim=1)
         # Halve a step that makes the residual worse, or not a number.
         better = size < least
@@ -65,11 +66,6 @@ def newton(residual: Callable[[torch.Tensor], torch.Tensor], guess: torch.Tensor
         if not cheap and done.all():
             break
     return torch.where(done[:, None], w, torch.nan), slopes
-
-
-def _value(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor) -> torch.Tensor:
-    with torch.no_grad():
-        return residual(w)
 
 
 def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tensor
@@ -85,6 +81,12 @@ def _with_slopes(residual: Callable[[torch.Tensor], torch.Tensor], w: torch.Tens
 
 def _solve(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
     return torch.linalg.solve_ex(matrix, right[:, :, None])[0][:, :, 0]
+
+
+def keep(module: torch.nn.Module, **constants: np.ndarray) -> None:
+    """Give a module arrays as tensors that are neither trained nor saved."""
+    for name, values in constants.items():
+        module.register_buffer(name, torch.tensor(values), persistent=False)
 
 
 class Perceptron(torch.nn.Module):
@@ -113,8 +115,7 @@ class Perceptron(torch.nn.Module):
                  output_scale: np.ndarray, seed: int, first: torch.Tensor | None = None):
         super().__init__()
         self.widths = [len(centre), *hidden, len(output_scale)]
-        for name, values in (('centre', centre), ('scale', scale), ('output_scale', output_scale)):
-            self.register_buffer(name, torch.tensor(values), persistent=False)
+        keep(self, centre=centre, scale=scale, output_scale=output_scale)
         self.linears = torch.nn.ModuleList(
             torch.nn.Linear(inputs, outputs, dtype=torch.float64)
             for inputs, outputs in pairwise(self.widths))

@@ -3,7 +3,7 @@
 """The schema of a model family and of a loss in a training configuration; features of q."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import math
 import re
 from typing import Annotated, ClassVar, Literal
@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar, Literal
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, is_periodic, Kind
@@ -20,64 +21,6 @@ from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, TreeCard, v
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 import torch
-
-
-@dataclass(frozen=True)
-class Structure:
-    """
-    Structure of the networks: what they see, and what friction there is.
-
-    Parameters
-    ----------
-    kinds : list of str
-        Of each coordinate.
-    features : list of list of float
-        Rows of the linear combinations that V sees.
-    mass_features : list of list of float
-        The same that M sees; none for a constant M.
-    diagonal_mass : bool
-        Whether M is diagonal.
-    viscous : bool
-        Whether there is friction -b v.
-    coulomb, stribeck : int
-        How many terms -c tanh(v / w), and how many that end with speed.
-    prior : str, optional
-        The parametric system to whose M and V the networks are added.
-    residual : bool
-        Whether there are networks in addition to it.
-    friction_features : list of list of float, optional
-        The inputs of the network D of friction -D(q) v, in the same way; None for no network.
-    tree : TreeCard, optional
-        The bodies of a prior that is a robot.
-    values : np.ndarray, shape (d, 12), optional
-        Their parameters to begin with.
-    left_out : tuple of str
-        Which of the networks, ``mass`` and ``potential``, add nothing.
-    angles : list of list of float, optional
-        Of the links of a prior that is a chain, from the vertical; None: those that fit best.
-    directed, offset, fade, load : bool
-        See FrictionChoice.
-
-    """
-
-    kinds: list[Kind]
-    features: list[list[float]]
-    mass_features: list[list[float]]
-    diagonal_mass: bool = False
-    viscous: bool = True
-    coulomb: int = 2
-    stribeck: int = 0
-    prior: str | None = None
-    residual: bool = True
-    friction_features: list[list[float]] | None = None
-    tree: TreeCard | None = None
-    values: np.ndarray | None = None
-    left_out: tuple[str, ...] = ()
-    angles: list[list[float]] | None = None
-    directed: bool = False
-    offset: bool = False
-    fade: bool = False
-    load: bool = False
 
 
 @dataclass(frozen=True)
@@ -128,24 +71,14 @@ class Features(torch.nn.Module):
 
     def __init__(self, kinds: Sequence[Kind], features: Sequence[list[float]]):
         super().__init__()
-        rows, phases, periodic, of_feature = [], [], list[bool](), []
-        for number, row in enumerate(features):
-            turns = is_periodic(kinds, row)
-            # The cosine is a sine that is a quarter of a turn ahead.
-            rows += [row, row] if turns else [row]
-            phases += [0.0, 0.5 * math.pi] if turns else [0.0]
-            periodic += [turns, turns] if turns else [turns]
-            of_feature += [number, number] if turns else [number]
-        if not features:
-            rows, phases, periodic, of_feature = [[0.0] * len(kinds)], [0.0], [False], [0]
-        self._turn = all(periodic)
-        for key, values in (
-                ('rows', rows), ('phase', phases), ('periodic', periodic),
-                ('features', features or rows),
-                ('of_feature', np.arange(len(features) or 1)[:, None] == of_feature)):
-            self.register_buffer(key, torch.tensor(
-                values, dtype=torch.bool if key == 'periodic' else torch.float64),
-                persistent=False)
+        rows = np.array([*features] or [[0.0] * len(kinds)], dtype=np.float64)
+        periodic = np.array([is_periodic(kinds, row) for row in rows])
+        self._turn = bool(periodic.all())
+        number = np.repeat(np.arange(len(rows)), 1 + periodic)
+        # The cosine is a sine that is a quarter of a turn ahead.
+        phase = 0.5 * math.pi * (np.diff(number, prepend=-1) == 0)
+        keep(self, rows=rows[number], phase=phase, periodic=periodic[number], features=rows,
+             of_feature=(np.arange(len(rows))[:, None] == number).astype(np.float64))
 
     def units(self, scales: MotionScales) -> tuple[np.ndarray, np.ndarray]:
         """Return centre and scale of the inputs, each of shape (n,)."""
@@ -330,6 +263,54 @@ class FrictionChoice(StrictModel):
         'the inputs of D: linear combinations of coordinates; default: the inputs of M'))
 
 
+@dataclass(frozen=True)
+class Structure:
+    """
+    Structure of the networks: what they see, and what friction there is.
+
+    Parameters
+    ----------
+    kinds : list of str
+        Of each coordinate.
+    features : list of list of float
+        Rows of the linear combinations that V sees.
+    mass_features : list of list of float
+        The same that M sees; none for a constant M.
+    diagonal_mass : bool
+        Whether M is diagonal.
+    friction : FrictionChoice
+        In the joints.
+    prior : str, optional
+        The parametric system to whose M and V the networks are added.
+    residual : bool
+        Whether there are networks in addition to it.
+    friction_features : list of list of float, optional
+        The inputs of the network D of friction -D(q) v, in the same way; None for no network.
+    tree : TreeCard, optional
+        The bodies of a prior that is a robot.
+    values : np.ndarray, shape (d, 12), optional
+        Their parameters to begin with.
+    left_out : tuple of str
+        Which of the networks, ``mass`` and ``potential``, add nothing.
+    angles : list of list of float, optional
+        Of the links of a prior that is a chain, from the vertical; None: those that fit best.
+
+    """
+
+    kinds: list[Kind]
+    features: list[list[float]]
+    mass_features: list[list[float]]
+    diagonal_mass: bool = False
+    friction: FrictionChoice = field(default_factory=FrictionChoice)
+    prior: str | None = None
+    residual: bool = True
+    friction_features: list[list[float]] | None = None
+    tree: TreeCard | None = None
+    values: np.ndarray | None = None
+    left_out: tuple[str, ...] = ()
+    angles: list[list[float]] | None = None
+
+
 class MechanicalChoice(FamilyChoice):
     """Networks M(q) and V(q), and friction."""
 
@@ -398,15 +379,12 @@ class MechanicalChoice(FamilyChoice):
         mass_features = rows(seen, 'mass_depends_on')
         rubbing = seen if friction.network_depends_on is None else friction.network_depends_on
         return Structure(
-            kinds, features, mass_features, self.mass == 'diagonal', friction.viscous,
-            friction.coulomb, friction.stribeck,
+            kinds, features, mass_features, self.mass == 'diagonal', friction,
             PLANAR_CHAIN if self.prior in CHAINS else None if self.prior == AUTO else self.prior,
             bool(self.residual),
             rows(rubbing, 'friction.network_depends_on') if friction.network else None,
             left_out=() if self.residual is True else tuple(
-                name for name in parts if name not in (self.residual or parts)), angles=angles,
-            directed=friction.directed, offset=friction.offset, fade=friction.fade,
-            load=friction.load)
+                name for name in parts if name not in (self.residual or parts)), angles=angles)
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
@@ -499,10 +477,9 @@ class RigidBodyChoice(FamilyChoice):
         tree = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name[:200])
         left_out = tuple(name for name in ('mass', 'potential') if name not in residual)
         return Structure(
-            kinds, rows, rows, False, self.friction.viscous, self.friction.coulomb,
-            self.friction.stribeck, self.prior, bool(residual),
+            kinds, rows, rows, False, self.friction, self.prior, bool(residual),
             rows if 'friction' in residual else None, tree, values_of(tree, robot.bodies),
-            left_out, directed=self.friction.directed, load=self.friction.load)
+            left_out)
 
 
 def combination(text: str, names: Sequence[str], key: str) -> list[float]:

@@ -5,19 +5,18 @@
 from typing import Any
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, Perceptron, Scales
+from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, keep, Perceptron, Scales
 from hnn_vi_ros.learning.families.choices import (
-    ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, HNNChoice, SeparableHNNChoice)
+    ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, FamilyChoice, SeparableHNNChoice)
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
 import torch
 
 
 class _OneNetwork(EnergyFamily):
-    """H(q, p) is one network of all of the state."""
+    """Base of families whose H(q, p) is one network of all of the state."""
 
-    def __init__(self, choice: HNNChoice | DGNetChoice, hidden: list[int], scales: Scales,
-                 seed: int):
+    def __init__(self, choice: FamilyChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
         self.network = Perceptron(
             hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
@@ -98,7 +97,7 @@ class SeparableHNN(EnergyFamily):
 _WEIGHT = 1e-3
 
 
-class DissipativeHNN(EnergyFamily):
+class DissipativeHNN(_OneNetwork):
     """
     Networks H(q, p) and D(q, p), with q' = H_p + D_q and p' = -H_q + D_p.
 
@@ -125,23 +124,16 @@ class DissipativeHNN(EnergyFamily):
 
     def __init__(self, choice: DissipativeHNNChoice, hidden: list[int], scales: Scales,
                  seed: int):
-        super().__init__()
-        self.conservative = Perceptron(
-            hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
+        super().__init__(choice, hidden, scales, seed)
         # D_p is of the order of dp/dt.
         power = np.mean(np.concatenate(
             [scales.q_rate * scales.q_half, scales.p_rate * scales.p_half]))
         self.dissipation = Perceptron(
             hidden, scales.centre, scales.half, np.array([power]), seed + 1)
-        rates = np.concatenate([scales.q_rate, scales.p_rate])
-        self.register_buffer('rates', torch.tensor(rates), persistent=False)
+        keep(self, rates=np.concatenate([scales.q_rate, scales.p_rate]))
 
     def _dissipation(self, z: torch.Tensor) -> torch.Tensor:
         return self.dissipation(z)[:, 0]
-
-    def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
-        return self.conservative(z)[:, 0]
 
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
@@ -155,8 +147,7 @@ class DissipativeHNN(EnergyFamily):
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """Return H and D; see Trainable."""
-        return {'energy': self.conservative.layers(z0, energy0),
-                'dissipation': self.dissipation.layers(z0, 0.0)}
+        return super().networks(z0, energy0) | {'dissipation': self.dissipation.layers(z0, 0.0)}
 
 
 class DGNet(_OneNetwork):
@@ -184,7 +175,7 @@ class DGNet(_OneNetwork):
     def __init__(self, choice: DGNetChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__(choice, hidden, scales, seed)
         # Squared, for it is never negative; it begins at a tenth of the data's fastest rates.
-        self.register_buffer('unit', torch.tensor(scales.p_rate / scales.p_half), persistent=False)
+        keep(self, unit=scales.p_rate / scales.p_half)
         self.root = torch.nn.Parameter(
             torch.full_like(self.unit, 0.1**0.5 if choice.friction else 0.0),
             requires_grad=choice.friction)

@@ -6,7 +6,8 @@ from typing import Any
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, Perceptron, Scales, Trainable
+from hnn_vi_ros.learning.families.base import (
+    EnergyFamily, gradient, keep, Perceptron, Scales, Trainable)
 from hnn_vi_ros.learning.families.choices import LagrangianChoice, SymplecticFormChoice, VINChoice
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
@@ -51,7 +52,6 @@ class LagrangianNetwork(Trainable):
         mass = choice.mass * (scales.v_half[0] / scales.v_half)**2
         acceleration = scales.p_rate / scales.p_half * scales.v_half
         self.first_mass = choice.mass
-        self.register_buffer('mass', torch.tensor(mass), persistent=False)
         centre = np.concatenate([scales.q_centre, scales.v_centre])
         half = np.concatenate([scales.q_half, scales.v_half])
         self.network = Perceptron(
@@ -61,7 +61,7 @@ class LagrangianNetwork(Trainable):
             self.network.linears[-1].weight.mul_(0.1)
         # The inner half of the box: its corners may be far from any data.
         box = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, len(centre)))
-        self.register_buffer('samples', torch.tensor(centre + half * box), persistent=False)
+        keep(self, mass=mass, samples=centre + half * box)
 
     def lagrangian(self, x: torch.Tensor) -> torch.Tensor:
         """Return L, shape (N,), at points x = (q, v), shape (N, 2 d)."""
@@ -156,7 +156,7 @@ class VIN(EnergyFamily):
         super().__init__()
         # M = S F F^T S: coordinates of equal kinetic energy have equal masses in units of S.
         unit = np.sqrt(choice.mass) * scales.v_half[0] / scales.v_half
-        self.register_buffer('unit', torch.tensor(unit), persistent=False)
+        keep(self, unit=unit)
         self.factor = torch.nn.Parameter(torch.eye(len(unit), dtype=torch.float64))
         acceleration = scales.p_rate / scales.p_half * scales.v_half
         self.potential = Perceptron(
@@ -240,7 +240,6 @@ class SymplecticForm(Trainable):
         mass = choice.mass * (scales.p_half[0] * scales.q_half[0]
                               / (scales.p_half * scales.q_half))
         self.first_mass = choice.mass
-        self.register_buffer('mass', torch.tensor(mass), persistent=False)
         action = mass[0] * scales.p_half[0] * scales.q_half[0]
         self.one_form = Perceptron(hidden, scales.centre, scales.half, action / scales.half, seed)
         rate = np.mean(np.concatenate([scales.q_rate, scales.p_rate]) / scales.half)
@@ -250,8 +249,7 @@ class SymplecticForm(Trainable):
             # An untrained network must not make W singular.
             self.one_form.linears[-1].weight.mul_(0.1)
         box = np.random.default_rng(0).uniform(-1.0, 1.0, (_BOX, len(scales.centre)))
-        self.register_buffer('samples', torch.tensor(scales.centre + scales.half * box),
-                             persistent=False)
+        keep(self, mass=mass, samples=scales.centre + scales.half * box)
 
     def two_form(self, z: torch.Tensor) -> torch.Tensor:
         """Return W, shape (N, 2 d, 2 d), at states of shape (N, 2 d)."""
@@ -294,11 +292,9 @@ class SymplecticForm(Trainable):
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """Return the networks N and H; see Trainable."""
-        def scaled(layers: Layers) -> Layers:
-            return Layers(*((*parts[:-1], self.factor * parts[-1]) for parts in layers))
-
-        energy = self.energy.layers(z0, energy0 / self.factor)
-        return {'one_form': scaled(self.one_form.layers()), 'energy': scaled(energy)}
+        factor = self.factor
+        return {'one_form': self.one_form.layers(factor=factor),
+                'energy': self.energy.layers(z0, energy0, factor)}
 
     def constants(self) -> dict[str, Any]:
         """Return M."""

@@ -5,7 +5,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hnn_vi_ros.learning.families.base import newton, Perceptron
+from hnn_vi_ros.learning.families.base import keep, newton, Perceptron
+from hnn_vi_ros.models.attitude_features import group_of
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np
@@ -67,11 +68,9 @@ class LieGroupNetwork(torch.nn.Module):
         self.card, self.k = card, card.size
         k, entries = card.size, card.entries
         rows, columns = np.array(entries).T
-        for name, values in (
-                ('velocity_unit', scales.velocity), ('momentum_unit', scales.momentum),
-                ('scale', card.mass_scale), ('place', np.eye(k * k)[rows * k + columns]),
-                ('on_diagonal', rows == columns)):
-            self.register_buffer(name, torch.tensor(np.array(values)), persistent=False)
+        keep(self, velocity_unit=scales.velocity, momentum_unit=scales.momentum,
+             scale=np.array(card.mass_scale), place=np.eye(k * k)[rows * k + columns],
+             on_diagonal=rows == columns)
         self.rows, self.entry_columns = rows.tolist(), columns.tolist()
         still = np.concatenate([scales.half == 0.0, np.zeros(k, dtype=bool)])
         centre = np.concatenate([scales.centre, np.zeros(k)])
@@ -102,8 +101,7 @@ class LieGroupNetwork(torch.nn.Module):
     @classmethod
     def of(cls, model: Checkpoint) -> 'LieGroupNetwork':
         """Return the network of a model file."""
-        card = model.card.lie_group
-        assert card is not None, 'checked with the card: the family has one'
+        card = group_of(model)
         ones = np.ones(card.size)
         inputs = len(model.networks['input_map'].biases[-1]) // card.size \
             if 'input_map' in model.networks else 0
@@ -141,13 +139,9 @@ class LieGroupNetwork(torch.nn.Module):
             entries = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
         return y, (entries @ self.place).reshape(-1, self.k, self.k)
 
-    def held(self, x: torch.Tensor, R: torch.Tensor, u: torch.Tensor) -> 'HeldBody':
-        """Return the body at places (N, k - 3) and attitudes (N, 3, 3), inputs (N, m)."""
-        return HeldBody(self, x, R, u)
-
     def momenta(self, x: torch.Tensor, R: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """Return p, shape (N, k), of velocities in the frame of the body: the solution of H_p."""
-        held = self.held(x, R, v.new_zeros((len(v), 0)))
+        held = HeldBody(self, x, R, v.new_zeros((len(v), 0)))
         pi = torch.linalg.solve_ex(held.inverse.expand(len(v), -1, -1), v[:, :, None])[0][:, :, 0]
         if 'momentum' in self.card.potential_depends_on:
             def residual(pi: torch.Tensor) -> torch.Tensor:
@@ -184,7 +178,7 @@ class LieGroupNetwork(torch.nn.Module):
 
 class HeldBody:
     """
-    A body at a held pose, under a held input; see lie_steps.Held.
+    A body at a held pose, under a held input.
 
     Parameters
     ----------

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.learning.families.base import Perceptron
+from hnn_vi_ros.learning.families.base import keep, Perceptron
 from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structure
 from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
 from hnn_vi_ros.models.checkpoint import Layers
@@ -48,28 +48,25 @@ class JointFriction(torch.nn.Module):
     def __init__(self, structure: Structure, hidden: Sequence[int], scales: MotionScales,
                  seed: int):
         super().__init__()
-        d, sides = len(structure.kinds), 1 + structure.directed
-        self.structure = structure
+        self.structure, self.choice = structure, structure.friction
+        d, sides = len(structure.kinds), 1 + self.choice.directed
         force = scales.inertia * scales.a
-        for name, values in (
-                ('viscous_unit', force / scales.v), ('force_unit', force),
-                ('speed_unit', scales.v)):
-            self.register_buffer(name, torch.tensor(values), persistent=False)
+        keep(self, viscous_unit=force / scales.v, force_unit=force, speed_unit=scales.v)
         # log(1 + exp(-3)) is 0.05: little friction at first.
         self.raw_viscous = torch.nn.Parameter(
             torch.full((sides, d), -3.0, dtype=torch.float64))
         self.raw_force = torch.nn.Parameter(
-            torch.full((structure.coulomb * sides + structure.stribeck + structure.load, d),
+            torch.full((self.choice.coulomb * sides + self.choice.stribeck + self.choice.load, d),
                        -3.0, dtype=torch.float64))
         self.raw_offset = torch.nn.Parameter(
-            torch.zeros((int(structure.offset), d), dtype=torch.float64))
+            torch.zeros((int(self.choice.offset), d), dtype=torch.float64))
         # Widths at first spread over their bounds.
         spread = torch.cat([
             torch.linspace(-1.0, 1.0, count + 2, dtype=torch.float64)[1:-1, None]
-            for count in (structure.coulomb, structure.stribeck)])
+            for count in (self.choice.coulomb, self.choice.stribeck)])
         self.raw_width = torch.nn.Parameter(spread.repeat(1, d))
         self.raw_speed = torch.nn.Parameter(
-            torch.zeros((structure.stribeck, d), dtype=torch.float64))
+            torch.zeros((self.choice.stribeck, d), dtype=torch.float64))
         if structure.friction_features is not None:
             self._make_network(structure.friction_features, hidden, scales, seed)
 
@@ -77,8 +74,7 @@ class JointFriction(torch.nn.Module):
                       scales: MotionScales, seed: int) -> None:
         d = len(scales.v)
         rows, columns = np.tril_indices(d)
-        self.register_buffer('place', torch.eye(d * d, dtype=torch.float64)[rows * d + columns],
-                             persistent=False)
+        keep(self, place=np.eye(d * d)[rows * d + columns])
         self.features = Features(self.structure.kinds, features)
         root = np.sqrt(self.viscous_unit.numpy())[rows]
         self.network = Perceptron(
@@ -97,8 +93,8 @@ class JointFriction(torch.nn.Module):
         span = math.log(_WIDEST / _NARROWEST)
         width = self.speed_unit * _NARROWEST * torch.exp(span * torch.sigmoid(2 * self.raw_width))
         shares = positive(self.raw_force)
-        terms = len(shares) - self.structure.load
-        return (self.viscous_unit * positive(self.raw_viscous) * self.structure.viscous,
+        terms = len(shares) - self.choice.load
+        return (self.viscous_unit * positive(self.raw_viscous) * self.choice.viscous,
                 self.force_unit * shares[:terms], width,
                 self.speed_unit * torch.sigmoid(self.raw_speed), shares[terms:])
 
@@ -109,7 +105,7 @@ class JointFriction(torch.nn.Module):
 
     def shares(self, v: torch.Tensor) -> torch.Tensor:
         """Return how much the numbers of each sign count at v, shape (N, n, d)."""
-        if not self.structure.directed:
+        if not self.choice.directed:
             return torch.ones_like(v)[:, None]
         ahead = torch.sigmoid(2.0 * v / self.switch)
         return torch.stack([ahead, 1.0 - ahead], dim=1)
@@ -130,7 +126,7 @@ class JointFriction(torch.nn.Module):
         shares = self.shares(v)
         total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
         if len(c):
-            n, (sided, rest) = self.structure.coulomb, c.split([len(c) - len(s), len(s)])
+            n, (sided, rest) = self.choice.coulomb, c.split([len(c) - len(s), len(s)])
             sided = (shares[:, None] * sided.unflatten(0, (n, -1))).sum(dim=2) if n else \
                 v[:, None, :][:, :0]
             c = torch.cat([sided, rest.expand(len(v), -1, -1)], dim=1)
@@ -139,7 +135,7 @@ class JointFriction(torch.nn.Module):
                 ends = torch.exp(-(v[:, None, :] / s).square())
                 terms = torch.cat([terms[:, :n], terms[:, n:] * ends], dim=1)
             total = total + terms.sum(dim=1)
-        if self.structure.load and tau is not None:
+        if self.choice.load and tau is not None:
             total = total + load[0] * tau.abs() * torch.tanh(v / self.switch)
         if self.structure.friction_features is not None:
             B = self.roots(q)
@@ -149,19 +145,19 @@ class JointFriction(torch.nn.Module):
     def values(self) -> torch.Tensor:
         """Return all b, c and offsets, shape (k,), in the order of ``columns``."""
         b, c, _, _, load = self.coefficients()
-        return torch.cat([b[:self.structure.viscous * len(b)].flatten(), c.flatten(),
+        return torch.cat([b[:self.choice.viscous * len(b)].flatten(), c.flatten(),
                           (self.force_unit * load).flatten(), self.offset().flatten()])
 
     def columns(self, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
         """Return the friction of each of ``values`` where it alone is one, (N, d, k)."""
         _, _, widths, speeds, _ = (part.detach() for part in self.coefficients())
-        n = self.structure.coulomb
-        sided = [*[v] * self.structure.viscous, *(torch.tanh(v / w) for w in widths[:n])]
+        n = self.choice.coulomb
+        sided = [*[v] * self.choice.viscous, *(torch.tanh(v / w) for w in widths[:n])]
         found = [one * share for one in sided for share in self.shares(v).unbind(dim=1)]
         found += [torch.tanh(v / w) * torch.exp(-(v / s).square())
                   for w, s in zip(widths[n:], speeds, strict=True)]
-        found += [tau.abs() / self.force_unit * torch.tanh(v / self.switch)] * self.structure.load
-        found += [-torch.ones_like(v)] * self.structure.offset
+        found += [tau.abs() / self.force_unit * torch.tanh(v / self.switch)] * self.choice.load
+        found += [-torch.ones_like(v)] * self.choice.offset
         identity = torch.eye(v.shape[1], dtype=v.dtype)
         return torch.stack([one * unit for one in found for unit in identity], dim=-1) \
             if found else v[:, :, None][:, :, :0]
@@ -176,13 +172,13 @@ class JointFriction(torch.nn.Module):
     def card(self) -> FrictionCard:
         """Return the coefficients for the model card."""
         b, c, w, s, load = (part.detach().tolist() for part in self.coefficients())
-        n, directed = self.structure.coulomb, self.structure.directed
+        n, directed = self.choice.coulomb, self.choice.directed
         sides = 1 + directed
         return FrictionCard(
             viscous=b[0], viscous_back=b[1] if directed else None,
             switch=self.switch.tolist() if directed or load else None,
             load=load[0] if load else None,
-            offset=self.offset().detach().tolist()[0] if self.structure.offset else None,
+            offset=self.offset().detach().tolist()[0] if self.choice.offset else None,
             coulomb=[CoulombTerm(force=c[sides * k], width=w[k],
                                  back=c[sides * k + 1] if directed else None) for k in range(n)],
             stribeck=[StribeckTerm(force=force, width=width, speed=speed)
@@ -216,25 +212,6 @@ class Layer(NamedTuple):
     a: torch.Tensor
     slope: torch.Tensor
     rates: torch.Tensor
-
-
-def linearised(network: Any, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
-    """Return p and F of a mechanical network with their derivatives, at states, (N, d) each."""
-    found = []
-    if network.prior is None or network.structure.residual:
-        found.append(_of_networks(network, q, v))
-    if network.prior is not None:
-        values = network.prior.values().detach()
-        rate, rate_q, rate_v = _differentiated(
-            lambda q, v: network.prior.slopes(q, v, values)[1], q, v)
-        M = network.prior.mass(q, values)
-        # p = T_v and F = T_q - V_q of the same energy.
-        found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M, rate_v.transpose(1, 2),
-                                rate_q, rate_v))
-    both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
-    rubbing, by_q, by_v = _friction(network.friction, q, v, tau)
-    return both._replace(rate=both.rate - rubbing, rate_q=both.rate_q - by_q,
-                         rate_v=both.rate_v - by_v)
 
 
 def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
@@ -432,20 +409,18 @@ class MechanicalNetwork(torch.nn.Module):
         self.friction = JointFriction(structure, hidden, scales, seed + 2)
         if scales.input_map is not None:
             self.raw_map = torch.nn.Parameter(torch.tensor(scales.input_map))
-        if structure.fade:
-            self.register_buffer('command_unit', torch.tensor(scales.command), persistent=False)
+        if structure.friction.fade:
+            keep(self, command_unit=scales.command)
             self.raw_fade = torch.nn.Parameter(torch.full_like(self.command_unit, -3.0))
         # M of a prior is positive definite by itself.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = _prior(structure, float(scales.inertia.mean()))
-        self.register_buffer('identity', torch.eye(d, dtype=torch.float64), persistent=False)
+        keep(self, identity=np.eye(d))
         card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
         self.entries = card.entries
         rows, columns = np.array(self.entries).T
-        for name, values in (
-                ('place', np.eye(d * d)[rows * d + columns]), ('on_diagonal', rows == columns),
-                ('adjugate', _ADJUGATE), ('root_inertia', np.sqrt(scales.inertia))):
-            self.register_buffer(name, torch.tensor(values), persistent=False)
+        keep(self, place=np.eye(d * d)[rows * d + columns], on_diagonal=rows == columns,
+             adjugate=_ADJUGATE, root_inertia=np.sqrt(scales.inertia))
         self.mass_features = Features(structure.kinds, structure.mass_features)
         self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
@@ -562,7 +537,7 @@ class MechanicalNetwork(torch.nn.Module):
     def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
         """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
         input_map = self.input_map()
-        if self.structure.fade:
+        if self.structure.friction.fade:
             tau = tau / (1.0 + self.fade() * tau.abs())
         return tau if input_map is None else tau @ input_map.T
 
@@ -614,8 +589,22 @@ class MechanicalNetwork(torch.nn.Module):
 
     def linearised(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
         """Return the result of ``momenta`` with its derivatives, not recorded."""
+        found, prior = [], self.prior
         with torch.no_grad():
-            return linearised(self, q, v, tau)
+            if prior is None or self.structure.residual:
+                found.append(_of_networks(self, q, v))
+            if prior is not None:
+                values = prior.values()
+                rate, rate_q, rate_v = _differentiated(
+                    lambda q, v: prior.slopes(q, v, values)[1], q, v)
+                M = prior.mass(q, values)
+                # p = T_v and F = T_q - V_q of the same energy.
+                found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M,
+                                        rate_v.transpose(1, 2), rate_q, rate_v))
+            both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
+            rubbing, by_q, by_v = _friction(self.friction, q, v, tau)
+            return both._replace(rate=both.rate - rubbing, rate_q=both.rate_q - by_q,
+                                 rate_v=both.rate_v - by_v)
 
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
         """Return M^-1 p, all of shape (N, d)."""
@@ -686,20 +675,23 @@ class MechanicalNetwork(torch.nn.Module):
         if isinstance(self.prior, PlanarChain):
             self.prior.unit *= factor
 
+    @property
+    def _perceptrons(self) -> dict[str, Perceptron]:
+        own = {'mass': self.mass, 'potential': self.potential}
+        return own if self.structure.friction_features is None else \
+            own | {'friction': self.friction.network}
+
     def networks(self) -> dict[str, Layers]:
         """Return the networks for the model file; V is zero in the middle of the data."""
         centre = torch.tensor(self.scales.q_centre)[None]
         x0 = self.potential_features(centre)[0][0].numpy()
-        found = {'mass': self.mass.layers(), 'potential': self.potential.layers(x0, 0.0)}
-        return found if self.structure.friction_features is None else \
-            found | {'friction': self.friction.network.layers()}
+        return {name: network.layers(x0) if name == 'potential' else network.layers()
+                for name, network in self._perceptrons.items()}
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the weights of the networks that are trained, as a simulation names them."""
-        found = {'mass': self.mass, 'potential': self.potential}
-        if self.structure.friction_features is not None:
-            found['friction'] = self.friction.network
-        return {f'hamiltonian.{name}.linear{k}.{kind}': part for name, network in found.items()
+        return {f'hamiltonian.{name}.linear{k}.{kind}': part
+                for name, network in self._perceptrons.items()
                 if any(one.requires_grad for one in network.parameters())
                 for kind, parts in zip(('weight', 'bias'), network.folded(), strict=True)
                 for k, part in enumerate(parts, 1)}
@@ -707,10 +699,10 @@ class MechanicalNetwork(torch.nn.Module):
     def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
               ) -> MechanicalCard:
         structure, input_map = self.structure, self.input_map()
-        if input_map is None and structure.fade:
+        if input_map is None and structure.friction.fade:
             input_map = self.identity
         motors = None if input_map is None else input_map.tolist()
-        fade = self.fade().tolist() if structure.fade else None
+        fade = self.fade().tolist() if structure.friction.fade else None
         return MechanicalCard(
             kinds=structure.kinds, features=structure.features, friction=friction,
             floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),

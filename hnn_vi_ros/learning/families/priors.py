@@ -7,6 +7,7 @@ from types import FunctionType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models.exact_prior import exact_system, functions_of
 from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
 from hnn_vi_ros.models.planar_chain import parameter_names, unit_terms
@@ -85,15 +86,11 @@ class PlanarChain(Prior):
         self._sizes = [sum(name.startswith(kind) for name in self.names)
                        for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
         units = unit_terms(angles)
-        for name, values in (
-                ('mass_rows', units[0].mass_rows),
-                ('matrices', np.stack([unit.matrices for unit in units])),
-                ('rows', units[0].rows),
-                ('weights', np.stack([unit.weights for unit in units])),
-                ('pulls', np.stack([unit.pull for unit in units])),
-                ('lower', np.stack(np.triu_indices(d, 1)[::-1])),
-                ('unit', np.array(inertia))):
-            self.register_buffer(name, torch.tensor(values), persistent=False)
+        matrices, weights, pulls = (np.stack([getattr(unit, name) for unit in units])
+                                    for name in ('matrices', 'weights', 'pull'))
+        keep(self, mass_rows=units[0].mass_rows, matrices=matrices, rows=units[0].rows,
+             weights=weights, pulls=pulls, lower=np.stack(np.triu_indices(d, 1)[::-1]),
+             unit=np.array(inertia))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
     def values(self) -> torch.Tensor:
@@ -182,11 +179,8 @@ class ExactPrior(Prior):
         self.names = [*self.system.defaults]
         _, gradient, hessian_vector = functions_of(HAMILTONIANS[kind]().kernel)
         self._gradient, self._hessian_vector = in_torch(gradient), in_torch(hessian_vector)
-        d = self.system.dimension
-        for name, values in (
-                ('defaults', torch.tensor([*self.system.defaults.values()], dtype=torch.float64)),
-                ('identity', torch.eye(d, dtype=torch.float64))):
-            self.register_buffer(name, values, persistent=False)
+        keep(self, defaults=np.array([*self.system.defaults.values()], dtype=np.float64),
+             identity=np.eye(self.system.dimension))
         self.raw = torch.nn.Parameter(torch.zeros(len(self.names), dtype=torch.float64))
 
     def values(self) -> torch.Tensor:
@@ -337,14 +331,11 @@ class RigidTree(Prior):
         axes = np.zeros((d, 6))
         for row, body in zip(axes, tree.bodies, strict=True):
             row[3 * body.prismatic:][:3] = body.axis
-        for name, array in (
-                ('root', np.stack(roots)), ('axes', axes), ('gravity', np.array(tree.gravity)),
-                ('turns', np.array([body.rotation for body in tree.bodies])),
-                ('origins', np.array([body.origin for body in tree.bodies])),
-                ('across', np.stack([_across(axis) for axis in axes[:, :3]])),
-                ('motions', np.stack([_cross_motion(axis) for axis in axes])),
-                ('units', _units())):
-            self.register_buffer(name, torch.tensor(array), persistent=False)
+        keep(self, root=np.stack(roots), axes=axes, gravity=np.array(tree.gravity),
+             turns=np.array([body.rotation for body in tree.bodies]),
+             origins=np.array([body.origin for body in tree.bodies]),
+             across=np.stack([_across(axis) for axis in axes[:, :3]]),
+             motions=np.stack([_cross_motion(axis) for axis in axes]), units=_units())
         self.raw = torch.nn.Parameter(torch.zeros((d, INERTIAL), dtype=torch.float64))
         self.rotor = torch.nn.Parameter(torch.tensor(values[:, INERTIAL]))
         self.offset = torch.nn.Parameter(torch.zeros(d, dtype=torch.float64))

@@ -4,11 +4,12 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError, ModelError, offered
 from hnn_vi_ros.files.resources import find_yaml, package_file, SCHEME
-from hnn_vi_ros.files.yaml_file import load_yaml, read_yaml, StrictModel
+from hnn_vi_ros.files.yaml_file import read_text, StrictModel, validate
+from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
@@ -26,7 +27,7 @@ from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, values_of
 import numpy as np
-from pydantic import BaseModel, Field, model_validator, ValidationError
+from pydantic import Field, model_validator, ValidationError
 import torch
 
 # Sines of each joint; and the width of the speeds at which dry friction changes sign, as in the
@@ -294,12 +295,6 @@ _SCHEMAS: dict[str, type[FieldConfig] | type[MachineConfig] | type[BodyConfig]] 
     RIGID_BODY: MachineConfig, 'lie_group': BodyConfig}
 
 
-class _Named(BaseModel):
-    """A configuration, as far as it names its family."""
-
-    family: Any = None
-
-
 def find_config(config: str) -> Path:
     """
     Return the file of a training configuration.
@@ -328,13 +323,15 @@ def load_config(path: Path) -> AnyConfig:
         It cannot be read or is not valid; names file, line and key.
 
     """
-    named, places = read_yaml(path, _Named, DataError)
-    kind = named.family.get('kind') if isinstance(named.family, dict) else None
+    data, places = parse_mapping(read_text(path, DataError), path, DataError)
+    family = data.get('family')
+    kind = family.get('kind') if isinstance(family, dict) else None
     if isinstance(kind, str) and kind not in _SCHEMAS:
         raise DataError(
             f'{places.place("family", "kind")}: unknown kind {kind[:80]!r}'
             f'{offered(kind, sorted(_SCHEMAS), "valid kinds")}')
-    config = load_yaml(path, _SCHEMAS[kind if isinstance(kind, str) else 'hnn'], DataError)
+    config = validate(data, places, _SCHEMAS[kind if isinstance(kind, str) else 'hnn'], DataError,
+                      trust_code=True)
     if isinstance(config, MachineConfig) and isinstance(config.family, RigidBodyChoice):
         return _with_robot(path, config, config.family)
     return config

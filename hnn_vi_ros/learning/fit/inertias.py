@@ -25,6 +25,7 @@ from hnn_vi_ros.learning.fit.rigid_body import (
     fit_errors, LEAST, loss_of, RigidUnknowns, spread, window_fits)
 from hnn_vi_ros.learning.fit.steps import Solutions
 from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.mechanical_card import FrictionCard, PriorCard
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.rigid_body_card import BaseParameter, EACH, Identification, INERTIAL
 import numpy as np
@@ -90,16 +91,14 @@ def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
 def identified_text(card: ModelCard) -> str:
     """Return the tables of identified parameters; '' for other models."""
     prior = None if card.mechanical is None else card.mechanical.prior
-    if prior is None or prior.identification is None:
+    if card.mechanical is None or prior is None or prior.identification is None:
         return ''
-    return '\n'.join(_lines(card)) + '\n'
+    return '\n'.join(_lines([coordinate.name for coordinate in card.coordinates], prior,
+                            prior.identification, card.mechanical.friction)) + '\n'
 
 
-def _lines(card: ModelCard) -> Iterator[str]:
-    assert card.mechanical is not None and card.mechanical.prior is not None
-    prior, friction = card.mechanical.prior, card.mechanical.friction
-    found, names = prior.identification, [coordinate.name for coordinate in card.coordinates]
-    assert found is not None
+def _lines(names: Sequence[str], prior: PriorCard, found: Identification, friction: FrictionCard
+           ) -> Iterator[str]:
     yield ('\n## Identified\n\nWhat the motions determine of the inertial parameters is '
            f'{len(found.base_parameters)} combinations of them; the interval holds the true value '
            'in 95 % of cases, if the model lacks nothing but the noise of forces.\n')

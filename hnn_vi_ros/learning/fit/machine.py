@@ -416,12 +416,14 @@ class MachineProblem(Problem):
         return lambda: value(rows[torch.randint(
             len(rows), (size,), generator=self.generator)])
 
-    def _penalised(self, loss: torch.Tensor) -> torch.Tensor:
-        return loss if self._penalty is None else loss + self._penalty(self.generator)
+    def _penalised(self, loss: torch.Tensor, anew: bool = True) -> torch.Tensor:
+        """Return a loss with the penalty at states drawn anew, or at the same ones each time."""
+        return loss if self._penalty is None else loss + self._penalty(
+            self.generator if anew else torch.Generator().manual_seed(self._config.seed))
 
     def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Run]
                     ) -> list[Stage]:
-        network, penalty, step_size = self.module, self._penalty, motions[0].spacing
+        step_size = motions[0].spacing
         if isinstance(loss, Discrete):
             step_size = loss.step_size or balanced_step(motions)
         samples = samples_of(motions, step_size)
@@ -434,10 +436,8 @@ class MachineProblem(Problem):
             raise DataError('no motion has three samples at distances of step_size; lower it')
 
         def value(rows: torch.Tensor) -> torch.Tensor:
-            found = at(network, samples, rows)
             # The same states again: L-BFGS needs a function.
-            return found if penalty is None else found + penalty(
-                torch.Generator().manual_seed(self._config.seed))
+            return self._penalised(at(self.module, samples, rows), anew=False)
         return [Stage(loss.kind, self._batches(value, rows, loss.batch), loss.steps,
                       self._config.learning_rate, clip=True),
                 *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
@@ -455,8 +455,7 @@ class MachineProblem(Problem):
         def judged() -> float:
             with torch.no_grad():
                 errors = window_loss(self.module, samples, chosen, windows, Solutions())
-                return float(errors if self._penalty is None else errors + self._penalty(
-                    torch.Generator().manual_seed(self._config.seed)))
+                return float(self._penalised(errors, anew=False))
         # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
         polishes = self._penalty is None and loss.forward_lbfgs_steps > 0
         learnt = rows[~_left_out(rows)] if polishes else rows

@@ -206,25 +206,22 @@ class RigidUnknowns(ABC):
     everything = True
 
     def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
-        friction = network.friction
-        sides, terms = len(friction.raw_viscous), len(friction.raw_force)
+        friction, self.network = network.friction, network
+        sides, offsets = (len(friction.raw_viscous) * friction.choice.viscous,
+                          friction.raw_offset.numel())
         motors = network.raw_map.numel() if network.scales.input_map is not None else 0
-        self.network = network
-        fades = network.scales.command[:None if network.structure.fade and self.everything else 0]
-        speeds = friction.raw_speed.numel() * self.everything
-        offsets = friction.raw_offset.numel()
-        sides *= network.structure.viscous
-        self.sizes = [len(scale), sides * network.d, terms * network.d, offsets, motors,
-                      len(fades), speeds]
-        self.scale = np.concatenate([
-            scale, np.tile(friction.viscous_unit.numpy(), sides),
-            np.tile(friction.force_unit.numpy(), terms),
-            friction.force_unit.numpy()[:offsets], np.ones(motors), 1.0 / fades,
-            np.tile(friction.speed_unit.numpy(), speeds // network.d)])
-        self.least = np.concatenate([
-            least, np.full(sum(self.sizes[1:3]), LEAST), np.full(offsets + motors, -np.inf),
-            np.full(len(fades), LEAST), np.full(speeds, _SHARE)])
-        self.most = np.append(np.full(sum(self.sizes[:6]), np.inf), np.full(speeds, 1.0 - _SHARE))
+        fades = network.scales.command[:None if friction.choice.fade and self.everything else 0]
+        viscous, force, speed = (unit.numpy() for unit in (
+            friction.viscous_unit, friction.force_unit, friction.speed_unit))
+        parts = [(scale, least, np.inf), (np.tile(viscous, sides), LEAST, np.inf),
+                 (np.tile(force, len(friction.raw_force)), LEAST, np.inf),
+                 (force[:offsets], -np.inf, np.inf), (np.ones(motors), -np.inf, np.inf),
+                 (1.0 / fades, LEAST, np.inf),
+                 (np.tile(speed, len(friction.raw_speed) * self.everything), _SHARE, 1.0 - _SHARE)]
+        self.sizes = [len(scale) for scale, _, _ in parts]
+        self.scale, self.least, self.most = (
+            np.concatenate([np.broadcast_to(part, len(own[0])) for own, part in zip(
+                parts, column, strict=True)]) for column in zip(*parts, strict=True))
 
     @abstractmethod
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:

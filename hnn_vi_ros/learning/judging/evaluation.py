@@ -54,11 +54,6 @@ class Balance(NamedTuple):
     energy: np.ndarray
     work: np.ndarray
 
-    @property
-    def unaccounted(self) -> np.ndarray:
-        """Return H less the work, which a true model holds constant [J]."""
-        return self.energy - self.work
-
 
 def unaccounted(effects: Sequence[Effect]) -> list[str]:
     """Return the classes of effects whose work measured states do not tell, as that of noise."""
@@ -151,9 +146,10 @@ def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Seque
     shares = {}
     for horizon in horizons:
         k = round(horizon / spacing)
+        # A true model holds H less the work constant.
         changes = np.concatenate([
-            found.unaccounted[k:] - found.unaccounted[:max(0, len(found.energy) - k)]
-            for found in balances])
+            rest[k:] - rest[:max(0, len(rest) - k)]
+            for rest in (found.energy - found.work for found in balances)])
         shares[horizon] = float(np.sqrt(np.mean(changes**2))) / size
     return shares
 

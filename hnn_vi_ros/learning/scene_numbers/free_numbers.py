@@ -147,10 +147,6 @@ def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[fl
         if place in [number.place for number in numbers]:
             raise ParameterError(f'--free {name}: stands twice; name it once')
         numbers.append(_number(name, place, values[place], units.get(place, ''), bounds))
-    unknown = [name for name in bounds if name not in names]
-    if unknown:
-        raise ParameterError(f'--bounds {unknown[0]}: not among the free numbers '
-                             f'({", ".join(names)})')
     free = FreeScene(scene, tuple(numbers), folder, frozenset(robot))
     return replace(free, numbers=tuple(_within(free, k) for k in range(len(numbers))))
 

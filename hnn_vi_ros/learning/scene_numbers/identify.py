@@ -214,9 +214,13 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
                         'effect external_force; add it, with the coordinates that are driven')
     spacing = motions[0].spacing
     check_times(effects, motions, spacing / steps_between(spacing, scene.known_step_size))
-    free = free_scene(parts, [name for name in options.free if name != STATES],
-                      _bounds(options.bounds), folder, driven)
-    _check_profiles(options.profile, free)
+    wanted, bounds = [name for name in options.free if name != STATES], _bounds(options.bounds)
+    free = free_scene(parts, wanted, bounds, folder, driven)
+    for option, given in (('bounds', bounds), ('profile', options.profile)):
+        for name in given:
+            if name not in wanted:
+                raise ParameterError(f'--{option} {name}: not among the free numbers '
+                                     f'({", ".join(wanted)})')
     solution, problem, stages = fit(free, motions, velocities, options.horizon, options.robust)
     estimates = estimates_of(solution, problem, free, hamiltonian.coordinates,
                              STATES in options.free)
@@ -262,14 +266,6 @@ def _check(options: Namespace) -> None:
             raise ParameterError(f'--{name} {path}: is named twice')
         if name != 'out' and not path.parent.is_dir():
             raise ParameterError(f'--{name} {path}: no folder {str(path.parent)!r}; make it first')
-
-
-def _check_profiles(names: Sequence[str], free: FreeScene) -> None:
-    valid = [number.name for number in free.numbers]
-    for name in names:
-        if name not in valid:
-            raise ParameterError(f'--profile {name}: not among the free numbers '
-                                 f'({", ".join(valid)})')
 
 
 def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:

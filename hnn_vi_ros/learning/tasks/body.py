@@ -7,18 +7,21 @@ from collections.abc import Callable, Iterator, Sequence
 import json
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.integrators.lie.rotations import cayley, Coefficients
 from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
 from hnn_vi_ros.learning.families.base import newton
 from hnn_vi_ros.learning.families.choices import BodyStage, LieMethod, RetractionName
 from hnn_vi_ros.learning.families.lie_group import BodyScales, HeldBody, LieGroupNetwork
+from hnn_vi_ros.learning.families.priors import in_torch
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Problem, Stage
 from hnn_vi_ros.learning.judging.report import Judged
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
+from hnn_vi_ros.models.attitude_features import group_of
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.model_card import Box, Scheme
 import numpy as np
@@ -42,45 +45,30 @@ class Node(NamedTuple):
     p: torch.Tensor
 
 
-class Retraction(NamedTuple):
-    """The coefficients of integrators.lie.retractions, at vectors of squared length 4 y."""
-
-    turn: torch.Tensor
-    twist: torch.Tensor
-    along: torch.Tensor
-    squared: torch.Tensor
-    own: torch.Tensor
-    cross: torch.Tensor
-    line: torch.Tensor
-
-
-def _cayley(x: torch.Tensor) -> Retraction:
-    share = 1.0 / (1.0 + 0.25 * x.square().sum(dim=1, keepdim=True))
-    zero = torch.zeros_like(share)
-    return Retraction(share, 0.5 * share, zero + 0.25, zero, share, 0.5 * share, zero)
-
-
-def _exponential(x: torch.Tensor) -> Retraction:
-    y = (0.25 * x.square().sum(dim=1, keepdim=True)).clamp_min(_LEAST_ANGLE)
+def _exponential(y: torch.Tensor) -> Any:
+    """Return the coefficients of the exponential map; see Coefficients."""
+    y = y.clamp_min(_LEAST_ANGLE)
     half = y.sqrt()
     sine, cosine = half.sin() / half, half.cos()
     sines, cosines = (1.0 - sine) / y, (1.0 - cosine) / y
     bend = (cosines - sines) / (4.0 * sine)
-    return Retraction(sine * cosine, 0.5 * sine.square(), bend, bend, sine * cosine,
-                      0.5 * sine.square(), 0.25 * (sines + sine * cosines))
+    return Coefficients(0.5 * sine, cosine - 1.0, bend, bend, sine * cosine,
+                        0.5 * sine.square(), 0.25 * (sines + sine * cosines))
 
 
-RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Retraction]] = {
-    'cayley': _cayley, 'exponential': _exponential}
+# Coefficients at vectors of squared length 4 y, of shape (N, 1).
+RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Any]] = {
+    'cayley': in_torch(cayley), 'exponential': _exponential}
 
 
-def turned(R: torch.Tensor, x: torch.Tensor, tau: Retraction) -> torch.Tensor:
-    """Return R tau(x), shape (N, 3, 3)."""
+def turned(R: torch.Tensor, x: torch.Tensor, tau: Any) -> torch.Tensor:
+    """Return R tau(x), shape (N, 3, 3), for the unit quaternion (vector x, 1 + less_one)."""
     cross = (x @ _CROSS).reshape(-1, 3, 3)
-    return R + R @ (tau.turn[:, :, None] * cross + tau.twist[:, :, None] * (cross @ cross))
+    turn, twist = 2.0 * tau.vector * (1.0 + tau.less_one), 2.0 * tau.vector.square()
+    return R + R @ (turn[:, :, None] * cross + twist[:, :, None] * (cross @ cross))
 
 
-def _bend(x: torch.Tensor, m: torch.Tensor, tau: Retraction, side: float) -> torch.Tensor:
+def _bend(x: torch.Tensor, m: torch.Tensor, tau: Any, side: float) -> torch.Tensor:
     """Return (dtau^-1_(side x))^* m - m."""
     return (0.5 * side * torch.linalg.cross(x, m)
             + tau.along * (x * m).sum(dim=1, keepdim=True) * x
@@ -105,7 +93,7 @@ class LieSteps:
     def __init__(self, body: LieGroupNetwork, method: LieMethod, retraction: RetractionName,
                  step_size: float):
         self._body, self._h = body, step_size
-        self._tau = RETRACTIONS[retraction]
+        self._retraction = RETRACTIONS[retraction]
         self._step = {'lie_leapfrog': self._leapfrog,
                       'lie_variational_euler': self._variational_euler}[method]
         self._matrices: dict[str, torch.Tensor] = {}
@@ -114,13 +102,16 @@ class LieSteps:
         """Return the node after one step with a held input, shape (N, m)."""
         return self._step(node, u)
 
+    def _tau(self, x: torch.Tensor) -> Any:
+        return self._retraction(0.25 * x.square().sum(dim=1, keepdim=True))
+
     def _solve(self, name: str, residual: Callable[[torch.Tensor], torch.Tensor],
                guess: torch.Tensor, unit: torch.Tensor) -> torch.Tensor:
         w, J = newton(residual, guess.detach(), self._matrices.get(name), unit, unit)
         self._matrices[name] = J.detach()
         return w - torch.linalg.solve_ex(J, residual(w)[:, :, None])[0][:, :, 0]
 
-    def _inside(self, name: str, held: HeldBody, h: float, right: torch.Tensor) -> torch.Tensor:
+    def _inside(self, held: HeldBody, h: float, right: torch.Tensor) -> torch.Tensor:
         """Return mu of (dtau^-1_(h xi))^* mu = right - h g^* H_g(mu)."""
         def residual(mu: torch.Tensor) -> torch.Tensor:
             velocity, slope = held.rates(mu)
@@ -130,12 +121,12 @@ class LieSteps:
 
         # Recorded: what the held body knows from here on is used by the recorded step as well.
         guess = right - h * held.rates(right)[1]
-        return self._solve(name, residual, guess, self._body.momentum_unit)
+        return self._solve('momenta', residual, guess, self._body.momentum_unit)
 
     def _leapfrog(self, node: Node, u: torch.Tensor) -> Node:
         h = 0.5 * self._h
-        held = self._body.held(node.x, node.R, u)
-        mu = self._inside('momenta', held, h, node.p)
+        held = HeldBody(self._body, node.x, node.R, u)
+        mu = self._inside(held, h, node.p)
         velocity, slope = held.rates(mu)
         x = h * velocity[:, -3:]
         place, R = node.x + h * velocity[:, :-3], turned(node.R, x, self._tau(x))
@@ -154,23 +145,23 @@ class LieSteps:
 
         def residual(change: torch.Tensor) -> torch.Tensor:
             place, R, mu = pose(change)
-            return change - h * self._body.held(place, R, u).velocity(mu)
+            return change - h * HeldBody(self._body, place, R, u).velocity(mu)
 
         change = self._solve('pose', residual, guess, abs(h) * self._body.velocity_unit)
         place, R, mu = pose(change)
-        slope = self._body.held(place, R, u).rates(mu)[1]
+        slope = HeldBody(self._body, place, R, u).rates(mu)[1]
         bend = torch.linalg.cross(change[:, -3:], mu[:, -3:])
         return Node(place, R, node.p - h * slope - _only_turn(bend, mu))
 
     def _variational_euler(self, node: Node, u: torch.Tensor) -> Node:
         h = self._h
-        velocity = self._body.held(node.x, node.R, u).velocity(node.p)
+        velocity = HeldBody(self._body, node.x, node.R, u).velocity(node.p)
         x = h * velocity[:, -3:]
         tau = self._tau(x)
         place, R = node.x + h * velocity[:, :-3], turned(node.R, x, tau)
         right = node.p + _only_turn(_bend(x, node.p[:, -3:], tau, -1.0), node.p)
-        held = self._body.held(place, R, u)
-        return Node(place, R, self._inside('momenta', held, h, right))
+        held = HeldBody(self._body, place, R, u)
+        return Node(place, R, self._inside(held, h, right))
 
 
 def _only_turn(torque: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
@@ -241,7 +232,7 @@ def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
     for u in windows.u[:-1]:
         for _ in range(config.substeps):
             node = step(node, u)
-        v = network.held(node.x, node.R, nothing).of_body(node.p)
+        v = HeldBody(network, node.x, node.R, nothing).of_body(node.p)
         found.append((node.x, node.R, v))
     return found
 
@@ -392,7 +383,8 @@ class BodyTask(Task):
                  ) -> Checkpoint:
         """Return a trained network with its card; see Task."""
         network = problem.module
-        if _opens_scale(config, self._train):
+        scale = _scale(network, self._train)
+        if scale:
             network.multiply(1.0 / _open_scale(network, self._train))
         with torch.no_grad():
             p = torch.cat([
@@ -406,18 +398,12 @@ class BodyTask(Task):
         return described(
             config, network.layers(), name, command, family='lie_group', lie_group=network.card,
             scheme=scheme, box=box, dataset=f'{config.description} {self._description}'.lstrip()
-            + _scale(network, self._train), losses=problem.losses)
+            + scale, losses=problem.losses)
 
     def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
         """Return the model, and the errors of windows as text; see Task."""
         text = _text(problem.module, self._config, self._windows)
         return Judged(checkpoint, text, text)
-
-
-def _opens_scale(config: BodyConfig, motions: Sequence[BodyMotions]) -> bool:
-    """Return whether the motions leave the scale of energy open."""
-    return config.family.input_map == 'learned' or not any(
-        motion.u.any() for motion in motions)
 
 
 def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:
@@ -432,7 +418,7 @@ def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> flo
             squares = torch.stack([force.square().sum(dim=1).mean()
                                    for force in forces if force is not None])
             return float(squares.mean().sqrt())
-        inverse = network.held(x, R, R.new_zeros((len(R), 0))).inverse
+        inverse = HeldBody(network, x, R, R.new_zeros((len(R), 0))).inverse
         inertia = torch.linalg.inv(inverse)[:, -3:, -3:]
         return float(inertia.diagonal(dim1=1, dim2=2).mean())
 
@@ -464,9 +450,8 @@ def evaluate(arguments: Namespace) -> None:
     if arguments.out is not None or arguments.baselines is not None or arguments.whole:
         raise ParameterError('--out, --baselines and --whole: models of the family lie_group have '
                              'none yet; leave them out')
-    source, group = find_config(arguments.config), model.card.lie_group
+    source, group = find_config(arguments.config), group_of(model)
     config = load_config(source)
-    assert group is not None, 'asked of such models alone'
     kind = config.kind if isinstance(config, BodyConfig) else config.family.kind
     if not isinstance(config, BodyConfig) or group.kind != kind:
         raise DataError(f'{source}: is for a {kind}, and {arguments.model} of a {group.kind}')
