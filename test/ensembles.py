@@ -29,9 +29,10 @@ def ensemble(count: int, factor: float | None = 2.0, change: float = 0.05) -> Ch
     members = []
     for k in range(count):
         rng = np.random.default_rng([7, k])
+        weights, biases = base.networks['energy']
         members.append(replace(base, networks={'energy': Layers(tuple(
-            weight * (1.0 + change * rng.normal(size=weight.shape)) for weight in base.weights),
-            base.biases)}))
+            weight * (1.0 + change * rng.normal(size=weight.shape)) for weight in weights),
+            biases)}))
     card = base.card.model_copy(update={'ensemble': EnsembleCard(
         members=[member.card for member in members],
         factors=None if factor is None else [factor] * 2)})

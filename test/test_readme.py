@@ -11,7 +11,7 @@ from hnn_vi_ros.effects.base import coordinate_index, Force
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.learning.data.bag_data import BagData
+from hnn_vi_ros.learning.data.bags import BagData
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import ParameterError, UnsupportedSystem
-from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
@@ -165,7 +165,7 @@ class Job:
 
 def load_plan() -> Plan:
     """Read the plan; a ParameterError names file, line and key."""
-    return load_yaml(Path(__file__).with_name('hard_cases.yaml'), Plan, ParameterError)
+    return read_yaml(Path(__file__).with_name('hard_cases.yaml'), Plan, ParameterError)[0]
 
 
 def make_jobs(plan: Plan, quick: bool, numbers: Sequence[int] | None = None) -> list[Job]:

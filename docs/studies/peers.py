@@ -130,8 +130,8 @@ def torch_field(checkpoint: Checkpoint) -> Callable:
     The gradient is written out: torch's automatic differentiation takes several times as long.
     """
     import torch
-    weights = [torch.tensor(weight) for weight in checkpoint.weights]
-    biases = [torch.tensor(bias) for bias in checkpoint.biases]
+    weights, biases = ([torch.tensor(part) for part in parts]
+                       for parts in checkpoint.networks['energy'])
     transposed = [weight.T.contiguous() for weight in weights[:-1]]
     d = checkpoint.card.widths[0] // 2
 
@@ -236,7 +236,7 @@ def jax_energy(hamiltonian: Hamiltonian) -> Callable:
 
 def _jax_network(checkpoint: Checkpoint, jnp: ModuleType) -> Callable:
     layers = [(jnp.asarray(weight), jnp.asarray(bias)) for weight, bias in zip(
-        checkpoint.weights, checkpoint.biases, strict=True)]
+        *checkpoint.networks['energy'], strict=True)]
 
     def energy(z: Any) -> Any:
         for weight, bias in layers[:-1]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.yaml_file import load_yaml
+from hnn_vi_ros.files.yaml_file import read_yaml
 from studies.published_page import (
     FOLDER, MACHINES, PAGE, read_results, Result, write_page, write_results)
 from studies.published_pendulum import FILE
@@ -49,7 +49,7 @@ def measure_on_machines(arguments: argparse.Namespace) -> Path:
 
 def measure(arguments: argparse.Namespace) -> list[Result]:
     """Train and measure what the command line asks for, and write down every value."""
-    plan = load_yaml(Path(__file__).with_name('published_tables.yaml'), Plan, ParameterError)
+    plan = read_yaml(Path(__file__).with_name('published_tables.yaml'), Plan, ParameterError)[0]
     if arguments.quick:
         plan = plan.quick()
     log = arguments.data / FILE

@@ -14,7 +14,7 @@ from typing import Annotated
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.yaml_file import load_yaml, StrictModel
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
@@ -92,7 +92,7 @@ def prepare(arguments: argparse.Namespace, name: str, out: Path | None) -> Study
         be written or holds other results.
 
     """
-    grid = load_yaml(Path(__file__).with_name('work_precision.yaml'), Grid, ParameterError)
+    grid = read_yaml(Path(__file__).with_name('work_precision.yaml'), Grid, ParameterError)[0]
     scene, _ = resolve(load_scene(name))
     if scene.effects:
         raise ParameterError(f'{scene.source}: lists effects; accuracy is studied on the motion '

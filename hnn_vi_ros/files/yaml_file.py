@@ -73,11 +73,6 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
 
 
-def load_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]) -> Model:
-    """Read and validate one YAML file; see ``read_yaml``."""
-    return read_yaml(path, schema, error)[0]
-
-
 def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
               ) -> tuple[Model, KeyPlaces]:
     """

@@ -19,7 +19,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
-from hnn_vi_ros.learning.data.bag_motions import BagMotions
+from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.runs import delayed, Run, RunData, train_and_test
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)

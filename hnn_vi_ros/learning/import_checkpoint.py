@@ -36,13 +36,12 @@ from hashlib import sha256
 from pathlib import Path
 import re
 import shlex
-import stat
 from typing import Any
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
 from hnn_vi_ros.files.limits import check_pickles
-from hnn_vi_ros.files.regular_file import refuse_pointer
+from hnn_vi_ros.files.regular_file import no_file, refuse_pointer
 from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
@@ -107,18 +106,14 @@ def read_networks(path: Path) -> dict[str, Layers]:
 
     """
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            what = 'a folder' if stat.S_ISDIR(status.st_mode) else 'not a regular file'
-            raise ModelError(f'{path}: is {what}; give a file that torch.save wrote')
+        if not path.is_file():
+            raise ModelError(f'{path}: {no_file(path)}; give a file that torch.save wrote')
         with path.open('rb') as stream:
             refuse_pointer(stream.read(32), path, ModelError)
-        if max(status.st_size, _unpacked_size(path)) > MAX_BYTES:
+        if max(path.stat().st_size, _unpacked_size(path)) > MAX_BYTES:
             raise ModelError(f'{path}: larger than {MAX_BYTES >> 20} MiB, which no network needs')
         check_pickles(path)
         state = torch.load(path, map_location='cpu', weights_only=True)
-    except FileNotFoundError as problem:
-        raise ModelError(f'{path}: no such file; give the file that torch.save wrote') from problem
     except ModelError:
         raise
     except Exception as problem:  # what damaged pickles raise has no common class

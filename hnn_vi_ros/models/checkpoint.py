@@ -99,16 +99,6 @@ class Checkpoint:
     sha256: str = ''
     members: 'tuple[Checkpoint, ...]' = ()
 
-    @property
-    def weights(self) -> tuple[np.ndarray, ...]:
-        """Return the weights of the network of H, in families that have one."""
-        return self.networks['energy'].weights
-
-    @property
-    def biases(self) -> tuple[np.ndarray, ...]:
-        """Return the biases of the network of H, in families that have one."""
-        return self.networks['energy'].biases
-
     def member(self, number: int | None) -> 'Checkpoint':
         """
         Return a member of an ensemble, from 1 to N; None: the whole, unchanged.
@@ -265,17 +255,16 @@ def complete_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def _serialized(path: Path, checkpoint: Checkpoint) -> bytes:
+    models = {f'member{k}.': member for k, member in enumerate(checkpoint.members, start=1)}
     tensors: dict[str, np.ndarray] = {}
-    for k, member in enumerate(checkpoint.members, start=1):
-        tensors |= _tensors(path, member, f'member{k}.')
-    if not checkpoint.members:
-        tensors = _tensors(path, checkpoint)
+    for prefix, model in (models or {'': checkpoint}).items():
+        tensors |= _tensors(path, model, prefix)
     raw: bytes = safetensors.numpy.save(
         tensors, {'model_card': checkpoint.card.model_dump_json(exclude_none=True)})
     return raw
 
 
-def _tensors(path: Path, checkpoint: Checkpoint, prefix: str = '') -> dict[str, np.ndarray]:
+def _tensors(path: Path, checkpoint: Checkpoint, prefix: str) -> dict[str, np.ndarray]:
     """Return the tensors of one model, checked against its card."""
     tensors = {}
     for network in checkpoint.card.layout:

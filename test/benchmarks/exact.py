@@ -122,7 +122,7 @@ def cases() -> Iterator[Case]:
 
 def _network(hamiltonian: Any, variables: list[Any]) -> Any:
     """Return the equations of a learned H, by heyoka's own networks."""
-    weights, biases = hamiltonian.checkpoint.weights, hamiltonian.checkpoint.biases
+    weights, biases = hamiltonian.checkpoint.networks['energy']
     numbers = np.concatenate([*(w.ravel() for w in weights), *(b.ravel() for b in biases)])
     (energy,) = heyoka.model.ffnn(
         variables, [len(b) for b in biases[:-1]], 1,

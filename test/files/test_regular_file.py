@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
-from hnn_vi_ros.files.yaml_file import load_yaml
+from hnn_vi_ros.files.yaml_file import read_yaml
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
 from hnn_vi_ros.learning.data.text import LogMotions, read_log
@@ -29,7 +29,7 @@ def robot_of_a_scene(path: Path) -> None:
 READERS: dict[str, Callable[[Path], object]] = {
     'urdf': read_urdf, 'robot of a scene': robot_of_a_scene,
     'log': lambda path: read_log(path, LogMotions(columns=['t', 'q'], time='t', q=['q'])),
-    'scene': load_scene, 'yaml': lambda path: load_yaml(path, Scene, DataError),
+    'scene': load_scene, 'yaml': lambda path: read_yaml(path, Scene, DataError)[0],
     'arrays': Archive, 'posterior': lambda path: read_posterior(path, 'posterior'),
     'axis': lambda path: file_axis(path, 'axis')}
 

@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.bag_data import BagData, BLOCKS, read_bags
-from hnn_vi_ros.learning.data.bag_motions import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bags import (
+    BagData, BagMotions, BLOCKS, read_bag_motions, read_bags)
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian

@@ -202,7 +202,7 @@ def test_step_of_the_training_is_that_of_the_simulator(scheme: str):
 def test_step_of_the_training_is_that_of_the_simulator_on_a_random_network(scheme: str):
     network, h = NeuralHamiltonian(random_checkpoint([4, 16, 16, 1], seed=4)), 0.1
     layers = [(torch.tensor(weight), torch.tensor(bias)) for weight, bias in zip(
-        network.checkpoint.weights, network.checkpoint.biases, strict=True)]
+        *network.checkpoint.networks['energy'], strict=True)]
 
     def field(z: torch.Tensor) -> torch.Tensor:
         z = z if z.requires_grad else z.clone().requires_grad_(True)

@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData
-from hnn_vi_ros.learning.data.bag_motions import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.data.runs import (
     even_runs, increasing, MeasuredRun, RunData, unexplained, unwound)
 from hnn_vi_ros.learning.data.sources import read_motions

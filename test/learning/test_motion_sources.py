@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.data.bag_motions import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bags import BagMotions, read_bag_motions
 from hnn_vi_ros.learning.data.sources import guessed, read_motions
 from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
 from hnn_vi_ros.learning.fit.config import MachineConfig

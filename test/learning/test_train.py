@@ -111,7 +111,7 @@ def test_training_is_bit_reproducible_by_seed(tmp_path):
         checkpoint = load_checkpoint(out)
         assert checkpoint.card.seed == int(seed)
         weights.append(b''.join(
-            part.tobytes() for part in (*checkpoint.weights, *checkpoint.biases)))
+            part.tobytes() for parts in checkpoint.networks['energy'] for part in parts))
     assert weights[0] == weights[1]
     assert weights[0] != weights[2]
 

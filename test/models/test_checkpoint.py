@@ -42,8 +42,9 @@ def write(path: Path, change=None, card=None, **tensors) -> Path:
     content = checkpoint.card.model_dump()
     if change:
         change(content)
-    parts = {'linear1.weight': checkpoint.weights[0], 'linear1.bias': checkpoint.biases[0],
-             'linear2.weight': checkpoint.weights[1], 'linear2.bias': checkpoint.biases[1],
+    weights, biases = checkpoint.networks['energy']
+    parts = {'linear1.weight': weights[0], 'linear1.bias': biases[0],
+             'linear2.weight': weights[1], 'linear2.bias': biases[1],
              **{name.replace('__', '.'): value for name, value in tensors.items()}}
     raw = safetensors.numpy.save(
         {name: value for name, value in parts.items() if value is not None},
@@ -78,8 +79,8 @@ def test_checkpoint_round_trip_is_exact(tmp_path):
 def test_float32_tensors_load_as_float64(tmp_path):
     weight = np.float32([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
     loaded = load_checkpoint(write(tmp_path / 'm.safetensors', linear1__weight=weight))
-    assert loaded.weights[0].dtype == np.float64
-    assert np.array_equal(loaded.weights[0], weight.astype(np.float64))
+    assert loaded.networks['energy'].weights[0].dtype == np.float64
+    assert np.array_equal(loaded.networks['energy'].weights[0], weight.astype(np.float64))
 
 
 def test_save_checkpoint_never_overwrites(tmp_path):
@@ -211,7 +212,8 @@ def test_mutated_model_gives_model_error_or_a_valid_model(tmp_path_factory, cuts
     except ModelError as problem:
         assert '\n' not in str(problem)
     else:
-        assert all(np.isfinite(part).all() for part in (*loaded.weights, *loaded.biases))
+        assert all(np.isfinite(part).all() for parts in loaded.networks['energy']
+                   for part in parts)
 
 
 @given(offset=st.integers(0, 2000), byte=st.integers(0, 255))

@@ -46,7 +46,7 @@ def as_torch(hamiltonian: NeuralHamiltonian) -> torch.nn.Sequential:
     """Return the same network as a torch module."""
     layers: list[torch.nn.Module] = []
     checkpoint = hamiltonian.checkpoint
-    for weight, bias in zip(checkpoint.weights, checkpoint.biases, strict=True):
+    for weight, bias in zip(*checkpoint.networks['energy'], strict=True):
         layer = torch.nn.Linear(weight.shape[1], weight.shape[0], dtype=torch.float64)
         layer.weight.data = torch.from_numpy(weight)
         layer.bias.data = torch.from_numpy(bias)

@@ -14,8 +14,7 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
-from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
-from hnn_vi_ros.learning.data.bag_motions import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bag_motions, read_bags
 from hnn_vi_ros.ros.replay.recorded_run import resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.opcode import Opcode

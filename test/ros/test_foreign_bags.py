@@ -13,7 +13,7 @@ from hnn_vi_ros.bags import bag_files
 from hnn_vi_ros.bags.mcap_file import McapFile
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
-from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
+from hnn_vi_ros.learning.data.bags import BagData, read_bags
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.writer import Writer as McapWriter

@@ -9,8 +9,7 @@ from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.bag_data import BagData, read_bags
-from hnn_vi_ros.learning.data.bag_motions import BagMotions, read_bag_motions
+from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bag_motions, read_bags
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.text import (

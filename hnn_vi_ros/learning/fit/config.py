@@ -13,7 +13,7 @@ from hnn_vi_ros.files.yaml_text import parse_mapping
 from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
-from hnn_vi_ros.learning.data.bag_motions import BagMotions
+from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.sources import dimension, Source
 from hnn_vi_ros.learning.data.text import LogMotions

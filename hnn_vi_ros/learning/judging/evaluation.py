@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
@@ -665,8 +664,7 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
 
 def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Run],
           horizons: Sequence[float], every: float, longest: float,
-          others: Mapping[str, Predict] = MappingProxyType({})
-          ) -> tuple[dict[str, Scores], list[Fan]]:
+          others: Mapping[str, Predict]) -> tuple[dict[str, Scores], list[Fan]]:
     """Return the scores of a model, of constant velocity for scale, and others; and its fans."""
     variance = variance_of(motions)
     predict = simulated(simulation, motions[0].spacing, max(horizons), variance)

@@ -21,7 +21,7 @@ from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
-from hnn_vi_ros.learning.data.bag_motions import BagMotions
+from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.runs import Motion, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
