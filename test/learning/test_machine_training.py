@@ -64,7 +64,8 @@ def random_motions(d: int, seed: int = 0) -> list[Run]:
               prior='kepler'),
     Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
     Structure(['prismatic', 'revolute', 'continuous'], [[1.0, 0.0, 0.0]], [],
-              friction=FrictionChoice(viscous=False, coulomb=0), friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
+              friction=FrictionChoice(viscous=False, coulomb=0),
+              friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
     Structure(['revolute', 'revolute'], [[1.0, 0.0]], [], friction_features=[]),
 ])
 def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):

@@ -108,7 +108,7 @@ def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
     main([*arguments, out, '--resume'])
     assert not (tmp_path / 'm.training').exists()
     one, other = (load_checkpoint(tmp_path / f'{name}.safetensors') for name in ('whole', 'm'))
-    for a, b in zip(*(sum(model.networks['energy'], ()) for model in (one, other)), strict=True):
+    for a, b in zip(*(sum(part.networks['energy'], ()) for part in (one, other)), strict=True):
         assert np.array_equal(a, b)
     assert '--resume' not in other.card.training_command
 

@@ -47,7 +47,7 @@ def test_ensemble_is_saved_and_loaded_to_the_last_bit(model: Path):
     before, after = ensemble(3), load_checkpoint(model, ensembles=True)
     assert after.card == before.card and after.networks == {}
     for one, other in zip(before.members, after.members, strict=True):
-        for a, b in zip(*(sum(model.networks['energy'], ()) for model in (one, other)), strict=True):
+        for a, b in zip(*(sum(part.networks['energy'], ()) for part in (one, other)), strict=True):
             assert a.tobytes() == b.tobytes()
 
 

@@ -40,32 +40,6 @@ _MOST = 4000
 _INTERVAL = 1.96
 
 
-def write_identification(folder: Path, text: str, solution: Solution, estimates: Estimates,
-                         channels: Sequence[tuple[str, str]]) -> None:
-    """
-    Write the page and the pictures of an identification.
-
-    Parameters
-    ----------
-    folder : Path
-        An empty one.
-    text : str
-        Text of the report: Markdown.
-    solution : Solution
-        The fit.
-    estimates : Estimates
-        What it tells.
-    channels : sequence of (str, str)
-        Name and unit of each measured quantity.
-
-    """
-    draw_fit(folder / FIT, solution, channels)
-    draw_correlations(folder / CORRELATIONS, estimates)
-    (folder / REPORT).write_text(
-        f'# Identification\n\n{text}\n\n![Fit and residuals of the longest run]({FIT})\n\n'
-        f'![Correlations of the errors]({CORRELATIONS})\n', encoding='utf-8')
-
-
 def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]) -> None:
     """Draw measurement and fit of the longest run, and the residuals with their noise."""
     from matplotlib.figure import Figure
@@ -416,9 +390,12 @@ def _write(options: Namespace, found: Identified, text: str) -> None:
         write_fitted(options.write, found.free, solution.values.tolist(), state)
         print(f'\nscene: {options.write}')
     if options.out is not None:
-        # Imported here: numbers alone need no libraries that draw.
         options.out.mkdir(parents=True)
-        write_identification(options.out, text, found.solution, found.estimates, channels(found))
+        draw_fit(options.out / FIT, found.solution, channels(found))
+        draw_correlations(options.out / CORRELATIONS, found.estimates)
+        (options.out / REPORT).write_text(
+            f'# Identification\n\n{text}\n\n![Fit and residuals of the longest run]({FIT})\n\n'
+            f'![Correlations of the errors]({CORRELATIONS})\n', encoding='utf-8')
         print(f'\nreport: {options.out}')
 
 
