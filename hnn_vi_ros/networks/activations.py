@@ -35,31 +35,44 @@ _EXP = (
 
 
 # Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
-def tanh(x: float) -> float:
-    """
-    Return the tanh of x, to about two units in the last place; NaN stays NaN.
+_PRECISE: dict[str, Any] = {
+    'fastmath': {'contract'}, 'error_model': 'numpy', 'forceinline': True}
 
-    With m = exp(2 x) - 1, tanh x = m / (m + 2). Write 2 x = k ln 2 + r, abs(r) <= ln(2) / 2;
-    then m = 2^k (exp(r) - 1) + (2^k - 1), where exp(r) - 1 is r times a polynomial of degree 10,
-    summed by Estrin's scheme, whose chain of dependent operations is shorter than Horner's.
-    It is free of branches and calls, and inlined: a loop over it becomes vector instructions.
 
+@part(**_PRECISE)
+def _exponential(x: float) -> tuple[float, float]:
     """
-    doubled = 2.0 * x
-    doubled = _LARGEST if doubled > _LARGEST else doubled
-    doubled = -_LARGEST if doubled < -_LARGEST else doubled
-    rounded = np.float64(doubled * _LOG2_E + _ROUNDING)
+    Return 2^k and exp(r) - 1, for x = k ln 2 + r with abs(r) <= ln(2) / 2.
+
+    exp(r) - 1 is r times a polynomial of degree 10, summed by Estrin's scheme, whose chain of
+    dependent operations is shorter than Horner's.
+    """
+    rounded = np.float64(x * _LOG2_E + _ROUNDING)
     k = rounded - _ROUNDING
-    r = (doubled - k * _LN2_HIGH) - k * _LN2_LOW
+    r = (x - k * _LN2_HIGH) - k * _LN2_LOW
     power_of_two = np.int64((rounded.view(np.int64) + 1023) << 52).view(np.float64)
     r2 = r * r
     r4 = r2 * r2
     low = (_EXP[0] + _EXP[1] * r) + (_EXP[2] + _EXP[3] * r) * r2
     middle = (_EXP[4] + _EXP[5] * r) + (_EXP[6] + _EXP[7] * r) * r2
     high = (_EXP[8] + _EXP[9] * r) + _EXP[10] * r2
-    series = low + (middle + high * r4) * r4
-    m = power_of_two * (series * r) + (power_of_two - 1.0)
+    return power_of_two, (low + (middle + high * r4) * r4) * r
+
+
+@kept(**_PRECISE)
+def tanh(x: float) -> float:
+    """
+    Return the tanh of x, to about two units in the last place; NaN stays NaN.
+
+    With m = exp(2 x) - 1 = 2^k (exp(r) - 1) + (2^k - 1), tanh x = m / (m + 2). It is free of
+    branches and calls, and inlined: a loop over it becomes vector instructions.
+
+    """
+    doubled = 2.0 * x
+    doubled = _LARGEST if doubled > _LARGEST else doubled
+    doubled = -_LARGEST if doubled < -_LARGEST else doubled
+    power_of_two, rest = _exponential(doubled)
+    m = power_of_two * rest + (power_of_two - 1.0)
     return m / (m + 2.0)
 
 
@@ -81,8 +94,7 @@ _COS = (
     -2.7557317270560326e-07, 2.0876146024689747e-09, -1.1382614868556325e-11)
 
 
-# Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
+@kept(**_PRECISE)
 def sine_and_cosine(x: float) -> tuple[float, float]:
     """
     Return the sine and the cosine of x; NaN stays NaN, and infinity becomes NaN.
@@ -122,8 +134,7 @@ _LOG = (
     0.04400158825434387, 0.08082469084735669)
 
 
-# Only contraction to fused multiply-add is allowed: reassociation would cancel _ROUNDING.
-@kept(fastmath={'contract'}, error_model='numpy', forceinline=True)
+@kept(**_PRECISE)
 def softplus_and_slope(x: float) -> tuple[float, float]:
     """
     Return log(1 + exp(x)) and its derivative, 1 / (1 + exp(-x)); NaN stays NaN.
@@ -135,16 +146,8 @@ def softplus_and_slope(x: float) -> tuple[float, float]:
     """
     low = x if x < 0.0 else -x
     low = _LOWEST if low < _LOWEST else low
-    rounded = np.float64(low * _LOG2_E + _ROUNDING)
-    k = rounded - _ROUNDING
-    r = (low - k * _LN2_HIGH) - k * _LN2_LOW
-    power_of_two = np.int64((rounded.view(np.int64) + 1023) << 52).view(np.float64)
-    r2 = r * r
-    r4 = r2 * r2
-    series = ((_EXP[0] + _EXP[1] * r) + (_EXP[2] + _EXP[3] * r) * r2) + (
-        ((_EXP[4] + _EXP[5] * r) + (_EXP[6] + _EXP[7] * r) * r2)
-        + ((_EXP[8] + _EXP[9] * r) + _EXP[10] * r2) * r4) * r4
-    u = power_of_two * (1.0 + series * r)
+    power_of_two, rest = _exponential(low)
+    u = power_of_two * (1.0 + rest)
     t = u / (2.0 + u)
     t2 = t * t
     t4 = t2 * t2
