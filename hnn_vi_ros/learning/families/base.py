@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.models.checkpoint import Layers
@@ -89,6 +89,14 @@ def keep(module: torch.nn.Module, **constants: np.ndarray) -> None:
         module.register_buffer(name, torch.tensor(values), persistent=False)
 
 
+class Layer(NamedTuple):
+    """Activations a of a layer, (N, n), 1 - a^2, and the changes of its z, (m, N, n)."""
+
+    a: torch.Tensor
+    slope: torch.Tensor
+    rates: torch.Tensor
+
+
 class Perceptron(torch.nn.Module):
     """
     f(x) = E MLP((x - c) / s), in float64.
@@ -137,14 +145,21 @@ class Perceptron(torch.nn.Module):
             a = torch.tanh(linear(a))
         return self.output_scale * self.linears[-1](a)
 
-    def slope(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the derivatives of f, shape (N, outputs, inputs), at points of (N, inputs)."""
-        a = (x - self.centre) / self.scale
-        tangent = torch.diag(1.0 / self.scale)
+    def hidden(self, x: torch.Tensor, tangents: torch.Tensor) -> list[Layer]:
+        """Return the hidden layers at points (N, inputs), with changes along (m, N, inputs)."""
+        a, tangents, layers = (x - self.centre) / self.scale, tangents / self.scale, list[Layer]()
         for linear in self.linears[:-1]:
+            if layers:
+                a, tangents = layers[-1].a, layers[-1].slope * layers[-1].rates
             a = torch.tanh(linear(a))
-            tangent = (1.0 - a.square())[:, :, None] * (linear.weight @ tangent)
-        return self.output_scale[:, None] * (self.linears[-1].weight @ tangent)
+            layers.append(Layer(a, 1.0 - a.square(), tangents @ linear.weight.T))
+        return layers
+
+    def outputs(self, layers: Sequence[Layer]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return f, (N, outputs), and its changes, (m, N, outputs), of these layers."""
+        last = self.linears[-1]
+        return (self.output_scale * last(layers[-1].a),
+                self.output_scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T))
 
     def gradient(self, x: torch.Tensor, weights: torch.Tensor | None = None) -> torch.Tensor:
         """

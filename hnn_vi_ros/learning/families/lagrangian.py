@@ -254,7 +254,8 @@ class SymplecticForm(Trainable):
     def two_form(self, z: torch.Tensor) -> torch.Tensor:
         """Return W, shape (N, 2 d, 2 d), at states of shape (N, 2 d)."""
         d = len(self.mass)
-        slope = self.one_form.slope(z)
+        every = torch.eye(2 * d, dtype=z.dtype, device=z.device)[:, None, :]
+        slope = self.one_form.outputs(self.one_form.hidden(z, every))[1].permute(1, 2, 0)
         canonical = torch.zeros_like(slope[0])
         canonical[:d, d:] = torch.diag(self.mass)
         slope = slope + canonical

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.learning.families.base import keep, Perceptron
+from hnn_vi_ros.learning.families.base import keep, Layer, Perceptron
 from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structure
 from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
 from hnn_vi_ros.models.checkpoint import Layers
@@ -206,14 +206,6 @@ class Linearised(NamedTuple):
     rate_v: torch.Tensor
 
 
-class Layer(NamedTuple):
-    """Activations a of a layer, (N, n), 1 - a^2, and the derivatives of its z, (m, N, n)."""
-
-    a: torch.Tensor
-    slope: torch.Tensor
-    rates: torch.Tensor
-
-
 def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return friction, (N, d), and its derivatives by q and v, (N, d, d)."""
@@ -255,7 +247,7 @@ def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     """
     S, on_diagonal = network.root_inertia, network.on_diagonal
     inputs, layers = _layers(network.mass, network.mass_features, q)
-    y, y_rates = _outputs(network.mass, layers)
+    y, y_rates = network.mass.outputs(layers)
     share = torch.sigmoid(y)
     rise = torch.where(on_diagonal, share, 1.0)
     L, u = network.matrix(network.positive(y)), (S * v)[:, :, None]
@@ -281,22 +273,7 @@ def _layers(network: Perceptron, features: Features, q: torch.Tensor
             ) -> tuple[tuple[torch.Tensor, torch.Tensor], list[Layer]]:
     """Return the inputs with their derivatives by their rows, and the hidden layers."""
     inputs = features(q)
-    a = (inputs[0] - network.centre) / network.scale
-    tangents = inputs[1] / network.scale * features.of_feature[:, None, :]
-    layers: list[Layer] = []
-    for linear in network.linears[:-1]:
-        if layers:
-            a, tangents = layers[-1].a, layers[-1].slope * layers[-1].rates
-        a = torch.tanh(linear(a))
-        layers.append(Layer(a, 1.0 - a.square(), tangents @ linear.weight.T))
-    return inputs, layers
-
-
-def _outputs(network: Perceptron, layers: list[Layer]) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the outputs, (N, k), and their derivatives by the features, (m, N, k)."""
-    last, scale = network.linears[-1], network.output_scale
-    return (scale * last(layers[-1].a),
-            scale * ((layers[-1].slope * layers[-1].rates) @ last.weight.T))
+    return inputs, network.hidden(inputs[0], inputs[1] * features.of_feature[:, None, :])
 
 
 def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tensor, torch.Tensor],
@@ -493,7 +470,7 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
-        y, rates = _outputs(self.mass, _layers(self.mass, self.mass_features, q)[1])
+        y, rates = self.mass.outputs(_layers(self.mass, self.mass_features, q)[1])
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
         return self.positive(y), rises[:, None, :] * rates.transpose(0, 1)
 
