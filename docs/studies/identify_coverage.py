@@ -17,7 +17,7 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.learning.data.runs import Motion, smoothed
+from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.scene_numbers.fit import fit
 from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
 from hnn_vi_ros.learning.scene_numbers.intervals import (
@@ -92,7 +92,7 @@ def measured(kind: str, values: np.ndarray, noise: float, random: np.random.Gene
     return values + noise * NOISES[kind](random, (_BEFORE + before, *rest))[_BEFORE:]
 
 
-def synthetic_log(case: Case, kind: str, random: np.random.Generator) -> tuple[Motion, np.ndarray]:
+def synthetic_log(case: Case, kind: str, random: np.random.Generator) -> tuple[Run, np.ndarray]:
     """Return a log of a scene from an initial state that chance chooses, and that state."""
     scene = load_scene(case.scene)
     q, p = np.array(scene.initial_state.q), scene.initial_state.p

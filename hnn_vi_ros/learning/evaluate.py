@@ -68,11 +68,10 @@ def main(argv: Sequence[str]) -> None:
             and (delay := checkpoint.card.mechanical.delay):
         motions = [delayed(motion, delay / motion.spacing) for motion in motions]
         description += f'; forces act {delay:.3g} s later, as in the data of the model'
-    known = None if arguments.baselines is None else \
-        _motions(arguments, arguments.baselines, names)[0]
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
     others = dict[str, Predict]()
-    if known is not None:
+    if arguments.baselines is not None:
+        known, _, _ = _motions(arguments, arguments.baselines, names)
         others['linear model'] = linear_model(known)
         if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
             # Fitted by the default windows of training.

@@ -13,7 +13,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
-from hnn_vi_ros.learning.data.runs import Motion, smoothed, steps_between
+from hnn_vi_ros.learning.data.runs import Run, smoothed, steps_between
 from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
@@ -32,7 +32,7 @@ from urdf_robots import TREE
 NOISE = 0.01, 0.05
 
 
-def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Motion:
+def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Run:
     """Return a log of a scene from its initial state, with white noise unless without a seed."""
     motion = hnn_vi_ros.simulate(scene, duration, every=every)
     v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
@@ -48,7 +48,7 @@ def freed(scene: Scene, folder: Path, **starts: float) -> FreeScene:
     return free_scene(scene.parts(), names, {}, folder, True).starting_at([*starts.values()])
 
 
-def estimated(free: FreeScene, motion: Motion, robust: bool = False,
+def estimated(free: FreeScene, motion: Run, robust: bool = False,
               horizon: float | None = None) -> Estimates:
     solution, problem, _ = fit(free, [motion], True, horizon, robust)
     return estimates_of(solution, problem, free, (), False)
@@ -240,7 +240,7 @@ LATE = 0.035
 
 
 @pytest.fixture(scope='module')
-def held_log() -> Motion:
+def held_log() -> Run:
     """Return what a pendulum does by commands that are held for 80 ms and come 35 ms late."""
     scene = commanded('gauss4', 0.001)
     force = np.repeat(3.0 * np.random.default_rng(1).normal(size=21), 4)

@@ -241,7 +241,10 @@ def _resampled(signal: Signal, grid: np.ndarray) -> np.ndarray:
 def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, np.ndarray],
           commands: Signal | None) -> dict[str, np.ndarray]:
     """Return the columns of a motion without its ends; missing ones are estimated."""
-    method, window = _method(reader, t, data)
+    spacing = (t[-1] - t[0]) / (len(t) - 1)
+    method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
+    window = method.rows(spacing, len(t) - _LEAST, str(reader.path), f'{len(t)} rows') \
+        if isinstance(method, SavitzkyGolay) else 0
 
     def rate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return differentiate(t - t[0], values, method, window, str(reader.path))
@@ -259,15 +262,6 @@ def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, 
     states['block'] = time_blocks(t, data.block or (t[-1] - t[0]) * (1.0 + 1e-9) / BLOCKS)
     margin = max(window // 2, _MARGIN)
     return {name: values[margin:len(t) - margin] for name, values in states.items()}
-
-
-def _method(reader: SignalReader, t: np.ndarray, data: BagData) -> tuple[Derivatives, int]:
-    """Return how to differentiate, and its window in rows, an odd number; 0 without one."""
-    spacing = (t[-1] - t[0]) / (len(t) - 1)
-    method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
-    if not isinstance(method, SavitzkyGolay):
-        return method, 0
-    return method, method.rows(spacing, len(t) - _LEAST, str(reader.path), f'{len(t)} rows')
 
 
 def _held(commands: Signal, t: np.ndarray) -> np.ndarray:

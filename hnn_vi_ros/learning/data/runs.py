@@ -151,10 +151,6 @@ class Run:
         return float(self.t[1] - self.t[0])
 
 
-# The name of a Run in the identification of scenes.
-Motion = Run
-
-
 @dataclass
 class _Report:
     """Number of samples that could not be used, by the reason, and where runs were cut."""

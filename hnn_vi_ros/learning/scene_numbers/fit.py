@@ -18,7 +18,7 @@ import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.runs import Motion
+from hnn_vi_ros.learning.data.runs import Run
 from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 import numpy as np
@@ -29,7 +29,7 @@ _LEAST_NOISE = 1e-9
 _LEAST_SAMPLES = 10
 
 
-def first_noise(motions: Sequence[Motion], velocities: bool) -> np.ndarray:
+def first_noise(motions: Sequence[Run], velocities: bool) -> np.ndarray:
     """Return a guess of the noise from third differences, which smooth motion hardly has."""
     columns = [np.hstack([motion.q, motion.v][:1 + velocities]) for motion in motions]
     thirds = np.concatenate([np.diff(column, 3, axis=0) for column in columns])
@@ -42,7 +42,7 @@ def least_noise(measured: np.ndarray) -> np.ndarray:
     return _LEAST_NOISE * (np.ptp(measured, axis=0) + 1e-300)
 
 
-def first_length(motions: Sequence[Motion], velocities: bool) -> float:
+def first_length(motions: Sequence[Run], velocities: bool) -> float:
     """Return a length of windows in which a motion hardly turns: four of its times [s]."""
     q, v = (np.concatenate([getattr(motion, name) for motion in motions])
             for name in ('q_smooth', 'v_smooth'))
@@ -292,7 +292,7 @@ def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
 
 
-def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: float | None,
+def fit(free: FreeScene, motions: Sequence[Run], velocities: bool, horizon: float | None,
         robust: bool) -> tuple[Solution, Problem, list[tuple[float, float]]]:
     """
     Fit the free numbers, in windows that grow from short ones, which have no false minima.
@@ -301,7 +301,7 @@ def fit(free: FreeScene, motions: Sequence[Motion], velocities: bool, horizon: f
     ----------
     free : FreeScene
         The scene.
-    motions : sequence of Motion
+    motions : sequence of Run
         The measured motions.
     velocities : bool
         Whether velocities were.

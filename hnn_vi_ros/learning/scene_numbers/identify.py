@@ -22,7 +22,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.data.bags import BagMotions
-from hnn_vi_ros.learning.data.runs import Motion, steps_between
+from hnn_vi_ros.learning.data.runs import Run, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.scene_numbers.free_numbers import (
@@ -213,7 +213,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     return Identified(free, solution, estimates, stages, hamiltonian, description, inputs)
 
 
-def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Motion]) -> float:
+def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Run]) -> float:
     """Return the misfit of the same windows with other forces; infinite where that fails."""
     windows = replace(solution.windows, motions=motions)
     other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)

@@ -16,7 +16,7 @@ from hnn_vi_ros.gradients.dependences import Dependence, difference, OnNumber, s
 from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.learning.data.runs import Motion, steps_between
+from hnn_vi_ros.learning.data.runs import Run, steps_between
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
@@ -28,7 +28,7 @@ import numpy as np
 _OFF_GRID = 0.01
 
 
-def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
+def impulse(motion: Run, times: np.ndarray) -> np.ndarray:
     """
     Return the integral of the measured forces up to times from the first sample on [s].
 
@@ -46,7 +46,7 @@ def impulse(motion: Motion, times: np.ndarray) -> np.ndarray:
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
-                  motions: Sequence[Motion]) -> Sequence[str]:
+                  motions: Sequence[Run]) -> Sequence[str]:
     """Return the coordinates on which the measured forces act, or raise DataError."""
     names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
     if not effect.names:
@@ -58,7 +58,7 @@ def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
                     f'data hold {m} forces; give as many')
 
 
-def check_times(effects: Sequence[Effect], motions: Sequence[Motion], h: float) -> None:
+def check_times(effects: Sequence[Effect], motions: Sequence[Run], h: float) -> None:
     """Raise DataError where a drive would be out of phase: samples at no whole steps."""
     if any(isinstance(effect, PeriodicDrive) for effect in effects):
         for motion in motions:
@@ -86,7 +86,7 @@ class Windows:
 
     Parameters
     ----------
-    motions : sequence of Motion
+    motions : sequence of Run
         The runs, which share one interval.
     run, first : np.ndarray of int, shape (W,)
         The run and the sample with which each window begins.
@@ -99,7 +99,7 @@ class Windows:
 
     """
 
-    motions: Sequence[Motion]
+    motions: Sequence[Run]
     run: np.ndarray
     first: np.ndarray
     measured: np.ndarray
@@ -118,13 +118,13 @@ class Windows:
                          for run, first in zip(self.run, self.first, strict=True)])
 
 
-def windows_of(motions: Sequence[Motion], horizon: float, velocities: bool) -> Windows:
+def windows_of(motions: Sequence[Run], horizon: float, velocities: bool) -> Windows:
     """
     Cut runs into windows of one length, as nearly as whole numbers allow.
 
     Parameters
     ----------
-    motions : sequence of Motion
+    motions : sequence of Run
         The runs.
     horizon : float
         The longest window [s]; at least two samples are in each.
