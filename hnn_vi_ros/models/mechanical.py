@@ -218,8 +218,8 @@ def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -
     """
     Fill M(q) on and below its diagonal, row by row, shape (d d,); q is padded to that size.
 
-    This, ``slope`` and ``slope_change`` are called by address: they take the arrays that a kernel's
-    three functions take, and are called in this order.
+    This, ``slope`` and ``slope_change`` are called by address, in this order: they take the arrays
+    that a kernel's three functions take.
     """
     scale, factor = parameters.mass.scale, parameters.work.factor
     d = scale.size

@@ -267,9 +267,12 @@ class MechanicalCard(StrictModel):
     @property
     def entries(self) -> list[tuple[int, int]]:
         """Return the places in L of the outputs of the network of M."""
-        d = len(self.kinds)
-        return [(i, j) for i in range(d) for j in range(i + 1)
-                if i == j or not self.diagonal_mass]
+        return entries_of(len(self.kinds), self.diagonal_mass)
+
+
+def entries_of(d: int, diagonal: bool) -> list[tuple[int, int]]:
+    """Return the places of the entries of a lower triangular or a diagonal matrix, row by row."""
+    return [(i, j) for i in range(d) for j in range(i + 1) if i == j or not diagonal]
 
 
 def check_alike(one: MechanicalCard, other: MechanicalCard) -> None:

@@ -21,7 +21,8 @@ class DomainCard(StrictModel):
 
     q: list[Interval] = Field(min_length=1, description='of each coordinate')
     v: list[Interval] = Field(min_length=1, description='of each velocity')
-    forces: list[Interval] = Field(description='of each motor; empty where no forces were measured')
+    forces: list[Interval] = Field(description=(
+        'of each motor; empty where no forces were measured'))
 
     @classmethod
     def of(cls, q: np.ndarray, v: np.ndarray, tau: np.ndarray) -> 'DomainCard':

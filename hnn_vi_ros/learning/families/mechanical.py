@@ -11,7 +11,7 @@ from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structu
 from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
+    CoulombTerm, entries_of, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
 from hnn_vi_ros.models.planar_chain import CHAINS
 import numpy as np
 import torch
@@ -393,9 +393,7 @@ class MechanicalNetwork(torch.nn.Module):
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = _prior(structure, float(scales.inertia.mean()))
         keep(self, identity=np.eye(d))
-        card = self._card(FrictionCard(viscous=[0.0] * d), np.ones(d), self._prior_card('1'))
-        self.entries = card.entries
-        rows, columns = np.array(self.entries).T
+        rows, columns = np.array(entries_of(d, structure.diagonal_mass)).T
         keep(self, place=np.eye(d * d)[rows * d + columns], on_diagonal=rows == columns,
              adjugate=_ADJUGATE, root_inertia=np.sqrt(scales.inertia))
         self.mass_features = Features(structure.kinds, structure.mass_features)
@@ -552,17 +550,16 @@ class MechanicalNetwork(torch.nn.Module):
     def momenta(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None = None
                 ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return p = M v and dp/dt less tau, by default 0, all of shape (N, d)."""
-        if self.prior is not None and not self.structure.residual:
-            values = self.prior.values()
-            p = (self.prior.mass(q, values) @ v[:, :, None])[:, :, 0]
-            return p, self.prior.slopes(q, v, values)[1] - self.friction(q, v, tau)
-        L, _, u, w, rest = self._parts(q, v, tau)
-        p = self.root_inertia * (L @ w + self.floor * u)[:, :, 0]
+        p, rate = torch.zeros_like(v), -self.friction(q, v, tau)
+        if self.prior is None or self.structure.residual:
+            L, _, u, w, inertial = self._kinetic(q, v)
+            p = self.root_inertia * (L @ w + self.floor * u)[:, :, 0]
+            rate = rate + inertial - self._potential_slope(q)
         if self.prior is not None:
             values = self.prior.values()
             p = p + (self.prior.mass(q, values) @ v[:, :, None])[:, :, 0]
-            rest = rest + self.prior.slopes(q, v, values)[1]
-        return p, rest
+            rate = rate + self.prior.slopes(q, v, values)[1]
+        return p, rate
 
     def linearised(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
         """Return the result of ``momenta`` with its derivatives, not recorded."""
@@ -593,7 +590,8 @@ class MechanicalNetwork(torch.nn.Module):
     def _equations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None
                    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
-        L, slopes, u, w, rest = self._parts(q, v, tau)
+        L, slopes, u, w, inertial = self._kinetic(q, v)
+        rest = inertial - self._potential_slope(q) - self.friction(q, v, tau)
         needed, values = self._turned(L, slopes, u, w, v) - rest / self.root_inertia, None
         if self.prior is not None:
             values = self.prior.values()
@@ -615,12 +613,6 @@ class MechanicalNetwork(torch.nn.Module):
         by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
         L_dot = self.matrix(by_time)
         return (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
-
-    def _parts(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None
-               ) -> tuple[torch.Tensor, ...]:
-        """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2 - V_q - friction."""
-        *parts, inertial = self._kinetic(q, v)
-        return *parts, inertial - self._potential_slope(q) - self.friction(q, v, tau)
 
     def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""
@@ -673,24 +665,19 @@ class MechanicalNetwork(torch.nn.Module):
                 for kind, parts in zip(('weight', 'bias'), network.folded(), strict=True)
                 for k, part in enumerate(parts, 1)}
 
-    def _card(self, friction: FrictionCard, scale: np.ndarray, prior: PriorCard | None
-              ) -> MechanicalCard:
+    def card(self, p_unit: str = 'N m s') -> MechanicalCard:
+        """Return the entry of the model card, for momenta in this unit."""
         structure, input_map = self.structure, self.input_map()
         if input_map is None and structure.friction.fade:
             input_map = self.identity
         motors = None if input_map is None else input_map.tolist()
         fade = self.fade().tolist() if structure.friction.fade else None
         return MechanicalCard(
-            kinds=structure.kinds, features=structure.features, friction=friction,
-            floor=self.floor, mass_features=structure.mass_features, mass_scale=scale.tolist(),
-            diagonal_mass=structure.diagonal_mass, prior=prior,
-            friction_features=structure.friction_features, input_map=motors,
-            fade=fade)
-
-    def card(self, p_unit: str = 'N m s') -> MechanicalCard:
-        """Return the entry of the model card, for momenta in this unit."""
-        return self._card(self.friction.card(), self.root_inertia.numpy(),
-                          self._prior_card(p_unit))
+            kinds=structure.kinds, features=structure.features, friction=self.friction.card(),
+            floor=self.floor, mass_features=structure.mass_features,
+            mass_scale=self.root_inertia.tolist(), diagonal_mass=structure.diagonal_mass,
+            prior=self._prior_card(p_unit), friction_features=structure.friction_features,
+            input_map=motors, fade=fade)
 
     def _prior_card(self, p_unit: str) -> PriorCard | None:
         if self.prior is None or self.structure.prior is None:

@@ -5,7 +5,6 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 import json
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -178,13 +177,7 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
     half = 0.5 * np.ptp(seen, axis=0)
     before, a = (np.concatenate(parts) for parts in zip(*map(_accelerations, motions),
                                                         strict=True))
-    places = k - 3
-    # There is one scale for the velocities of a place, and another for angular velocities.
-    parts = [slice(0, places), slice(places, k)] if places else [slice(0, 3)]
-    velocity, acceleration = np.ones(k), np.ones(k)
-    for part in parts:
-        velocity[part] = np.sqrt(np.mean(v[:, part]**2) * 3.0)
-        acceleration[part] = np.sqrt(np.mean(a[:, part]**2) * 3.0)
+    velocity, acceleration = _sizes(v), _sizes(a)
     if not (velocity > 0.0).all() or not (acceleration > 0.0).all():
         raise DataError('the body never moves in the data, or never turns; learn from data in '
                         'which it does')
@@ -195,8 +188,7 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
         if u.shape[1] != k:
             raise DataError(f'input_map: identity takes {k} inputs, forces in the frame of the '
                             f'body; the data have {u.shape[1]}: take input_map: learned')
-        for part in parts:
-            inertia[part] = math.sqrt(np.mean(u[:, part]**2) * 3.0) / acceleration[part]
+        inertia = _sizes(u) / acceleration
         inertia = np.where(inertia > 0.0, inertia, 1.0)
     first = None
     if driven and config.family.input_map == 'learned':
@@ -212,6 +204,12 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
         inertia * velocity, inertia * acceleration, first, size)
     card = config.family.card(config.kind, (1.0 / np.sqrt(inertia)).tolist(), driven)
     return LieGroupNetwork(card, config.hidden, scales, config.seed)
+
+
+def _sizes(values: np.ndarray) -> np.ndarray:
+    """Return the usual length of a vector of place, and of one of turning, in all its columns."""
+    squares = (values.reshape(len(values), -1, 3)**2).mean(axis=(0, 2))
+    return np.repeat(np.sqrt(3.0 * squares), 3)
 
 
 def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
