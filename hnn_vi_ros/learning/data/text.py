@@ -29,24 +29,41 @@ BLOCKS = 20
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 # Whitespace last: it also splits at the space after a comma.
 _SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
-Delimiter = Literal['whitespace', 'comma', 'semicolon', 'tab']
-DELIMITER = 'default: the one that splits the first line into the columns'
-COLUMNS = 'names of all columns, in order; default: those in the first line of the log'
 
 
-class MeasuredData(StrictModel):
-    """A measured log: a text file with one row of numbers for each instant."""
+class LogColumns(StrictModel):
+    """Columns of a log: a text file with one row of numbers for each instant."""
 
-    kind: Literal['measured']
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
-    source: str = Field('', max_length=1000, description=(
-        'where the log comes from, for those who lack it'))
-    delimiter: Delimiter | None = Field(None, description=DELIMITER)
+    delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] | None = Field(
+        None, description='default: the one that splits the first line into the columns')
     comment: str = Field('#', min_length=1, description='prefix of lines to skip')
-    columns: Names | None = Field(None, min_length=3, description=COLUMNS)
+    columns: Names | None = Field(None, min_length=2, description=(
+        'names of all columns, in order; default: those in the first line of the log'))
     trial: str | None = Field(None, description='column that numbers separate recordings')
     time: str = Field(description='column of time [s]')
     q: Names = Field(min_length=1, description='columns of the coordinates')
+
+    @property
+    def used(self) -> list[str]:
+        """Return the names of the columns that are used."""
+        groups = 'q', 'p', 'dq_dt', 'dp_dt', 'v', 'a', 'tau'
+        return [self.time, *([] if self.trial is None else [self.trial]),
+                *(name for group in groups for name in getattr(self, group, None) or ())]
+
+    def check_columns(self) -> None:
+        """Raise ValueError for a column that there is not, or that is used twice."""
+        for name in self.used:
+            if (self.columns or [name]).count(name) != 1 or self.used.count(name) != 1:
+                raise ValueError(f'column {name} must stand once in columns and be used once')
+
+
+class MeasuredData(LogColumns):
+    """States of a log, one or several recordings, and their rates."""
+
+    kind: Literal['measured']
+    source: str = Field('', max_length=1000, description=(
+        'where the log comes from, for those who lack it'))
     p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
     mass: Mass | None = Field(None, description=(
         'p = mass * columns: one for each coordinate, or a matrix by rows; default 1'))
@@ -64,24 +81,17 @@ class MeasuredData(StrictModel):
                 raise ValueError(f'{key} has {len(group)} entries, expected {len(self.q)}, '
                                  'one for each coordinate')
         mass_matrix(self.mass, len(self.q))
-        _check_columns(self)
+        self.check_columns()
         if self.derivatives is None and not (self.dq_dt and self.dp_dt):
             raise ValueError('derivatives is missing, since the log lacks dq_dt or dp_dt; '
                              'for example derivatives: {kind: savitzky_golay, window: 0.3}')
         return self
 
 
-class LogMotions(RunData):
-    """Columns of a text file, of one run or of several that a column numbers."""
+class LogMotions(LogColumns, RunData):
+    """Motions of a log, of one run or of several that a column numbers."""
 
     kind: Literal['log'] = 'log'
-    path: str = Field('', description='the log; or given by --data')
-    delimiter: Delimiter | None = Field(None, description=DELIMITER)
-    comment: str = Field('#', min_length=1, description='prefix of lines to skip')
-    columns: Names | None = Field(None, min_length=2, description=COLUMNS)
-    trial: str | None = Field(None, description='column that numbers separate runs')
-    time: str = Field(description='column of time [s]')
-    q: Names = Field(min_length=1, description='columns of the coordinates')
     v: Names | None = Field(None, description=(
         'columns of dq/dt; none: they are estimated from q'))
     a: Names | None = Field(None, description=(
@@ -96,26 +106,8 @@ class LogMotions(RunData):
             if group is not None and (len(group) > len(self.q) or (
                     key != 'tau' and len(group) < len(self.q))):
                 raise ValueError(f'{key} has {len(group)} columns, q has {len(self.q)}')
-        _check_columns(self)
+        self.check_columns()
         return self
-
-
-Columns = MeasuredData | LogMotions
-
-
-def _used(data: Columns) -> list[str]:
-    """Return the names of the columns that are used."""
-    groups = [getattr(data, key, None) for key in ('q', 'p', 'dq_dt', 'dp_dt', 'v', 'a', 'tau')]
-    return [data.time, *([] if data.trial is None else [data.trial]),
-            *(name for group in groups for name in group or ())]
-
-
-def _check_columns(data: Columns) -> None:
-    """Raise ValueError for a column that there is not, or that is used twice."""
-    used = _used(data)
-    for name in used:
-        if (data.columns or [name]).count(name) != 1 or used.count(name) != 1:
-            raise ValueError(f'column {name} must stand once in columns and be used once')
 
 
 class _Trial(NamedTuple):
@@ -191,7 +183,7 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
     return even_runs(runs, data, path.name, digest[:16])
 
 
-def _trials(path: Path, data: Columns, lacking: bool = False
+def _trials(path: Path, data: LogColumns, lacking: bool = False
             ) -> tuple[list[_Trial], str]:
     """Return the recordings of a log, in their order, and its SHA-256; or raise DataError."""
     table, lines, digest, names = read_log(path, data, lacking)
@@ -209,7 +201,7 @@ def _trials(path: Path, data: Columns, lacking: bool = False
     return trials, digest
 
 
-def read_log(path: Path, data: Columns, lacking: bool = False
+def read_log(path: Path, data: LogColumns, lacking: bool = False
              ) -> tuple[np.ndarray, np.ndarray, str, Names]:
     """
     Return the numbers of a log, the line of each row, its SHA-256 and its columns, or DataError.
@@ -218,7 +210,7 @@ def read_log(path: Path, data: Columns, lacking: bool = False
     ----------
     path : Path
         A text file of at most 256 MiB.
-    data : Columns
+    data : LogColumns
         How its rows are read.
     lacking : bool
         Whether a field that is empty or ``nan`` is a number that lacks.
@@ -255,29 +247,29 @@ def read_log(path: Path, data: Columns, lacking: bool = False
     return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest, names
 
 
-def _fields(line: str, data: Columns, most: int) -> list[str]:
+def _fields(line: str, data: LogColumns, most: int) -> list[str]:
     # No further than needed: a line may be as long as the file.
     mark = _SEPARATORS[data.delimiter or 'whitespace']
     return [field.strip().strip('"') for field in line.split(mark, most)]
 
 
-def _delimited(line: str, data: Columns, given: bool = True) -> Columns:
+def _delimited(line: str, data: LogColumns, given: bool = True) -> LogColumns:
     """Return data with the delimiter that they name, or else the one that fits a first line."""
     if data.delimiter and given:
         return data
     ways = [data.model_copy(update={'delimiter': delimiter}) for delimiter in _SEPARATORS]
     fields = [_fields(line, way, _MOST_COLUMNS) for way in ways]
-    fits = [len(found) == len(data.columns) if data.columns else {*_used(data)} <= {*found}
+    fits = [len(found) == len(data.columns) if data.columns else {*data.used} <= {*found}
             for found in fields]
     # Where none fits, the most columns are most likely the names.
     return ways[fits.index(True) if any(fits) else int(np.argmax([*map(len, fields)]))]
 
 
-def _header(place: str, line: str, data: Columns) -> Names:
+def _header(place: str, line: str, data: LogColumns) -> Names:
     """Return the names in the first line of a log, which must have those that are used."""
     names = _fields(line, data, _MOST_COLUMNS)
     other = _delimited(line, data, given=False)
-    for name in _used(data):
+    for name in data.used:
         if names.count(name) != 1:
             problem = 'more than one column' if name in names else 'no column'
             raise DataError(
@@ -288,7 +280,7 @@ def _header(place: str, line: str, data: Columns) -> Names:
     return names
 
 
-def _row(place: str, line: str, data: Columns, names: Names, lacking: bool, first: bool
+def _row(place: str, line: str, data: LogColumns, names: Names, lacking: bool, first: bool
          ) -> list[float]:
     """Return the numbers of a line; none of the header that may come first."""
     fields = _fields(line, data, len(names) + 1)
@@ -299,7 +291,7 @@ def _row(place: str, line: str, data: Columns, names: Names, lacking: bool, firs
         raise DataError(f'{place}: {len(fields)} columns{more}, expected '
                         f'{len(names)}: {listed(names)}')
     # Of a header that was only read, columns that nobody uses may hold anything.
-    known = names if data.columns is not None else _used(data)
+    known = names if data.columns is not None else data.used
     return [np.nan if (lacking and field.lower() in ('', 'nan')) or name not in known else
             _number(place, i, field, name)
             for i, (field, name) in enumerate(zip(fields, names, strict=True))]

@@ -103,12 +103,10 @@ class LieGroupNetwork(torch.nn.Module):
         """Return the network of a model file."""
         card = group_of(model)
         ones = np.ones(card.size)
-        inputs = len(model.networks['input_map'].biases[-1]) // card.size \
+        inputs = model.networks['input_map'].widths[-1] // card.size \
             if 'input_map' in model.networks else 0
-        scales = BodyScales(
-            np.zeros(card.size + 6), np.ones(card.size + 6), ones, ones, ones,
-            np.zeros((card.size, inputs)) if inputs else None,
-            np.ones(inputs) if inputs else None)
+        scales = BodyScales(np.zeros(card.size + 6), np.ones(card.size + 6), ones, ones, ones,
+                            np.zeros((card.size, inputs)), np.ones(inputs))
         network = cls(card, [1], scales, 0)
         for name, layers in model.networks.items():
             inputs, *hidden, count = layers.widths

@@ -435,8 +435,7 @@ class MechanicalNetwork(torch.nn.Module):
             if 'mass' not in self.structure.left_out:
                 self.mass.linears[-1].bias.copy_(-1.5 * self.on_diagonal)
             self.potential.linears[-1].weight.mul_(0.1)
-        if isinstance(self.prior, RigidTree):
-            self.prior.identification = rigid.prior.identification
+        self.prior.identification = rigid.prior.identification
 
     def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
                       ) -> torch.Tensor:
@@ -680,12 +679,13 @@ class MechanicalNetwork(torch.nn.Module):
             input_map=motors, fade=fade)
 
     def _prior_card(self, p_unit: str) -> PriorCard | None:
-        if self.prior is None or self.structure.prior is None:
+        structure = self.structure
+        if self.prior is None or structure.prior is None:
             return None
-        if isinstance(self.prior, RigidTree):
-            return self.prior.card(alone=not self.structure.residual)
-        return PriorCard(kind=self.structure.prior, parameters=self.prior.quantities(p_unit),
-                         angles=self.structure.angles)
+        return PriorCard(
+            kind=structure.prior, parameters=self.prior.quantities(p_unit), tree=structure.tree,
+            angles=structure.angles, identification=self.prior.identification,
+            alone=structure.tree is not None and not structure.residual)
 
 
 def _prior(structure: Structure, inertia: float) -> PlanarChain | ExactPrior | RigidTree | None:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models.exact_prior import exact_system, functions_of
-from hnn_vi_ros.models.mechanical_card import PriorCard, Quantity
+from hnn_vi_ros.models.mechanical_card import Quantity
 from hnn_vi_ros.models.planar_chain import parameter_names, unit_terms
 from hnn_vi_ros.models.rigid_body_card import (
-    EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, TreeCard)
+    EACH, Identification, INERTIAL, pseudo_inertia, TreeCard)
 import numpy as np
 import torch
 
@@ -34,6 +34,8 @@ class Prior(torch.nn.Module):
 
     names: list[str]
     linear = False
+    # What data tell of a robot, once it was identified.
+    identification: Identification | None = None
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
@@ -339,8 +341,6 @@ class RigidTree(Prior):
         self.raw = torch.nn.Parameter(torch.zeros((d, INERTIAL), dtype=torch.float64))
         self.rotor = torch.nn.Parameter(torch.tensor(values[:, INERTIAL]))
         self.offset = torch.nn.Parameter(torch.zeros(d, dtype=torch.float64))
-        # What data tell of it, once it was identified.
-        self.identification: Identification | None = None
 
     def values(self) -> torch.Tensor:
         """Return the parameters of all bodies, shape (12 d,), in the order of their names."""
@@ -366,11 +366,6 @@ class RigidTree(Prior):
         """Return the parameters with their SI units."""
         return {name: Quantity(value=value, unit=unit) for (name, unit), value in zip(
             self.tree.units.items(), self.values().tolist(), strict=True)}
-
-    def card(self, alone: bool) -> PriorCard:
-        """Return its entry in the model card."""
-        return PriorCard(kind=RIGID_BODY, parameters=self.quantities(''), tree=self.tree,
-                         alone=alone, identification=self.identification)
 
     def sweep(self, q: torch.Tensor, v: torch.Tensor) -> Swept:
         """Return where states (N, d) take the bodies, from the base outward."""

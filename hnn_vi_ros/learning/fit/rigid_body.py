@@ -229,25 +229,19 @@ class RigidUnknowns(ABC):
 
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
         """Return the parameters of the network, of all numbers in SI units."""
-        friction, d = self.network.friction, self.network.d
-        prior, viscous, forces, offsets, input_map, fades, speeds = values.split(self.sizes)
-        found = self.raw_prior(prior)
-        if len(viscous):
-            found['friction.raw_viscous'] = _inverse_softplus(
-                viscous.reshape(-1, d) / friction.viscous_unit)
-        if len(forces):
-            found['friction.raw_force'] = _inverse_softplus(
-                forces.reshape(-1, d) / friction.force_unit)
-        if len(offsets):
-            found['friction.raw_offset'] = offsets.reshape(-1, d) / friction.force_unit
-        if len(input_map):
-            found['raw_map'] = input_map.reshape(d, -1)
-        if len(fades):
-            found['raw_fade'] = _inverse_softplus(fades * self.network.command_unit)
-        if len(speeds):
-            found['friction.raw_speed'] = torch.logit(
-                speeds.reshape(-1, d) / friction.speed_unit)
-        return found
+        network, friction, d = self.network, self.network.friction, self.network.d
+        prior, *others = values.split(self.sizes)
+        raw: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
+            'friction.raw_viscous': lambda x: _inverse_softplus(
+                x.reshape(-1, d) / friction.viscous_unit),
+            'friction.raw_force': lambda x: _inverse_softplus(
+                x.reshape(-1, d) / friction.force_unit),
+            'friction.raw_offset': lambda x: x.reshape(-1, d) / friction.force_unit,
+            'raw_map': lambda x: x.reshape(d, -1),
+            'raw_fade': lambda x: _inverse_softplus(x * network.command_unit),
+            'friction.raw_speed': lambda x: torch.logit(x.reshape(-1, d) / friction.speed_unit)}
+        return self.raw_prior(prior) | {
+            name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
 
     def give(self, values: np.ndarray) -> None:
         """Give the network these numbers, in SI units."""

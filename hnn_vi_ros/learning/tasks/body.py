@@ -5,6 +5,7 @@
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 import json
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -238,17 +239,12 @@ def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
 def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
                   ) -> dict[str, torch.Tensor]:
     """Return mean squared errors: of places, attitudes (angles), velocities, turning."""
-    parts: dict[str, list[torch.Tensor]] = {
-        'place': [], 'attitude': [], 'velocity': [], 'turning': []}
-    for k, (x, R, v) in enumerate(simulated(network, config, windows), 1):
-        places = x.shape[1]
-        # |R - R'|^2 / 2 is the squared angle between them, but for its fourth power.
-        parts['attitude'].append((R - windows.R[k]).square().sum(dim=(1, 2)).mean() / 2.0)
-        parts['turning'].append((v[:, places:] - windows.v[k][:, places:]).square().mean())
-        if places:
-            parts['place'].append((x - windows.x[k]).square().mean())
-            parts['velocity'].append((v[:, :3] - windows.v[k][:, :3]).square().mean())
-    return {name: torch.stack(values).mean() for name, values in parts.items() if values}
+    x, R, v = map(torch.stack, zip(*simulated(network, config, windows), strict=True))
+    true, places = windows.at(slice(1, None)), x.shape[2]
+    # |R - R'|^2 / 2, of nine entries, is the squared angle between them, but for its fourth power.
+    errors = {'place': x - true.x, 'attitude': math.sqrt(4.5) * (R - true.R),
+              'velocity': (v - true.v)[..., :places], 'turning': (v - true.v)[..., places:]}
+    return {name: error.square().mean() for name, error in errors.items() if error.numel()}
 
 
 def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> float:
