@@ -232,3 +232,31 @@ def test_columns_of_a_log_are_those_of_its_header(tmp_path):
         read_log_motions(path, data.model_copy(update={'q': ['angel']}))
     with pytest.raises(DataError, match='set data.delimiter'):
         read_log_motions(path, data.model_copy(update={'delimiter': 'tab'}))
+    # Spaces in names do not hide the commas, where one name is misspelt.
+    path.write_text('Time (s),Pole angle (rad),Pole rate (rad/s)\n0,1,2\n1,2,3\n')
+    with pytest.raises(DataError, match=r"no column 'Time' in the header: Time \(s\), Pole angle"):
+        read_log_motions(path, LogMotions(time='Time', q=['Pole angle (rad)']))
+
+
+def test_columns_in_degrees_become_radians_and_are_not_taken_for_them(tmp_path):
+    path, named = tmp_path / 'log.csv', ['Angle [deg]', 'rate_deg_s']
+    rows = [f'{t:.17g},{q:.17g},{v:.17g}' for t, q, v in zip(
+        T, np.degrees(Q[:, 0]), np.degrees(V[:, 0]), strict=True)]
+    path.write_text('\n'.join([','.join(['t', *named]), *rows]))
+    data = {'time': 't', 'q': named[:1], 'v': named[1:]}
+    (motion,), _ = read_log_motions(path, LogMotions(**data, degrees=named))
+    assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
+    assert np.abs(motion.v[:, 0] - V[:, 0]).max() < 1e-12
+    with pytest.raises(DataError, match=r"add data.degrees: \['Angle \[deg\]', 'rate_deg_s'\]"):
+        read_log_motions(path, LogMotions(**data))
+    (motion,), _ = read_log_motions(path, LogMotions(**data, degrees=[]))
+    assert np.abs(motion.q[:, 0] - np.degrees(Q[:, 0])).max() < 1e-10
+    with pytest.raises(ValueError, match='degrees: column angle is not used'):
+        LogMotions(**data, degrees=['angle'])
+
+
+def test_degrees_are_no_unit_of_a_coordinate():
+    with pytest.raises(ValueError, match='a has q_unit: deg; angles are in rad'):
+        MachineConfig.model_validate({
+            'coordinates': [{'name': 'a', 'q_unit': 'deg'}], 'data': {
+                'kind': 'log', 'time': 't', 'q': ['a']}, 'family': {'kind': 'mechanical'}})

@@ -259,10 +259,10 @@ def _delimited(line: str, data: LogColumns, given: bool = True) -> LogColumns:
         return data
     ways = [data.model_copy(update={'delimiter': delimiter}) for delimiter in _SEPARATORS]
     fields = [_fields(line, way, _MOST_COLUMNS) for way in ways]
-    fits = [len(found) == len(data.columns) if data.columns else {*data.used} <= {*found}
-            for found in fields]
-    # Where none fits, the most columns are most likely the names.
-    return ways[fits.index(True) if any(fits) else int(np.argmax([*map(len, fields)]))]
+    # Where none has all names, the one that has most of their letters is most likely meant.
+    scores = [(len(found) == len(data.columns) if data.columns else
+               sum(map(len, {*data.used} & {*found})), len(found)) for found in fields]
+    return ways[scores.index(max(scores))]
 
 
 def _header(place: str, line: str, data: LogColumns) -> Names:
