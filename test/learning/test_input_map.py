@@ -176,7 +176,7 @@ def test_commands_that_tell_nothing_of_a_map_are_refused(commands, message):
 def test_fewer_motors_than_joints_need_a_learned_map():
     config = MachineConfig.model_validate(
         BELT | {'family': FAMILY | {'input_map': 'identity'}})
-    with pytest.raises(DataError, match='1 forces for 2 coordinates.*take input_map: learned'):
+    with pytest.raises(DataError, match='1 columns of forces, expected 2.*input_map: learned'):
         learn(config, [motion_by_a_belt(1, 1.0)])
 
 

@@ -78,6 +78,7 @@ class MachineTask(Task):
                                        for part in (self._train, self._test))
             description += f'; forces act {self._delay:.3g} samples later than they are stamped'
         print(f'data: {description}; {_ranges(config, self._train)}', flush=True)
+        _check_motors(config, self._train)
         self._config, self._selection = selected(config, self._train, problem_of)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
@@ -177,6 +178,20 @@ def estimated_delay(config: MachineConfig, motions: Sequence[Run]) -> float:
                                  options={'xatol': 0.1}).x)
 
 
+def _check_motors(config: MachineConfig, motions: Sequence[Run]) -> None:
+    """Raise DataError for forces of motors instead of joints, unless the family maps them."""
+    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    if motors == d:
+        return
+    if isinstance(config.family, RigidBodyChoice):
+        raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
+                        'needs the force of each joint')
+    if config.family.input_map != 'learned':
+        raise DataError(f'data.tau: {motors} columns of forces, expected {d}, one for each '
+                        'coordinate; give a column of zeros for a joint without a motor, or set '
+                        'family.input_map: learned')
+
+
 def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | None = None
                ) -> Problem:
     """
@@ -188,14 +203,8 @@ def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | N
         There are forces of motors instead of joints, or no prior follows the motions.
 
     """
-    d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
+    _check_motors(config, motions)
     family, learns_map = config.family, config.family.input_map == 'learned'
-    if motors != d and isinstance(family, RigidBodyChoice):
-        raise DataError(f'the data have {motors} columns of forces for {d} joints; a rigid_body '
-                        'needs the force of each joint')
-    if motors != d and not learns_map:
-        raise DataError(f'the data have {motors} forces for {d} coordinates: of motors, not of '
-                        'joints; take input_map: learned')
     structure, scales = config.structure(), scales_of(motions, learns_map)
     if structure.prior is None:
         return _with_records(MachineProblem(MechanicalNetwork(
