@@ -474,8 +474,8 @@ class Reader:
         self._next()
         if self._takes('('):
             if token not in FUNCTIONS:
-                raise ValueError(f'column {self.column(begin)}: no function {token!r}; a formula '
-                                 f'has {GRAMMAR}')
+                raise ValueError(f'column {self.column(begin)}: no function {token!r}; write a '
+                                 f'product as {token}*(...); a formula has {GRAMMAR}')
             return self._made(begin, self._graph.apply, token, self._closed(begin))
         if token == 'pi':
             return self._graph.number(math.pi)

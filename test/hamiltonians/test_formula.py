@@ -123,6 +123,7 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
     ('p_x^2 + p_x*m', 'H does not depend on p_y, the momentum of y, which would never move'),
     (KINETIC + ' + 2x', r"H column 28: found 'x', expected an operator"),
     (KINETIC + ' + sen(x)', r"H column 27: no function 'sen'"),
+    (KINETIC + ' + x(1 + x)', r'write a product as x\*\(\.\.\.\)'),
     (KINETIC + ' + (x', 'H column 29: the formula ends, expected an operator, or a bracket that '
                         'closes that in column 27'),
     (KINETIC + ' + log(1 - 2)', r"H column 27: 'log\(1 - 2\)': this is nan, no finite number"),
