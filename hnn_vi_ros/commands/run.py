@@ -96,7 +96,7 @@ def main(argv: list[str]) -> int:
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
     check_outputs(paths, options.force)
     try:
-        with elapsed('simulating'):
+        with elapsed('compiling or simulating'):
             trajectory = simulate(
                 options.scene, options.duration, step_size=options.step_size,
                 integrator=options.integrator, every=options.every)
