@@ -29,6 +29,7 @@ BLOCKS = 20
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 # Whitespace last: it also splits at the space after a comma.
 _SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
+IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
 
 
 class LogColumns(StrictModel):
@@ -43,6 +44,8 @@ class LogColumns(StrictModel):
     trial: str | None = Field(None, description='column that numbers separate recordings')
     time: str = Field(description='column of time [s]')
     q: Names = Field(min_length=1, description='columns of the coordinates')
+    degrees: Names | None = Field(None, description=(
+        'columns of angles and their rates in degrees, which are converted to radians'))
 
     @property
     def used(self) -> list[str]:
@@ -56,6 +59,10 @@ class LogColumns(StrictModel):
         for name in self.used:
             if (self.columns or [name]).count(name) != 1 or self.used.count(name) != 1:
                 raise ValueError(f'column {name} must stand once in columns and be used once')
+        for name in self.degrees or ():
+            if name not in self.used:
+                raise ValueError(f'degrees: column {name} is not used'
+                                 f'{did_you_mean(name, self.used)}; valid: {listed(self.used)}')
 
 
 class MeasuredData(LogColumns):
@@ -188,6 +195,8 @@ def _trials(path: Path, data: LogColumns, lacking: bool = False
     """Return the recordings of a log, in their order, and its SHA-256; or raise DataError."""
     table, lines, digest, names = read_log(path, data, lacking)
     column = dict(zip(names, table.T, strict=True))
+    _check_units(path, data)
+    column |= {name: np.radians(column[name]) for name in data.degrees or ()}
     numbers = column[data.trial] if data.trial else np.zeros(len(table))
     unnumbered = np.flatnonzero(~np.isfinite(numbers))
     if unnumbered.size:
@@ -199,6 +208,14 @@ def _trials(path: Path, data: LogColumns, lacking: bool = False
         trials.append(_Trial(number, {name: values[rows] for name, values in column.items()},
                              lines[rows]))
     return trials, digest
+
+
+def _check_units(path: Path, data: LogColumns) -> None:
+    """Raise DataError for columns that are in degrees by their names, if data do not say so."""
+    found = [name for name in data.used if IN_DEGREES.search(name)]
+    if found and data.degrees is None:
+        raise DataError(f'{path}: degrees in {listed(found)}; to convert them to radians, add '
+                        f'data.degrees: {found}, or data.degrees: [] if they are radians')
 
 
 def read_log(path: Path, data: LogColumns, lacking: bool = False

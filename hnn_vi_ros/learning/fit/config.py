@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.sources import dimension, Source
-from hnn_vi_ros.learning.data.text import LogMotions
+from hnn_vi_ros.learning.data.text import IN_DEGREES, LogMotions
 from hnn_vi_ros.learning.families.choices import (
     AUTO, BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
     LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,
@@ -27,7 +27,7 @@ from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, values_of
 import numpy as np
-from pydantic import Field, model_validator, ValidationError
+from pydantic import Field, field_validator, model_validator, ValidationError
 import torch
 
 # Sines of each joint; and the width of the speeds at which dry friction changes sign, as in the
@@ -126,6 +126,15 @@ class TrainingConfig(StrictModel):
     """One training run; a file states only what differs from the defaults."""
 
     description: str = Field('', max_length=1000)
+
+    @field_validator('coordinates', check_fields=False)
+    @classmethod
+    def _check_units(cls, coordinates: list[CoordinateCard]) -> list[CoordinateCard]:
+        for one in coordinates:
+            if IN_DEGREES.search(one.q_unit):
+                raise ValueError(f'{one.name} has q_unit: {one.q_unit}; angles are in rad: name '
+                                 'columns in degrees in data.degrees')
+        return coordinates
 
     def check_loss(self, family: FamilyChoice, kind: str) -> None:
         """Raise ValueError if a loss does not train a family."""
