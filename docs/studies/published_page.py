@@ -157,18 +157,28 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
                  for k, row in enumerate(_physics_rows(table, name))],
         dissipative_published=_published_rows(table, 'dissipative_hnn'),
         real_physics=list(_real_rows(table)),
-        machines=_once(machine_rows(folder / FOLDER / MACHINES)),
-        robots=_once(robot_rows(folder / FOLDER / ROBOTS)))
+        machines=_once(machine_rows(folder / FOLDER / MACHINES), shared=(3, 6)),
+        robots=_once(robot_rows(folder / FOLDER / ROBOTS), shared=(3,)))
 
 
-def _once(rows: Iterable[list[str]]) -> list[list[str]]:
-    """Return rows whose first two cells are empty where they repeat those of the row above."""
-    found, before = [], ['', '']
+def _once(rows: Iterable[list[str]], shared: Sequence[int]) -> list[list[str]]:
+    """
+    Return rows by subject and measure, each of which stands once.
+
+    So do the cells in the columns ``shared``, where they are the same for all models.
+    """
+    groups: dict[tuple[str, str], list[list[str]]] = {}
     for row in rows:
-        same = row[0] == before[0], row[:2] == before[:2]
-        found.append([*('' if again else cell for cell, again in zip(row[:2], same, strict=True)),
-                      *row[2:]])
-        before = row
+        groups.setdefault((row[0], row[1]), []).append(row)
+    found, subject = [], ''
+    for (own, _), group in groups.items():
+        before = ['' if own != subject else own, *[''] * len(group[0])]
+        for row in group:
+            found.append([
+                '' if k in (0, 1, *shared) and cell == last else cell
+                for k, (cell, last) in enumerate(zip(row, before, strict=False))])
+            before = row
+        subject = own
     return found
 
 
