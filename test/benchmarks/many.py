@@ -20,9 +20,9 @@ SEED = 2
 _TRAJECTORIES = 10_000
 # Trajectories that run one by one, each as long as the many.
 _ALONE = 50
-_MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. A '
-         'block of states uses each tile of weights before the next, which only saves reading '
-         'them from a slower cache; a gradient and an energy are added at each end.')
+_MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. '
+         'Blocks only save reading weights from a slower cache, and add a gradient and an energy '
+         'at each end.')
 _RANDOM_SCENE = """\
 hamiltonian: {kind: hnn, model: ./network.safetensors}
 integrator: {kind: variational_euler}
