@@ -9,10 +9,10 @@ import sys
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
-# The package that was built, whose kernels are compiled; the sources where there is none.
+# The package that was built, whose kernels are compiled, or else the sources.
 sys.path[:0] = [str(HERE)] if find_spec('hnn_vi_ros') else [str(HERE), str(HERE.parent)]
 
-import generate  # noqa: E402, I100  it stands beside this file
+import generate  # noqa: E402, I100  it lies next to this file
 
 from hnn_vi_ros.version import __version__  # noqa: E402, I201
 

@@ -28,12 +28,12 @@ _DURATIONS = {'fput_chain': 100.0, 'learned_fput_chain': 100.0, 'henon_heiles': 
               'learned_henon_heiles': 100.0, 'kepler': 20.0, 'learned_kepler': 20.0,
               'tao': 30.0, 'learned_tao': 30.0}
 _ROBOTS = 'Robots and bodies that turn'
-# By whether the model is learned, and whether effects act.
+# Keys: whether the model is learned, and whether effects act.
 _TOPICS = {(True, False): 'Learned models', (True, True): 'Learned models with effects',
            (False, False): 'Formulas', (False, True): 'Formulas with effects'}
 # Thrust [N] and torques [N m] over time [s]: it hovers, and rises and sinks a little.
 _COMMANDS = {'quadrotor': lambda t: [0.8 * 9.81 * (1.0 + 0.4 * math.cos(t)), 0.0, 0.0, 0.0]}
-# What a picture is made by: another number makes all of them anew.
+# Version of the pictures: another number makes all of them again.
 _VERSION = '6'
 
 
@@ -114,7 +114,7 @@ def mechanism_picture(run: Trajectory) -> Image.Image:
     try:
         figure = run.phase_portrait()
     except ValueError:
-        # Of rotations alone, which have no such plane.
+        # Rotations alone have no such plane.
         figure = run.plot()
     film = io.BytesIO()
     figure.savefig(film, dpi=80)

@@ -179,7 +179,7 @@ def _references(node: Any) -> Iterator[str]:
     if isinstance(node, dict):
         if '$ref' in node:
             yield node['$ref'].rpartition('/')[2]
-        # Of a union by kinds: its mapping says the same again.
+        # The mapping of a union by kinds says the same again.
         for key, value in node.items():
             if key != 'discriminator':
                 yield from _references(value)

@@ -24,11 +24,11 @@ from PIL import Image, ImageDraw
 from sketch import GROUND, sketch
 
 HERE = Path(__file__).resolve().parent
-# Of the strip, and the side of each of its pictures [pixels].
+# The strip of scenes, and the side of each of its pictures [pixels].
 SCENES = ('two_joint_arm', 'kepler', 'henon_heiles', 'fput_chain', 'heavy_top',
           'spherical_pendulum')
 _SIDE, _TITLE, _GAP = 260, 26, 8
-# Of the moving picture: simulated time [s], pictures a second [Hz], and how many colours.
+# The moving picture: simulated time [s], pictures a second [Hz], and how many colours.
 _SECONDS, _RATE, _COLOURS = 6.0, 15.0, 32
 # In models/: `hnn train --ensemble 5` with the configuration pendulum, two layers of 32 and 300
 # steps of L-BFGS makes it.

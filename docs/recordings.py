@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them anew.
+Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them again.
 
-On a screen, or without one, where the pointer then stands beside the window:
+On a screen, or without one, with the pointer next to the window:
 `xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each.
 Each viewer has a port of its own: else one that runs would show the recording. Its own notices go
 away after some seconds; look whether a fast machine has caught them.
@@ -39,7 +39,7 @@ def write_screenshot(name: str, duration: float, path: Path) -> None:
         picture = Image.open(shot).convert('RGB')
         picture.thumbnail((_WIDTH, _WIDTH), Image.Resampling.LANCZOS)
         # Every colour has its share, however few points it has: that of an arrow, or of a curve.
-        # By means of those that share one, the background is what it was.
+        # k-means, the mean of the pixels of a colour, leaves the background unchanged.
         picture.quantize(_COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=1,
                          dither=Image.Dither.NONE).save(path, optimize=True)
 

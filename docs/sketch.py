@@ -14,7 +14,7 @@ from PIL import Image
 
 # Side [inch], its resolution [1/inch], and the ground of the viewer.
 _SIDE, _DPI, GROUND = 3.2, 100, '#0d1117'
-# Of the run, whose path is drawn: its last part, by samples.
+# Samples of the last part of the run, whose path is drawn.
 _PATH = 4000
 
 

@@ -23,7 +23,7 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 import numpy as np
 from studies.machine_tables import CASES, predicted
 
-# Of simulated machines: samples and substeps [s], runs of each speed and how long they are [s].
+# Simulated machines: samples and substeps [s], runs of each speed and how long they are [s].
 _INTERVAL, _SUBSTEPS, _RUNS, _DURATION = 0.004, 4, 4, 8.0
 # Noise of positions [rad] and of velocities [rad/s].
 _Q_NOISE, _V_NOISE = 3e-4, 0.02
@@ -113,7 +113,7 @@ def write_machine(path: Path, number: int) -> None:
     """
     Write motions of a machine to an .npz file: runs slow_0, ..., and fast_0, ... twice as fast.
 
-    Its motors follow sums of sines. Each torque acts one sample after the one it stands beside,
+    Its motors follow sums of sines. Each torque acts one sample later than it is logged,
     and is held; positions and velocities have noise.
     """
     machine, rng = Machine.of(number), np.random.default_rng(number)

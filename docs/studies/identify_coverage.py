@@ -5,7 +5,7 @@ Count how often intervals of ``identify`` hold the truth.
 
 Synthetic logs of shipped scenes, each from an initial state of its own and with noise of some
 kind; the search begins with other numbers than the true ones. Or, by ``--samples``, logs of a
-damped oscillation, of which two numbers of its start and two that grow with time are unknown:
+damped oscillation with four unknowns, two of its start and two that grow with time:
 these are linear, and take a tenth of the time.
 """
 

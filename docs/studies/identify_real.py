@@ -25,7 +25,7 @@ import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors
 
 _FOREVER = 1e9
-# Of so many samples of the swinging arms one is taken.
+# One in so many samples of the swinging arms is taken.
 _EVERY = 10
 
 # A chain of one or two links that hang down and turn about y; joint angles are relative. About

@@ -188,7 +188,7 @@ class PeerRun(MethodRun):
     Parameters
     ----------
     peer : Peer
-        What is run.
+        The peer to run.
     setting : float
         Its tolerance [1] or step size [s].
     hamiltonian : Hamiltonian
@@ -249,7 +249,7 @@ def measure_row(run: MethodRun, reference: PathReference, runs: int) -> StudyRow
     Parameters
     ----------
     run : MethodRun
-        What is run.
+        The method to run.
     reference : PathReference
         To the horizon.
     runs : int

@@ -163,9 +163,9 @@ def as_page(folder: Path, results: Sequence[Result], quick: bool = False) -> str
 
 def _once(rows: Iterable[list[str]], shared: Sequence[int]) -> list[list[str]]:
     """
-    Return rows by subject and measure, each of which stands once.
+    Return rows by subject and measure, without repeated cells.
 
-    So do the cells in the columns ``shared``, where they are the same for all models.
+    The columns ``shared`` are also blank where they repeat the row above.
     """
     groups: dict[tuple[str, str], list[list[str]]] = {}
     for row in rows:

@@ -3,7 +3,7 @@
 """
 Identify the family rigid_body on measured data: ``python -m`` this module.
 
-Which networks stand beside the rigid body is chosen on the last quarter of what is learned from;
+The networks next to the rigid body are chosen on the last quarter of the training data;
 the tables give all of them, judged by data that neither fit nor choice has seen.
 """
 

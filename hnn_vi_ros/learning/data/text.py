@@ -211,7 +211,7 @@ def _trials(path: Path, data: LogColumns, lacking: bool = False
 
 
 def _check_units(path: Path, data: LogColumns) -> None:
-    """Raise DataError for columns that are in degrees by their names, if data do not say so."""
+    """Raise DataError for columns named in degrees, unless data name them or none."""
     found = [name for name in data.used if IN_DEGREES.search(name)]
     if found and data.degrees is None:
         raise DataError(f'{path}: degrees in {listed(found)}; to convert them to radians, add '
