@@ -46,7 +46,8 @@ class HeavyTop(TurningBody):
                  length: float = 0.5, gravity: float = 9.81):
         check_positive(mass=mass, gravity=gravity)
         check_finite(length=length)
-        super().__init__(inertia, float(mass) * float(gravity) * float(length))
+        self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
+        super().__init__(inertia, self.mass * self.gravity * self.length)
         # The vertical angular momentum [kg m^2/s]; and the spin of a symmetric top.
         symmetric = self.inertia[0] == self.inertia[1]
         self.known_invariants = {'vertical_momentum': partial(spatial_component, 2),

@@ -59,5 +59,6 @@ class Quadrotor(AnalyticHamiltonian):
                  gravity: float = 9.81):
         check_positive(mass=mass)
         check_not_negative(gravity=gravity)
-        self.constants = {'m': float(mass), 'weight': float(mass) * float(gravity),
-                          **moments(inertia)}
+        self.mass, self.weight = float(mass), float(mass) * float(gravity)
+        self.inertia = tuple(float(value) for value in inertia)
+        self.constants = {'m': self.mass, 'weight': self.weight, **moments(inertia)}
