@@ -4,9 +4,9 @@
 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import refuse_unknown
+from hnn_vi_ros.ros.plumbing.graph import spin
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
-import rclpy
 from std_msgs.msg import Float64
 
 
@@ -31,5 +31,4 @@ def main(argv: list[str]) -> None:
         with plain_ros_errors():
             node = Listener()
         refuse_unknown(node, (), (), argv)
-        while not received:
-            rclpy.spin_once(node, timeout_sec=0.1)
+        spin(node, lambda: received)

@@ -20,7 +20,7 @@ from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, refuse_unknown
-from hnn_vi_ros.ros.plumbing.graph import take_once
+from hnn_vi_ros.ros.plumbing.graph import spin, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
@@ -38,7 +38,6 @@ from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -323,11 +322,8 @@ def main(argv: list[str]) -> int:
 
 
 def _show_simulator(node: RerunBridge, received: list[int]) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
     node.listen()
-    while not received and node.problem is None:
-        executor.spin_once(timeout_sec=0.1)
+    executor = spin(node, lambda: received or node.problem)
     # What had come by the end is shown, unless that takes long or another signal comes.
     deadline, signals = time.monotonic() + _LONGEST_END, len(received)
     while len(received) == signals and node.problem is None and time.monotonic() < deadline:

@@ -91,6 +91,15 @@ def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Seq
                                   f'of {", ".join(late)}')
 
 
+def spin(node: Node, over: Callable[[], object]) -> SingleThreadedExecutor:
+    """Spin a node until that is over; return the executor, which nobody spins then."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while not over():
+        executor.spin_once(timeout_sec=0.1)
+    return executor
+
+
 def take_once(executor: SingleThreadedExecutor) -> bool:
     """
     Handle a message of each topic that has one, and go on with each handler that waited.

@@ -16,7 +16,7 @@ from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (
-    Discovery, DISCOVERY_PERIOD, freeze_memory, THREAD_TURN, wait_for_delivery)
+    Discovery, DISCOVERY_PERIOD, freeze_memory, spin, THREAD_TURN, wait_for_delivery)
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, RobustNode, steady_timer
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
@@ -27,7 +27,6 @@ from hnn_vi_ros.ros.topics.messages import clock_message, CLOCK_QOS, type_hash
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -303,11 +302,8 @@ def main(argv: list[str]) -> int:
 
 
 def _play(node: ReplayNode, received: Sequence[int]) -> int:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
     player = node.player
-    while not received and not (node.started and not player.is_alive()):
-        executor.spin_once(timeout_sec=0.1)
+    spin(node, lambda: received or (node.started and not player.is_alive()))
     if node.started:
         player.stop()
     wait_for_delivery(node, set(node.publishers_of.values()), received)
