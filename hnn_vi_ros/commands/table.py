@@ -9,30 +9,18 @@ from typing import NoReturn
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import did_you_mean
 
-# Each command, by what it is for, and the module whose ``main(argv)`` it calls.
+# Each command, by what it is for, and the module of the package whose ``main(argv)`` it calls.
 GROUPS = {
-    'simulate': {
-        'run': 'hnn_vi_ros.commands.run',
-        'scene': 'hnn_vi_ros.commands.scene_tool',
-        'cost': 'hnn_vi_ros.commands.cost',
-        'sweep': 'hnn_vi_ros.sweeps.sweep'},
-    'learn': {
-        'train': 'hnn_vi_ros.learning.train',
-        'evaluate': 'hnn_vi_ros.learning.evaluate',
-        'identify': 'hnn_vi_ros.learning.scene_numbers.identify',
-        'import_checkpoint': 'hnn_vi_ros.learning.import_checkpoint'},
-    'control': {
-        'controller': 'hnn_vi_ros.ros.controller_node'},
-    'ROS': {
-        'simulator': 'hnn_vi_ros.ros.simulator_node',
-        'rerun_bridge': 'hnn_vi_ros.ros.rerun_bridge',
-        'listener': 'hnn_vi_ros.ros.listener_node'},
-    'data': {
-        'replay': 'hnn_vi_ros.ros.replay.replay_node',
-        'recover_bag': 'hnn_vi_ros.bags.recover_bag'},
-    'this installation': {
-        'doctor': 'hnn_vi_ros.commands.doctor',
-        'completion': 'hnn_vi_ros.commands.completion'},
+    'simulate': {'run': 'commands.run', 'scene': 'commands.scene_tool', 'cost': 'commands.cost',
+                 'sweep': 'sweeps.sweep'},
+    'learn': {'train': 'learning.train', 'evaluate': 'learning.evaluate',
+              'identify': 'learning.scene_numbers.identify',
+              'import_checkpoint': 'learning.import_checkpoint'},
+    'control': {'controller': 'ros.controller_node'},
+    'ROS': {'simulator': 'ros.simulator_node', 'rerun_bridge': 'ros.rerun_bridge',
+            'listener': 'ros.listener_node'},
+    'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'bags.recover_bag'},
+    'this installation': {'doctor': 'commands.doctor', 'completion': 'commands.completion'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
 # Older names, and what they mean.
@@ -47,12 +35,12 @@ def module_of(name: str, argv: Sequence[str]) -> str:
     if name == 'sweep' and {'mcap', '--episodes=mcap'} & {*argv}:
         # Bags are made of messages of ROS, which no other sweep takes.
         return 'hnn_vi_ros.ros.replay.episode_bags'
-    return COMMANDS[name]
+    return f'hnn_vi_ros.{COMMANDS[name]}'
 
 
 def parser_of(name: str) -> Parser:
     """Return the parser of a command, without the libraries that its work takes."""
-    room = COMMANDS[name].split('.')[1]
+    room = COMMANDS[name].partition('.')[0]
     arguments = import_module(f'hnn_vi_ros.{room}.arguments')
     return getattr(arguments, name)()
 
