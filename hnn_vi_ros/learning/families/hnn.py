@@ -132,17 +132,14 @@ class DissipativeHNN(_OneNetwork):
             hidden, scales.centre, scales.half, np.array([power]), seed + 1)
         keep(self, rates=np.concatenate([scales.q_rate, scales.p_rate]))
 
-    def _dissipation(self, z: torch.Tensor) -> torch.Tensor:
-        return self.dissipation(z)[:, 0]
-
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
         """Return (H_p + D_q, -H_q + D_p); see EnergyFamily."""
-        return super().vector_field(z) + gradient(self._dissipation, z)
+        return super().vector_field(z) + gradient(self.dissipation, z)
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor:
         """Return a small weight on D_q and on the mean of D_p, in units of the rates."""
-        D_q, D_p = (gradient(self._dissipation, z) / self.rates).chunk(2, dim=1)
+        D_q, D_p = (gradient(self.dissipation, z) / self.rates).chunk(2, dim=1)
         return _WEIGHT * (D_q.square().mean() + D_p.mean(dim=0).square().mean())
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:

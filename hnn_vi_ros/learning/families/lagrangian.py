@@ -264,8 +264,8 @@ class SymplecticForm(Trainable):
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
         """Return u' = W^-1 H', shape (N, 2 d), at states of shape (N, 2 d)."""
-        rates = gradient(lambda x: self.energy(x)[:, 0], z)
-        return torch.linalg.solve(self.two_form(z), rates[:, :, None])[:, :, 0]
+        return torch.linalg.solve(
+            self.two_form(z), gradient(self.energy, z)[:, :, None])[:, :, 0]
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor | None:
         """Return a small weight on the variation of W in one degree of freedom; see Trainable."""

@@ -72,10 +72,14 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
     t = data.interval * np.arange(round(data.duration / data.interval) + 1)
     damping, friction = (np.array([getattr(joint, name) for joint in robot.joints])
                          for name in ('damping', 'friction'))
-    runs = []
+    card = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name)
+    values, runs = values_of(card, robot.bodies), []
+    tree = RigidTree(card, values)
     for number in range(data.runs):
         q, v, a = _sines(rng, robot, t, data.fastest)
-        tau = forces_of(robot, q, v, a) + damping * v + friction * np.tanh(v / _SPEED)
+        with torch.no_grad():
+            columns = tree.columns(*map(torch.tensor, (q, v, a))).numpy()
+        tau = columns @ values.ravel() + damping * v + friction * np.tanh(v / _SPEED)
         size = np.sqrt(np.mean(tau**2, axis=0))
         q, v, tau = (part + scale * rng.normal(size=(len(t), d)) for part, scale in (
             (q, data.noise_q), (v, data.noise_v), (tau, data.noise_tau * size)))
@@ -83,16 +87,6 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
         runs.append(MeasuredRun(f'run{number}', f'run{number}', t, q, v, tau,
                                 a=a if exact else None))
     return even_runs(runs, data, f'{robot.robot.name} along sums of sines, seed {seed}', 'none')
-
-
-def forces_of(robot: RigidBodyTree, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Return dp/dt + H_q, shape (N, d), of motions: what motors without friction do."""
-    card = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name)
-    values = values_of(card, robot.bodies)
-    with torch.no_grad():
-        columns = RigidTree(card, values).columns(*map(torch.tensor, (q, v, a))).numpy()
-    found: np.ndarray = columns @ values.ravel()
-    return found
 
 
 def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastest: float
