@@ -169,10 +169,7 @@ def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector:
     def energy(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray) -> float:
         total, walls, d = base_energy(parameters.base, q, p), parameters.walls, q.size
         for i in range(d):
-            if not walls[i, 0] <= q[i] <= walls[i, 1]:
-                total += _wall(walls, i, q[i])[0]
-            if not walls[d + i, 0] <= p[i] <= walls[d + i, 1]:
-                total += _wall(walls, d + i, p[i])[0]
+            total += _wall(walls, i, q[i])[0] + _wall(walls, d + i, p[i])[0]
         return total
 
     def gradient(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
@@ -181,11 +178,8 @@ def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector:
         walls = parameters.walls
         d = walls.shape[0] // 2
         for k in range(q.size):
-            i = k % d
-            if not walls[i, 0] <= q[k] <= walls[i, 1]:
-                dH_dq[k] += _wall(walls, i, q[k])[1]
-            if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
-                dH_dp[k] += _wall(walls, d + i, p[k])[1]
+            dH_dq[k] += _wall(walls, k % d, q[k])[1]
+            dH_dp[k] += _wall(walls, d + k % d, p[k])[1]
 
     def hessian_vector(parameters: ConfinedParameters, q: np.ndarray, p: np.ndarray,
                        v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
@@ -194,18 +188,17 @@ def _confined(base_energy: Energy, base_gradient: Gradient, base_hessian_vector:
         walls = parameters.walls
         d = walls.shape[0] // 2
         for k in range(q.size):
-            i = k % d
-            if not walls[i, 0] <= q[k] <= walls[i, 1]:
-                product_q[k] += _wall(walls, i, q[k])[2] * v_q[k]
-            if not walls[d + i, 0] <= p[k] <= walls[d + i, 1]:
-                product_p[k] += _wall(walls, d + i, p[k])[2] * v_p[k]
+            product_q[k] += _wall(walls, k % d, q[k])[2] * v_q[k]
+            product_p[k] += _wall(walls, d + k % d, p[k])[2] * v_p[k]
     return energy, gradient, hessian_vector
 
 
 @inlined
 def _wall(walls: np.ndarray, i: int, x: float) -> tuple[float, float, float]:
-    """Return K phi(y(x)) and its two derivatives by x, for x outside of interval i."""
+    """Return K phi(y(x)) and its two derivatives by x: zeros within interval i."""
     low, high, energy = walls[i, 0], walls[i, 1], walls[i, 2]
+    if low <= x <= high:
+        return 0.0, 0.0, 0.0
     half = 0.5 * (high - low)
     # y has the sign of the derivative.
     y = (x - high if x > high else x - low) / half
