@@ -84,7 +84,7 @@ class MachineTask(Task):
             self._train, [])
         # Where data come from, and by which licence, goes with the model.
         self._description = f'{config.description} {description}'.lstrip() + _scale(
-            config, self._train)
+            self._config, self._train)
 
     def arrays(self) -> Iterator[np.ndarray]:
         """Yield the arrays of the motions to learn from; see Task."""
