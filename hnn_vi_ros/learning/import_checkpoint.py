@@ -357,10 +357,16 @@ def main(argv: Sequence[str]) -> None:
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'import_checkpoint', *argv])
-    if arguments.layout in BODIES:
-        save_checkpoint(out, _body(arguments, names, command))
-        print(f'model: {out}')
-        return
+    make = _body if arguments.layout in BODIES else _energy
+    save_checkpoint(out, make(arguments, names, command))
+    print(f'model: {out}')
+    if not SMOOTH[arguments.activation]:
+        print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
+              'its order there')
+
+
+def _energy(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
+    """Return the model of a network of H."""
     if arguments.epsilon is not None or arguments.floor:
         raise ParameterError(f'--epsilon, --floor: of the layouts {", ".join(BODIES)} alone; '
                              f'leave them with --layout {arguments.layout}')
@@ -375,12 +381,7 @@ def main(argv: Sequence[str]) -> None:
             f'{arguments.file} takes {layers.weights[0].shape[1]} inputs: '
             f'{layers.weights[0].shape[1] // 2} coordinates and as many momenta, if its state is '
             f'(q, p); {_OTHER_STATE}')
-    card = _energy_card(arguments, names, layers, command)
-    save_checkpoint(out, Checkpoint(card, {'energy': layers}))
-    print(f'model: {out}')
-    if not SMOOTH[arguments.activation]:
-        print(f'warning: the gradient of a {arguments.activation} network jumps; no method keeps '
-              'its order there')
+    return Checkpoint(_energy_card(arguments, names, layers, command), {'energy': layers})
 
 
 def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:

@@ -440,10 +440,10 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
     for motion, starts, q in fans:
         n, spacing, count = len(motion.t), motion.spacing, q.shape[1] - 1
         room = n - 1 - starts
+        within = np.arange(count + 1) <= room[:, None]
         at = np.minimum(starts[:, None] + np.arange(count + 1), n - 1)
         error = q - motion.q[at]
-        failed += int((np.isnan(error).any(axis=2)
-                       & (np.arange(count + 1) <= room[:, None])).any(axis=1).sum())
+        failed += int((np.isnan(error).any(axis=2) & within).any(axis=1).sum())
         error = np.where(np.isfinite(error), error, np.inf)
         for horizon in horizons:
             k = samples_in(horizon, motion)
@@ -451,8 +451,7 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                 errors[horizon].append(error[room >= k, k])
         with np.errstate(over='ignore', invalid='ignore'):
             # Not a number: an infinite error of a coordinate that has no variance.
-            beyond = ~((error**2 / variance).sum(axis=2) < VALID)
-        beyond &= np.arange(count + 1) <= room[:, None]
+            beyond = within & ~((error**2 / variance).sum(axis=2) < VALID)
         found = beyond.any(axis=1)
         times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)
         ended.append(~found)
