@@ -110,7 +110,11 @@ def _propagate(network: PackedPerceptron, n_states: int, tangent: bool) -> None:
             at -= sizes[layer] // TILE
         _back(network, n_states, at, layer, layer == n_layers, tangent)
     for s in range(n_states):
-        _first_layer_back(network, s, tangent)
+        if tangent:
+            scale_tangent(network, s, 1, 0, sizes[1] // TILE)
+            _transposed_columns(network, s, 3 * g)
+        scale(network, s, 1, g, 0, sizes[1] // TILE)
+        _transposed_columns(network, s, g)
 
 
 @_part
@@ -118,7 +122,11 @@ def _forward(network: PackedPerceptron, n_states: int, n_layers: int, tangent: b
     """Fill a_1 to the activations of layer n_layers; return the tile where the next begins."""
     sizes = network.sizes
     for s in range(n_states):
-        _first_layer(network, s, tangent)
+        _columns(network, s, 0)
+        activate(network, s, 1, 0, sizes[1] // TILE)
+        if tangent:
+            _columns(network, s, 2 * sizes.size)
+            scale_forth(network, s, 1, 0, sizes[1] // TILE)
     at = (sizes[0] + sizes.size + TILE) // TILE
     for layer in range(2, n_layers + 1):
         n_tiles = sizes[layer] // TILE
@@ -174,26 +182,6 @@ def _block_back(network: PackedPerceptron, at: int, s: int, layer: int, first: i
         _transposed_product(network, at, s, 3 * g + layer, sizes[layer - 1], first, last)
     scale(network, s, layer, g, first, last)
     _transposed_product(network, at, s, g + layer, sizes[layer - 1], first, last)
-
-
-@_part
-def _first_layer(network: PackedPerceptron, s: int, tangent: bool) -> None:
-    sizes = network.sizes
-    _columns(network, s, 0)
-    activate(network, s, 1, 0, sizes[1] // TILE)
-    if tangent:
-        _columns(network, s, 2 * sizes.size)
-        scale_forth(network, s, 1, 0, sizes[1] // TILE)
-
-
-@_part
-def _first_layer_back(network: PackedPerceptron, s: int, tangent: bool) -> None:
-    sizes = network.sizes
-    if tangent:
-        scale_tangent(network, s, 1, 0, sizes[1] // TILE)
-        _transposed_columns(network, s, 3 * sizes.size)
-    scale(network, s, 1, sizes.size, 0, sizes[1] // TILE)
-    _transposed_columns(network, s, sizes.size)
 
 
 @_part
