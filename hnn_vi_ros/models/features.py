@@ -23,8 +23,8 @@ class Features(NamedTuple):
     ----------
     rows : np.ndarray, shape (k, d)
         F.
-    periodic, places : np.ndarray of int, shape (k,)
-        Whether a row is seen by its sine and cosine, and which input is its first one.
+    periodic : np.ndarray of int, shape (k,)
+        Whether a row is seen by its sine and cosine.
     inputs, change : np.ndarray, shape (n,)
         Space for the inputs of the network, and their change.
     cotangent, cotangent_change : np.ndarray, shape (n,)
@@ -34,7 +34,6 @@ class Features(NamedTuple):
 
     rows: np.ndarray
     periodic: np.ndarray
-    places: np.ndarray
     inputs: np.ndarray
     change: np.ndarray
     cotangent: np.ndarray
@@ -45,8 +44,7 @@ def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features
     """Return the features of a network for the functions here, with space of their own."""
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
     periodic = np.array([is_periodic(card.kinds, row) for row in features], dtype=np.int64)
-    return Features(rows, periodic, np.cumsum(1 + periodic) - (1 + periodic),
-                    *np.zeros((4, _even(card.inputs(features)))))
+    return Features(rows, periodic, *np.zeros((4, _even(card.inputs(features)))))
 
 
 def even_layers(layers: Layers) -> Layers:
@@ -62,29 +60,35 @@ def _even(n: int) -> int:
 @part(error_model='numpy')
 def see(seen: Features, q: np.ndarray) -> None:
     """Fill the inputs at one state."""
-    rows, periodic, places, inputs = seen.rows, seen.periodic, seen.places, seen.inputs
+    rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
+    at = 0
     for k in range(periodic.size):
-        at, y = places[k], 0.0
+        y = 0.0
         for i in range(q.size):
             y += rows[k, i] * q[i]
         if periodic[k]:
             inputs[at], inputs[at + 1] = np.sin(y), np.cos(y)
+            at += 2
         else:
             inputs[at] = y
+            at += 1
 
 
 @part(error_model='numpy')
 def see_change(seen: Features, v_q: np.ndarray) -> None:
     """Fill the change of the inputs along v_q; after ``see``."""
     rows, periodic, inputs, x_v = seen.rows, seen.periodic, seen.inputs, seen.change
+    at = 0
     for k in range(periodic.size):
-        at, change = seen.places[k], 0.0
+        change = 0.0
         for i in range(v_q.size):
             change += rows[k, i] * v_q[i]
         if periodic[k]:
             x_v[at], x_v[at + 1] = inputs[at + 1] * change, -inputs[at] * change
+            at += 2
         else:
             x_v[at] = change
+            at += 1
 
 
 @part(error_model='numpy')
@@ -92,11 +96,14 @@ def add_covector(seen: Features, sign: float, cotangent: np.ndarray, covector: n
                  ) -> None:
     """Add sign times what a cotangent of the inputs is for q."""
     rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
+    at = 0
     for k in range(periodic.size):
-        at = seen.places[k]
-        slope = cotangent[at]
         if periodic[k]:
-            slope = slope * inputs[at + 1] - cotangent[at + 1] * inputs[at]
+            slope = cotangent[at] * inputs[at + 1] - cotangent[at + 1] * inputs[at]
+            at += 2
+        else:
+            slope = cotangent[at]
+            at += 1
         for i in range(covector.size):
             covector[i] += sign * slope * rows[k, i]
 
@@ -106,9 +113,12 @@ def add_covector_change(seen: Features, sign: float, covector: np.ndarray) -> No
     """Add sign times what that covector changes by with the inputs, at a held cotangent."""
     rows, periodic = seen.rows, seen.periodic
     cotangent, change = seen.cotangent, seen.change
+    at = 0
     for k in range(periodic.size):
         if periodic[k]:
-            at = seen.places[k]
             slope = cotangent[at] * change[at + 1] - cotangent[at + 1] * change[at]
+            at += 2
             for i in range(covector.size):
                 covector[i] += sign * slope * rows[k, i]
+        else:
+            at += 1

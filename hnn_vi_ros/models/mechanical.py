@@ -18,7 +18,7 @@ from hnn_vi_ros.models.features import (
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.models.outputs import (
-    input_gradient, input_hessian_vector, output_tangents, pack_layers, PackedOutputs, weigh)
+    output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
 from hnn_vi_ros.models.priors import (
     add_mass, add_prior_slope, add_prior_slope_change, Prior, prior_of, prior_potential,
     subtract_turned_mass)
@@ -254,14 +254,31 @@ def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
 
 
 @part(error_model='numpy')
+def _seen_gradient(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the cotangent: the derivative of a network of one output by its inputs."""
+    x, c = seen.inputs, seen.cotangent
+    half = x.size // 2
+    part_gradient(network, x[:half], x[half:], c[:half], c[half:])
+
+
+@part(error_model='numpy')
+def _seen_hessian_vector(network: PackedPerceptron, seen: Features) -> None:
+    """Fill the change of the cotangent with that of the inputs."""
+    x, x_v, c_v = seen.inputs, seen.change, seen.cotangent_change
+    half = x.size // 2
+    perceptron.hessian_vector(network, x[:half], x[half:], x_v[:half], x_v[half:],
+                              c_v[:half], c_v[half:])
+
+
+@part(error_model='numpy')
 def _differentiate_potential(potential: PotentialNetwork, q: np.ndarray, v_q: np.ndarray,
                              product_q: np.ndarray) -> None:
     """Add V''(q) v_q."""
     seen = potential.seen
     see(seen, q)
     see_change(seen, v_q)
-    input_gradient(potential.network, seen.inputs, seen.cotangent)
-    input_hessian_vector(potential.network, seen.inputs, seen.change, seen.cotangent_change)
+    _seen_gradient(potential.network, seen)
+    _seen_hessian_vector(potential.network, seen)
     add_covector(seen, 1.0, seen.cotangent_change, product_q)
     add_covector_change(seen, 1.0, product_q)
 
@@ -280,8 +297,8 @@ def _turn_mass(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarray,
     weigh_entries(places, True, work.y, u, work.w, work.c)
     see_change(seen, v_q)
     weigh(outputs, work.c)
-    input_gradient(outputs.network, seen.inputs, seen.cotangent)
-    input_hessian_vector(outputs.network, seen.inputs, seen.change, seen.cotangent_change)
+    _seen_gradient(outputs.network, seen)
+    _seen_hessian_vector(outputs.network, seen)
     add_covector(seen, -1.0, seen.cotangent_change, product_q)
     add_covector_change(seen, -1.0, product_q)
     output_tangents(outputs, y_v)
@@ -309,7 +326,7 @@ def _change_slope(parameters: MechanicalParameters, q: np.ndarray, v_q: np.ndarr
             w_v[j] += L[i, j] * u_v[i]
     weigh_entry_changes(places, True, work.y, work.y_v, u, u_v, w, w_v, work.c_v)
     weigh(outputs, work.c_v)
-    input_gradient(outputs.network, seen.inputs, seen.cotangent)
+    _seen_gradient(outputs.network, seen)
     add_covector(seen, -1.0, seen.cotangent, product_q)
     _differentiate_potential(parameters.potential, q, v_q, product_q)
     if prior.present:
@@ -337,9 +354,11 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> No
 def _fill_mass(parameters: MechanicalParameters, q: np.ndarray) -> None:
     """Fill y, L, and S^-1 M S^-1 on and below its diagonal in the place of its factor."""
     mass, prior, work = parameters.mass, parameters.prior, parameters.work
-    L, factor = work.L, work.factor
-    see(mass.seen, q)
-    evaluate_root(mass.outputs, mass.places, True, mass.seen.inputs, work.y, L)
+    seen, L, factor = mass.seen, work.L, work.factor
+    see(seen, q)
+    x = seen.inputs
+    half = x.size // 2
+    evaluate_root(mass.outputs, mass.places, True, x[:half], x[half:], work.y, L)
     for i in range(q.size):
         for j in range(i + 1):
             factor[i, j] = mass.floor if i == j else 0.0
@@ -366,9 +385,9 @@ def _fill_slope(parameters: MechanicalParameters, q: np.ndarray, dH_dq: np.ndarr
     prior = parameters.prior
     weigh_entries(mass.places, True, work.y, work.u, work.w, work.c)
     weigh(mass.outputs, work.c)
-    input_gradient(mass.outputs.network, mass.seen.inputs, mass.seen.cotangent)
+    _seen_gradient(mass.outputs.network, mass.seen)
     see(potential.seen, q)
-    input_gradient(potential.network, potential.seen.inputs, potential.seen.cotangent)
+    _seen_gradient(potential.network, potential.seen)
     dH_dq[:] = 0.0
     add_covector(mass.seen, -1.0, mass.seen.cotangent, dH_dq)
     add_covector(potential.seen, 1.0, potential.seen.cotangent, dH_dq)

@@ -71,22 +71,6 @@ def part_gradient(network: PackedPerceptron, q: np.ndarray, p: np.ndarray, dH_dq
 
 
 @part(error_model='numpy')
-def input_gradient(network: PackedPerceptron, x: np.ndarray, slope: np.ndarray) -> None:
-    """Fill the gradient by all inputs at once, an even number of them."""
-    half = x.size // 2
-    perceptron.gradient(network, x[:half], x[half:], slope[:half], slope[half:])
-
-
-@part(error_model='numpy')
-def input_hessian_vector(network: PackedPerceptron, x: np.ndarray, x_v: np.ndarray,
-                         product: np.ndarray) -> None:
-    """Fill the change of that gradient with the inputs."""
-    half = x.size // 2
-    perceptron.hessian_vector(network, x[:half], x[half:], x_v[:half], x_v[half:],
-                              product[:half], product[half:])
-
-
-@part(error_model='numpy')
 def evaluate_outputs(outputs: PackedOutputs, q: np.ndarray, p: np.ndarray, y: np.ndarray) -> None:
     """Fill the outputs, shape (k,), at a state, q and p of shape (d,)."""
     last, bias = outputs.last, outputs.bias

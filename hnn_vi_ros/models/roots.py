@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.outputs import (
-    evaluate_outputs, input_gradient, input_hessian_vector, output_tangents, PackedOutputs, weigh)
+    evaluate_outputs, output_tangents, PackedOutputs, part_gradient, weigh)
 from hnn_vi_ros.networks import perceptron
 from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
@@ -114,12 +114,12 @@ def first_order(parameters: RootParameters) -> None:
     """Fill the derivative c of H by x, and the velocities v, at z."""
     work, scale = parameters.work, parameters.scale
     z, c, m, L, u, w, v = work.z, work.c, work.m, work.L, work.u, work.w, work.v
-    first = z.size - v.size
+    half, first = z.size // 2, z.size - v.size
     _fill_root(parameters)
     weigh_entries(parameters.places, parameters.positive, work.y, u, w, work.a)
     weigh(parameters.mass, work.a)
-    input_gradient(parameters.mass.network, z, m)
-    input_gradient(parameters.potential, z, c)
+    part_gradient(parameters.mass.network, z[:half], z[half:], m[:half], m[half:])
+    part_gradient(parameters.potential, z[:half], z[half:], c[:half], c[half:])
     for i in range(first):
         c[i] += m[i]
     for i in range(v.size):
@@ -136,8 +136,9 @@ def second_order(parameters: RootParameters) -> None:
     z, z_v, c_v, m, m_v = work.z, work.z_v, work.c_v, work.m, work.m_v
     L, L_v = work.L, work.L_v
     u, u_v, w, w_v, v_v = work.u, work.u_v, work.w, work.w_v, work.v_v
-    first = z.size - v_v.size
-    input_hessian_vector(parameters.mass.network, z, z_v, m_v)
+    half, first = z.size // 2, z.size - v_v.size
+    perceptron.hessian_vector(parameters.mass.network, z[:half], z[half:], z_v[:half],
+                              z_v[half:], m_v[:half], m_v[half:])
     output_tangents(parameters.mass, work.y_v)
     turn_root(places, parameters.positive, work.y, work.y_v, L_v)
     for i in range(u.size):
@@ -148,8 +149,9 @@ def second_order(parameters: RootParameters) -> None:
             w_v[j] += L_v[i, j] * u[i] + L[i, j] * u_v[i]
     weigh_entry_changes(places, parameters.positive, work.y, work.y_v, u, u_v, w, w_v, work.a_v)
     weigh(parameters.mass, work.a_v)
-    input_gradient(parameters.mass.network, z, m)
-    input_hessian_vector(parameters.potential, z, z_v, c_v)
+    part_gradient(parameters.mass.network, z[:half], z[half:], m[:half], m[half:])
+    perceptron.hessian_vector(parameters.potential, z[:half], z[half:], z_v[:half], z_v[half:],
+                              c_v[:half], c_v[half:])
     for i in range(first):
         c_v[i] += m[i] + m_v[i]
     for i in range(v_v.size):
@@ -163,18 +165,19 @@ def second_order(parameters: RootParameters) -> None:
 def _fill_root(parameters: RootParameters) -> None:
     """Fill y and L at z, and u and w."""
     work, z, u = parameters.work, parameters.work.z, parameters.work.u
-    first = z.size - u.size
-    evaluate_root(parameters.mass, parameters.places, parameters.positive, z, work.y, work.L)
+    half, first = z.size // 2, z.size - u.size
+    evaluate_root(parameters.mass, parameters.places, parameters.positive, z[:half], z[half:],
+                  work.y, work.L)
     for i in range(u.size):
         u[i] = parameters.scale[i] * z[first + i]
     transposed_product(work.L, u, work.w)
 
 
 @part(error_model='numpy')
-def evaluate_root(outputs: PackedOutputs, places: np.ndarray, positive: bool, x: np.ndarray,
-                  y: np.ndarray, L: np.ndarray) -> None:
-    """Fill y and L at what the network sees."""
-    evaluate_outputs(outputs, x[:x.size // 2], x[x.size // 2:], y)
+def evaluate_root(outputs: PackedOutputs, places: np.ndarray, positive: bool, q: np.ndarray,
+                  p: np.ndarray, y: np.ndarray, L: np.ndarray) -> None:
+    """Fill y and L at the two halves of what the network sees."""
+    evaluate_outputs(outputs, q, p, y)
     for k in range(y.size):
         i, j = places[k]
         L[i, j] = y[k]
