@@ -465,12 +465,6 @@ class MechanicalNetwork(torch.nn.Module):
         unit = _LARGE * self.root_inertia.square() / _ADDED * torch.tensor(self.scales.a)
         return (forces / unit).square().mean(dim=1)
 
-    def _roots(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the entries of L, (N, k), and their derivatives by the m features, (N, m, k)."""
-        y, rates = self.mass.outputs(_layers(self.mass, self.mass_features, q)[1])
-        rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
-        return self.positive(y), rises[:, None, :] * rates.transpose(0, 1)
-
     def positive(self, y: torch.Tensor) -> torch.Tensor:
         """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
         return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
@@ -615,8 +609,10 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""
-        entries, slopes = self._roots(q)
-        L, u = self.matrix(entries), (self.root_inertia * v)[:, :, None]
+        y, rates = self.mass.outputs(_layers(self.mass, self.mass_features, q)[1])
+        rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
+        slopes = rises[:, None, :] * rates.transpose(0, 1)
+        L, u = self.matrix(self.positive(y)), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
         # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
