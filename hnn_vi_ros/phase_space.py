@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import re
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ _COLUMNS = {
     'pose': (('_x', '_y', '_z', '_qx', '_qy', '_qz', '_qw'),
              ('_x', '_y', '_z', '_rx', '_ry', '_rz')),
 }
+# Units and names of columns in degrees; angles are in radians.
+IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
 # A quaternion whose norm is further from 1 is no attitude that was written with too few digits.
 _NORM_ERROR = 1e-6
 

@@ -11,9 +11,9 @@ from hnn_vi_ros.hamiltonians.expressions import Graph
 from hnn_vi_ros.hamiltonians.straight_code import (
     check_names, graph_kernel, NAME, read_hamiltonian)
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.phase_space import Coordinate, IN_DEGREES
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 _MOST_COORDINATES = 100
 
@@ -24,6 +24,13 @@ class FormulaCoordinate(StrictModel):
     name: str = Field(pattern=NAME, max_length=100, description='as the formula has it')
     q_unit: str = Field('1', max_length=30, description='unit of the coordinate; rad: an angle')
     p_unit: str = Field('1', max_length=30, description='unit of its momentum')
+
+    @field_validator('q_unit')
+    @classmethod
+    def _check_unit(cls, unit: str) -> str:
+        if IN_DEGREES.search(unit):
+            raise ValueError(f'{unit}: angles are in rad; write states and the formula in them')
+        return unit
 
 
 class Formula(Hamiltonian):

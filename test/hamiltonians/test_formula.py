@@ -11,7 +11,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.expressions import DEEPEST, LONGEST
-from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.hamiltonians.formula import Formula, FormulaCoordinate
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
@@ -186,6 +186,8 @@ def test_scene_says_where_its_formula_has_no_value(tmp_path):
 def test_units_and_angles_come_from_the_coordinates():
     hamiltonian = Formula([{'name': 'a', 'q_unit': 'rad', 'p_unit': 'N m s'}], 'p_a^2/2 - cos(a)')
     assert hamiltonian.coordinates[0].q_unit == 'rad'
+    with pytest.raises(ValueError, match='deg: angles are in rad'):
+        FormulaCoordinate(name='a', q_unit='deg')
     with pytest.raises(ValueError, match='unit'):
         Formula([{'name': 'a', 'unit': 'rad'}], 'p_a^2/2')
 

@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.data.dataset import (
     Block, Dataset, Derivatives, differentiate, joined, Mass, mass_matrix, Names, SavitzkyGolay,
     time_blocks, UNEVENNESS)
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.phase_space import IN_DEGREES
 import numpy as np
 from pydantic import Field, model_validator
 
@@ -29,7 +30,8 @@ BLOCKS = 20
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 # Whitespace last: it also splits at the space after a comma.
 _SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
-IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
+_OTHER_TIME = re.compile(
+    r'(?<![a-z])([mun]s(ecs?)?|µs|(milli|micro|nano)s\w*|min(utes)?)(?![a-z])', re.IGNORECASE)
 
 
 class LogColumns(StrictModel):

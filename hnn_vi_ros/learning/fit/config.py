@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
 from hnn_vi_ros.learning.data.sources import dimension, Source
-from hnn_vi_ros.learning.data.text import IN_DEGREES, LogMotions
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
     AUTO, BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
     LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,
@@ -26,6 +26,7 @@ from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import Kind
 from hnn_vi_ros.models.model_card import CoordinateCard
 from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, values_of
+from hnn_vi_ros.phase_space import IN_DEGREES
 import numpy as np
 from pydantic import Field, field_validator, model_validator, ValidationError
 import torch
