@@ -103,7 +103,7 @@ def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
                 line = stream.readline(LONGEST_LINE + 1)
             except UnicodeDecodeError as problem:
                 # It is decoded ahead of the lines.
-                raise ValueError(f'{number}: not a text file in UTF-8, here or behind: '
+                raise ValueError(f'{number}: not a text file in UTF-8, here or below: '
                                  f'{problem.reason}') from problem
             if not line:
                 return

@@ -273,7 +273,7 @@ def test_lines_are_numbered_without_their_breaks(tmp_path):
     assert [number for number, _ in text_lines(path, 1 << 21)] == [1, 2]
     for content, message in (
             (b'a\n' + b'x' * (LONGEST_LINE + 1), '^2: longer than 1048576'),
-            (b'a\nb\xff\n', ': not a text file in UTF-8, here or behind: invalid start')):
+            (b'a\nb\xff\n', ': not a text file in UTF-8, here or below: invalid start')):
         path.write_bytes(content)
         with pytest.raises(ValueError, match=message):
             list(text_lines(path, 1 << 21))

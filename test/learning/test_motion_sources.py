@@ -260,3 +260,17 @@ def test_degrees_are_no_unit_of_a_coordinate():
         MachineConfig.model_validate({
             'coordinates': [{'name': 'a', 'q_unit': 'deg'}], 'data': {
                 'kind': 'log', 'time': 't', 'q': ['a']}, 'family': {'kind': 'mechanical'}})
+
+
+@pytest.mark.parametrize('name, times, said', [
+    ('Time [ms]', [f'{1e3 * t:.6f}' for t in T], 'times must be in seconds'),
+    ('stamp_ns', [f'{1e9 * t:.0f}' for t in T], 'times must be in seconds'),
+    ('time', [f'2026-01-01 10:00:{t:05.2f}' for t in T], 'write times as seconds'),
+    ('time', [f'10:00:{t:05.2f}' for t in T], 'write times as seconds')])
+def test_times_that_are_no_seconds_are_refused(tmp_path, name, times, said):
+    path = tmp_path / 'log.csv'
+    path.write_text('\n'.join([f'{name},angle', *(
+        f'{t},{q:.17g}' for t, q in zip(times, Q[:, 0], strict=True))]))
+    with pytest.raises(DataError, match=said) as problem:
+        read_log_motions(path, LogMotions(time=name, q=['angle']))
+    assert '\n' not in str(problem.value)

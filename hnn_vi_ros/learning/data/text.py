@@ -27,6 +27,7 @@ _MOST_COLUMNS = 1000
 # Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
 BLOCKS = 20
 
+_DATE = re.compile(r'\d+[-/:.]\d+[-/:.]\d.*')
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
 # Whitespace last: it also splits at the space after a comma.
 _SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
@@ -213,7 +214,10 @@ def _trials(path: Path, data: LogColumns, lacking: bool = False
 
 
 def _check_units(path: Path, data: LogColumns) -> None:
-    """Raise DataError for columns named in degrees, unless data name them or none."""
+    """Raise DataError for columns named in degrees, unless data name them or none, or in ms."""
+    if _OTHER_TIME.search(data.time):
+        raise DataError(f'{path}: column {data.time!r}: times must be in seconds; convert the '
+                        'column, or rename it if it is in s')
     found = [name for name in data.used if IN_DEGREES.search(name)]
     if found and data.degrees is None:
         raise DataError(f'{path}: degrees in {listed(found)}; to convert them to radians, add '
@@ -260,7 +264,7 @@ def read_log(path: Path, data: LogColumns, lacking: bool = False
         raise DataError(f'{path}: cannot be read: {problem.strerror}; give a smaller part of it, '
                         'or another log') from problem
     except ValueError as problem:
-        raise DataError(f'{path}:{problem}; give a log of rows of numbers') from problem
+        raise DataError(f'{path}:{problem}; give a log of rows of numbers, in UTF-8') from problem
     if names is None or len(lines) < 2:
         raise DataError(f'{path}: {len(lines)} rows of data, expected a longer log')
     return np.array(numbers).reshape(len(lines), -1), np.array(lines), digest, names
@@ -319,9 +323,12 @@ def _row(place: str, line: str, data: LogColumns, names: Names, lacking: bool, f
 def _number(place: str, index: int, field: str, name: str) -> float:
     value = plain_number(field)
     if not abs(value) <= MAX_VALUE:
-        remedy = 'write decimals with a point' if _COMMA.fullmatch(field) else \
-            ('leave such a row out; of a header, name the columns in data.columns, or in '
-             'data.comment how it begins')
+        remedy = ('leave such a row out; of a header, name the columns in data.columns, or in '
+                  'data.comment how it begins')
+        if _COMMA.fullmatch(field):
+            remedy = 'write decimals with a point'
+        elif _DATE.fullmatch(field):
+            remedy = 'write times as seconds from the start'
         raise DataError(f'{place}: column {index + 1} ({name}): expected a finite number, '
                         f'found {field[:40]!r}; {remedy}')
     return value
