@@ -37,7 +37,8 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 _KEYS = 't', 'q', 'v', 'tau'
-_NO_FORCES = 'with --keys t,q,dq of arrays, or forces: none of bags in the data of --config'
+_NO_FORCES = ('with --keys t,q,dq of arrays, or in the data of --config: forces: none of bags, no '
+              'tau of logs')
 
 
 def main(argv: Sequence[str]) -> None:
