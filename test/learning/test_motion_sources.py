@@ -274,3 +274,13 @@ def test_times_that_are_no_seconds_are_refused(tmp_path, name, times, said):
     with pytest.raises(DataError, match=said) as problem:
         read_log_motions(path, LogMotions(time=name, q=['angle']))
     assert '\n' not in str(problem.value)
+
+
+@pytest.mark.parametrize('unit, kind, said', [
+    ('m', 'revolute', 'write kind: prismatic'), ('rad', 'prismatic', 'write kind: revolute')])
+def test_length_is_no_angle_of_a_machine(unit, kind, said):
+    coordinate = {'name': 'cart', 'q_unit': unit}
+    with pytest.raises(ValueError, match=f'cart: q_unit: {unit} and kind: {kind} differ; {said}'):
+        MachineConfig.model_validate({
+            'coordinates': [coordinate | ({} if kind == 'revolute' else {'kind': kind})],
+            'data': {'kind': 'log', 'time': 't', 'q': ['a']}, 'family': {'kind': 'mechanical'}})

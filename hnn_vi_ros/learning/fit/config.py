@@ -229,6 +229,11 @@ class MachineConfig(TrainingConfig):
                              'or log')
         if not self.coordinates:
             raise ValueError('coordinates: expected at least one')
+        for one in self.coordinates:
+            unit, length = one.q_unit, one.kind == 'prismatic'
+            if unit in ('rad', 'm') and length != (unit == 'm'):
+                raise ValueError(f'coordinates: {one.name}: q_unit: {unit} and kind: {one.kind} '
+                                 f'differ; write kind: {"revolute" if length else "prismatic"}')
         if family.prior not in (None, AUTO) and isinstance(loss, Regression):
             raise ValueError(f'loss: {loss.kind} fits no prior; take trajectory')
         if family.input_map == 'learned' and isinstance(loss, Inverse):
