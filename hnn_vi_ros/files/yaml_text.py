@@ -227,8 +227,10 @@ class _Loader(_Base):
         node = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.value in seen:
-                raise _refusal('a key must be a plain name and stand only once', key)
+            if not isinstance(key, yaml.ScalarNode):
+                raise _refusal('a key must be a plain name', key)
+            if key.value in seen:
+                raise _refusal(f'{key.value[:40]!r}: the second of this key; remove one', key)
             if len(key.value) > MAX_KEY or not key.value.isprintable():
                 raise _refusal(f'a key must have at most {MAX_KEY} characters, all printable', key)
             seen.add(key.value)

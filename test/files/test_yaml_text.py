@@ -52,7 +52,7 @@ def test_scalar_is_read_as_plain_data(text, value):
     ('a: !own 1', 'a tag'), ('a: ! 1', 'a tag'), ('!!map {a: 1}', 'a tag'),
     ('%TAG ! tag:x,2020:\n---\na: 1', 'here:1: a directive'),
     ('a: 1\n...\n%YAML 1.1\n---\nb: 1', 'here:3: a directive'), ('\r%YAML 1.1', 'a directive'),
-    ('a: 1\nb: 2\na: 3', 'here:3: a key must be a plain name and stand only once'),
+    ('a: 1\nb: 2\na: 3', "here:3: 'a': the second of this key; remove one"),
     ('? [a]\n: 1', 'a key must be a plain name'), ('"a\\nb": 1', 'a key must have'),
     ('"\\e[31m": 1', 'printable'), ('? ' + 'k' * 257 + '\n: 1', 'at most 256'),
     ('a: &a [*a]', 'here:1: an alias within what it stands for'), ('a: *b', "undefined alias 'b'"),
