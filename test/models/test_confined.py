@@ -167,7 +167,7 @@ def test_confined_motion_from_outside_the_box_comes_back_and_stays(name, method,
     energy = held.energy(q, p)
     assert np.abs(energy - start).max(axis=0).max() <= 0.5 * np.abs(start).max()
     # K phi(y) <= H - b + B with phi(y) >= (y^2 - 1) / 2; see ConfinedHamiltonian.
-    network = held.base.checkpoint
+    network = held.base.checkpoint.networks['energy']
     reach = energy.max(axis=0) - network.biases[-1][0] + np.abs(network.weights[-1]).sum()
     for i, largest in enumerate(r.max(axis=0).T):
         limit = 1.0 + np.sqrt(1.0 + 2.0 * reach / held.energies[i % d])
