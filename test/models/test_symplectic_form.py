@@ -39,10 +39,10 @@ def random_form(strength: float = STRENGTH) -> Checkpoint:
     """Return a model of random networks of (q, p) in R^4, theta = (p, 0) + strength N."""
     energy, form = random_checkpoint([4, 12, 1], seed=1), random_checkpoint([4, 10, 1], seed=2)
     rng = np.random.default_rng(3)
-    last = strength * rng.normal(size=(4, 10))
+    first, last = form.networks['energy'], strength * rng.normal(size=(4, 10))
     networks = {
-        'one_form': Layers((form.weights[0], last), (form.biases[0], np.zeros(4))),
-        'energy': Layers(energy.weights, energy.biases)}
+        'one_form': Layers((first.weights[0], last), (first.biases[0], np.zeros(4))),
+        'energy': energy.networks['energy']}
     card = energy.card.model_copy(update={
         'family': 'symplectic_form', 'widths': None, 'mass': np.eye(2).tolist(),
         'networks': {'one_form': [4, 10, 4], 'energy': [4, 12, 1]},
