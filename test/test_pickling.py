@@ -27,7 +27,7 @@ from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 import numpy as np
 import pytest
 
-OF_OTHERS = ('rclpy', 'torch', 'gymnasium', 'ray', 'rerun', 'plotly', 'tqdm')
+OF_OTHERS = ('rclpy', 'torch', 'gymnasium', 'ray', 'rerun', 'plotly', 'tqdm', 'launch')
 
 
 def again(value: Any) -> Any:

@@ -5,13 +5,12 @@
 from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.gradients.acting_effects import flow_rates
 from hnn_vi_ros.gradients.dependences import Dependence, on_number
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -163,9 +162,9 @@ def check_in_files(parts: Parts, names: Iterable[str]) -> list[str]:
     return inside
 
 
-def robot_of(parts: Parts) -> RigidBodyTree:
+def robot_of(parts: Parts) -> Any:
     """Return H, or raise ValueError unless it is that of a URDF."""
-    if not isinstance(parts.hamiltonian, RigidBodyTree):
+    if parts.scene.hamiltonian.kind != 'urdf':
         raise ValueError(f'{_URDF}... are numbers of the links of a URDF, which '
                          f'{parts.scene.name} does not have')
     return parts.hamiltonian

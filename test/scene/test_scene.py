@@ -101,7 +101,7 @@ print(sorted(sys.modules.keys() & {{'numba', 'llvmlite', 'scipy', 'torch'}}), fi
     ('q: [1.0]', 'q: [1.0, two]', r'mine.yaml:5: initial_state.q.1'),
     ('  p: [0]', '', r'mine.yaml:4: initial_state.p: .*required'),
     ('step_size: 1e-2\n', '', r'mine.yaml:1: step_size: .*required'),
-    ('p: [0]', 'p: [0]\n  p: [1]', r'mine.yaml:7: .*only once'),
+    ('p: [0]', 'p: [0]\n  p: [1]', r"mine.yaml:7: 'p': the second of this key; remove one"),
     ('q: [1.0]', 'q: &a [1.0]\n  r: *a', r'mine.yaml:6: initial_state.r: unknown key'),
     ('p: [0]', 'p: ' + '[' * 33 + ']' * 33, r'mine.yaml:6: nested'),
     ('p: [0]', 'p: !!python/object/apply:os.system [exit]', r'mine.yaml:6: a tag'),

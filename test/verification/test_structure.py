@@ -19,7 +19,7 @@ STATE = ['0.7', '-1.2']
 class Gauss2(Gauss):
     """Gauss collocation of one stage, which no scene needs."""
 
-    order, stages = 2, 1
+    order, stages, equations = 2, 1, (2,)
 
 
 def run(name: str, system: str, h: float, steps: int, q: list[float], p: list[float],

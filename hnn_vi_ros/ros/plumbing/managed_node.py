@@ -112,7 +112,7 @@ class RobustNode(Node):
         return on_clock
 
 
-# Wall time from one look at signals to the next, where nothing happens [s]. Each end of such a wait
+# Wall time from one look at signals to the next, where nothing happens [s]. The end of such a wait
 # costs a turn, half a tick at 1 kHz.
 _LOOK = 0.1
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
