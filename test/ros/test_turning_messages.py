@@ -92,8 +92,9 @@ def test_picture_of_a_body_that_turns_has_its_columns_its_axes_and_its_path(
         tmp_path, kind: str, place: list[float]):
     body, q = HAMILTONIANS[kind](), np.array([*place, 0.6, 0.0, 0.0, 0.8])
     p, path = np.ones(q.size - 1), tmp_path / 'body.rrd'
+    box = tuple(np.column_stack([part - 1.0, part + 1.0]) for part in (q, p))
     for mechanism in (None, MECHANISMS['turning_body']):
-        sink = RerunSink('body', path, body, q, p, mechanism=mechanism)
+        sink = RerunSink('body', path, body, q, p, box=box, mechanism=mechanism)
         sink.write(sample_of(q, p, *body.gradient(q, p)))
         sink.close()
         assert path.stat().st_size > 1000
