@@ -75,7 +75,7 @@ class BatchStep:
         takes = NUMBERS in self._system.motors.takes
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
-        self.places = self._system.places if takes else np.zeros((0, self.dimension))
+        self.places = self._system.places.copy() if takes else np.zeros((0, self.dimension))
         self._run: DifferentiableRun | None = None
 
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
