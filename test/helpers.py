@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed
+from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
@@ -36,7 +36,9 @@ DIGITS = 60
 
 def alarm_of(guard: BlockGuard, sample: Observed) -> Alarm | None:
     """Return what a guard finds in the next sample."""
-    return next((alarm for alarm, _ in judge([guard], [sample])), None)
+    waiting = Waiting(1)
+    waiting.add(sample)
+    return next(iter(judge([guard], waiting.block())), None)
 
 
 def identity(hamiltonian: Hamiltonian, h: float, z: np.ndarray) -> np.ndarray:

@@ -88,6 +88,22 @@ def _follow_all(records: np.ndarray, potential: np.ndarray, virial: np.ndarray,
             scales[i, k], _ = follow(records[k], potential[i, k], virial[i, k], weights[i])
 
 
+@kept(error_model='numpy')
+def _virials(q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray,
+             middle: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return abs((q - c) . H_q) and abs(p . H_p), shape (2, n), at n states."""
+    virials = np.zeros((2, len(q)))
+    for i in range(len(q)):
+        for j in range(q.shape[1]):
+            x = q[i, j] - middle[j]
+            if angles[j]:
+                x = (x + math.pi) % (2.0 * math.pi) - math.pi
+            virials[0, i] += x * dH_dq[i, j]
+        for j in range(p.shape[1]):
+            virials[1, i] += p[i, j] * dH_dp[i, j]
+    return np.abs(virials)
+
+
 class EnergyScale:
     """
     Energy scale of a path, or of m paths, by the virials of its states.
@@ -130,13 +146,16 @@ class EnergyScale:
     def virials(self, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray, dH_dp: np.ndarray
                 ) -> tuple[np.ndarray, np.ndarray]:
         """Return abs((q - c) . H_q) and abs(p . H_p) [J], shape (...), at states (..., d)."""
-        x = q - self._middle
-        x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
         if self._gauge is not None:
             # P = p - c A(q) and its H_q: far from where A vanishes p . H_p is c A . v.
             p, dH_dq = p - q @ self._gauge.T, dH_dq + dH_dp @ self._gauge
         if self._hamiltonian.canonical:
-            return np.abs((x * dH_dq).sum(axis=-1)), np.abs((p * dH_dp).sum(axis=-1))
+            q_, p_, H_q, H_p = (np.ascontiguousarray(x).reshape(-1, x.shape[-1])
+                                for x in (q, p, dH_dq, dH_dp))
+            potential, virial = _virials(q_, p_, H_q, H_p, self._middle, self._angles)
+            return potential.reshape(q.shape[:-1]), virial.reshape(q.shape[:-1])
+        x = q - self._middle
+        x = np.where(self._angles, np.remainder(x + np.pi, 2.0 * np.pi) - np.pi, x)
         zero = np.zeros_like(q)
         return np.abs(self._slope(q, p, x, zero)), np.abs(self._slope(q, p, zero, p))
 
@@ -188,14 +207,6 @@ def scales_of(potential: np.ndarray, virial: np.ndarray, weights: np.ndarray) ->
     _follow_all(np.zeros((rows.shape[1], RECORD)), potential.reshape(rows.shape), rows, weights,
                 scales)
     return scales.reshape(virial.shape)
-
-
-def running(function: np.ufunc, start: np.ndarray | float, values: np.ndarray) -> np.ndarray:
-    """Return a sum, or extreme value, as of each of k values, shape (k, ...), from a start on."""
-    values = values.copy()
-    values[0] = function(start, values[0])
-    accumulated: np.ndarray = function.accumulate(values)
-    return accumulated
 
 
 _EPS = float(np.finfo(np.float64).eps)

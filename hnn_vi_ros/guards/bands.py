@@ -6,11 +6,36 @@ from abc import abstractmethod
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.accuracy.diagnostics import running, state_scales
+from hnn_vi_ros.accuracy.diagnostics import state_scales
 from hnn_vi_ros.guards.base import accounted_energy, Alarm, Block, BlockGuard, Observed, Scale
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+
+
+@kept(error_model='numpy')
+def _widen(ends: np.ndarray, values: np.ndarray, weights: np.ndarray, limits: np.ndarray,
+           first: int, raised: bool) -> tuple[int, float, bool]:
+    """Widen ranges by values (n, k) from the first on, up to one beyond its limit, if any."""
+    band = 0.0
+    for i in range(first, values.shape[1]):
+        # No value, as of NaN, leaves 0; infinite values leave NaN.
+        band, beyond = 0.0, False
+        for j in range(len(values)):
+            if math.isnan(values[j, i]):
+                beyond = True
+            else:
+                ends[0, j] = min(ends[0, j], values[j, i])
+                ends[1, j] = max(ends[1, j], values[j, i])
+            if ends[1, j] >= ends[0, j]:
+                own = (ends[1, j] - ends[0, j]) / weights[j]
+                if not (own <= band or math.isnan(band)):
+                    band = own
+        # Written so that NaN is an alarm.
+        if not raised and (beyond or not band <= limits[i]):
+            return i + 1, band, True
+    return values.shape[1], band, False
 
 
 class BandGuard(BlockGuard):
@@ -21,6 +46,8 @@ class BandGuard(BlockGuard):
     ----------
     share : float, optional
         The band that is allowed, over a scale, where there is one.
+    weights : tuple of float, optional
+        For each of the values: over how much of it its range counts.
 
     Attributes
     ----------
@@ -33,9 +60,11 @@ class BandGuard(BlockGuard):
 
     """
 
-    def __init__(self, share: float = math.nan):
+    def __init__(self, share: float = math.nan, weights: tuple[float, ...] = (1.0,)):
         self.raised, self.band, self.limit, self._share = False, 0.0, math.nan, share
-        self._low, self._high = np.array([math.inf]), np.array([-math.inf])
+        self._weights = np.array(weights)
+        # Of each value the lowest and the highest so far.
+        self._ends = np.repeat([[math.inf], [-math.inf]], len(weights), axis=1)
 
     def allow(self, band: float, change: float) -> None:
         """See Guard."""
@@ -43,24 +72,15 @@ class BandGuard(BlockGuard):
 
     def take(self, block: Block) -> list[Alarm]:
         """See BlockGuard."""
-        values = self._values(block).reshape(len(block.step), -1)
-        low = running(np.fmin, self._low, values)
-        high = running(np.fmax, self._high, values)
-        # Infinite values leave NaN, which is an alarm; no value, as of NaN, leaves 0.
-        bands = self._judged(np.where(high >= low, high - low, 0.0))
-        limits = np.broadcast_to(self._limits(block), bands.shape)
-        # Written so that NaN is an alarm.
-        beyond = ~((bands <= limits) & ~np.isnan(values).any(axis=1))
-
-        def widen(i: int) -> None:
-            self._low, self._high = low[i], high[i]
-            self.band, self.limit = float(bands[i]), float(limits[i])
-        alarms = []
-        if beyond.any() and not self.raised:
-            self.raised, i = True, int(beyond.argmax())
-            widen(i)
-            alarms.append(self._alarm(int(block.step[i])))
-        widen(-1)
+        values, limits = self._values(block), self._limits(block)
+        alarms, taken = [], 0
+        while taken < len(limits):
+            taken, self.band, beyond = _widen(
+                self._ends, values, self._weights, limits, taken, self.raised)
+            self.limit = float(limits[taken - 1])
+            if beyond:
+                self.raised = True
+                alarms.append(self._alarm(int(block.step[taken - 1])))
         return alarms
 
     def renew(self, sample: Observed) -> Alarm | None:
@@ -68,16 +88,12 @@ class BandGuard(BlockGuard):
         return self._alarm(sample.step)
 
     def _values(self, block: Block) -> np.ndarray:
-        """Return the values whose range is watched, shape (k,) or (k, n)."""
-        return block.accounted
-
-    def _judged(self, bands: np.ndarray) -> np.ndarray:
-        """Return the band to judge, shape (k,), of those of the values, shape (k, n)."""
-        return bands[:, 0]
+        """Return the values whose range is watched, shape (n, k) with a weight for each n."""
+        return block.accounted[None]
 
     @abstractmethod
-    def _limits(self, block: Block) -> np.ndarray | float:
-        """Return the band that is allowed as of each sample."""
+    def _limits(self, block: Block) -> np.ndarray:
+        """Return the band that is allowed as of each sample, shape (k,)."""
 
     @abstractmethod
     def _alarm(self, step: int) -> Alarm:
@@ -116,22 +132,19 @@ class ResolutionGuard(BandGuard):
               'method of higher order')
 
     def __init__(self, share: float, scale: Scale, plain: float = 1.0):
-        super().__init__(share)
+        # Of the range of H a part counts.
+        super().__init__(share, (1.0, plain))
         self._scale, self._plain = scale, plain
 
     def _values(self, block: Block) -> np.ndarray:
-        return np.stack([block.accounted, block.energy], axis=1)
-
-    def _judged(self, bands: np.ndarray) -> np.ndarray:
-        """Return the range of the modified energy, or the part of that of H that counts [J]."""
-        return np.maximum(bands[:, 0], bands[:, 1] / self._plain)
+        return np.array([block.accounted, block.energy])
 
     def _limits(self, block: Block) -> np.ndarray:
         return self._share * self._scale(block)
 
     def _alarm(self, step: int) -> Alarm:
         # Report H, if H went too far.
-        times = self._plain if self.band > self._high[0] - self._low[0] else 1.0
+        times = self._plain if self.band > self._ends[1, 0] - self._ends[0, 0] else 1.0
         band, limit = times * self.band, times * self.limit
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
@@ -169,17 +182,17 @@ class BarrierGuard(BandGuard):
         self.kind, self._name = f'{name} not resolved', name
         self._energy, self._gap = energy, math.nan
 
-    def _limits(self, block: Block) -> float:
+    def _limits(self, block: Block) -> np.ndarray:
         if math.isnan(self._gap):
             # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
             # of it that H is on.
             plain = self._energy - block.energy[0]
-            kept = self._energy - self._values(block)[0]
+            kept = self._energy - self._values(block)[0, 0]
             self._gap = float(abs(kept)) if plain * kept > 0.0 else 0.0
-        return self._gap
+        return np.full(len(block.step), self._gap)
 
     def _values(self, block: Block) -> np.ndarray:
-        return block.energy - block.work if self._plain else block.accounted
+        return (block.energy - block.work if self._plain else block.accounted)[None]
 
     def _alarm(self, step: int) -> Alarm:
         return Alarm(self.kind, step, self.band, self.limit,
@@ -224,7 +237,7 @@ class InvariantGuard(BandGuard):
         self._scales: list[float] = []
 
     def _values(self, block: Block) -> np.ndarray:
-        return np.array([self._function(q, p) for q, p in zip(block.q, block.p, strict=True)])
+        return np.array([[self._function(q, p) for q, p in zip(block.q, block.p, strict=True)]])
 
     def _limits(self, block: Block) -> np.ndarray:
         limits = []
@@ -260,6 +273,34 @@ _LASTING = 5
 _JUMP = 10.0
 
 
+@kept(error_model='numpy')
+def _turn_over(own: np.ndarray, work: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """Return the scale, or the work turned over if more; own are the work and that so far."""
+    larger = np.empty(len(work))
+    for i in range(len(work)):
+        own[1] += abs(work[i] - own[0])
+        own[0] = work[i]
+        larger[i] = scales[i] if scales[i] >= own[1] or math.isnan(own[1]) else own[1]
+    return larger
+
+
+@kept(error_model='numpy')
+def _change(ends: np.ndarray, accounted: np.ndarray, start: float, scales: np.ndarray, first: int,
+            last: int) -> tuple[int, bool]:
+    """Widen the range of the change; return the place of a jump in it, or the last one."""
+    at, jumped = last - 1, False
+    for i in range(first, last):
+        change = accounted[i] - start
+        if change < ends[0]:
+            ends[0] = change
+        if change > ends[1]:
+            ends[1] = change
+        # Written so that NaN is an alarm.
+        if not (jumped or abs(change) <= _JUMP * scales[i]):
+            at, jumped = i, True
+    return at, jumped
+
+
 class EnergyGuard(BlockGuard):
     """
     No energy is lost or gained beyond the account of work: neither at once nor by a drift.
@@ -286,12 +327,14 @@ class EnergyGuard(BlockGuard):
     def __init__(self, share: float, scale: Scale):
         self.raised, self._how = False, (share, '')
         self._share, self._scale_at, self._scale = share, scale, 0.0
-        self._work, self._turnover = 0.0, 0.0
+        # The work so far, and what has been turned over by it.
+        self._turned = np.zeros(2)
         self._start: float | None = None
         self._low: list[float] = []
         self._high: list[float] = []
         self._count, self._length = 0, _BLOCK
-        self._lowest, self._highest = math.inf, -math.inf
+        # Of the block that is open.
+        self._ends = np.array([math.inf, -math.inf])
         self._since, self._sign = math.inf, 0
 
     def allow(self, band: float, change: float) -> None:
@@ -302,22 +345,15 @@ class EnergyGuard(BlockGuard):
         """See BlockGuard."""
         if self._start is None:
             self._start = float(block.accounted[0])
-        turnover = running(np.add, self._turnover, np.abs(np.diff(block.work, prepend=self._work)))
-        scales = np.fmax(self._scale_at(block), turnover)
-        self._work, self._turnover = float(block.work[-1]), float(turnover[-1])
-        changes, alarms, first = block.accounted - self._start, [], 0
-        while first < len(changes):
+        scales = _turn_over(self._turned, block.work, self._scale_at(block))
+        alarms, first = [], 0
+        while first < len(scales):
             # Up to where a block of this guard ends.
-            last = min(len(changes), first + self._length - self._count)
-            part, scale = changes[first:last], scales[first:last]
-            # Written so that NaN is an alarm.
-            jumped = ~(np.abs(part) <= _JUMP * scale)
-            i = int(jumped.argmax()) if jumped.any() else len(part) - 1
-            self._lowest = min(self._lowest, float(np.fmin.reduce(part)))
-            self._highest = max(self._highest, float(np.fmax.reduce(part)))
-            self._count, self._scale = self._count + len(part), float(scale[i])
-            step, change = int(block.step[first + i]), abs(float(part[i]))
-            if jumped[i] and not self.raised:
+            last = min(len(scales), first + self._length - self._count)
+            i, jumped = _change(self._ends, block.accounted, self._start, scales, first, last)
+            self._count, self._scale = self._count + last - first, float(scales[i])
+            step, change = int(block.step[i]), abs(float(block.accounted[i]) - self._start)
+            if jumped and not self.raised:
                 alarms.append(self._alarm(step, change, _JUMP, 'changed'))
             if self._count == self._length and (change := self._end_block()) and not self.raised:
                 alarms.append(self._alarm(step, change, self._share, 'changed for good'))
@@ -342,9 +378,9 @@ class EnergyGuard(BlockGuard):
 
     def _end_block(self) -> float:
         """Close a block; return by how much the energy has changed for good, 0 if it has not."""
-        self._low.append(self._lowest)
-        self._high.append(self._highest)
-        self._count, self._lowest, self._highest = 0, math.inf, -math.inf
+        self._low.append(float(self._ends[0]))
+        self._high.append(float(self._ends[1]))
+        self._count, self._ends[:] = 0, (math.inf, -math.inf)
         blocks, length = len(self._low), self._length
         if blocks < _BLOCKS:
             return 0.0

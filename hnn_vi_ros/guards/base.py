@@ -3,9 +3,10 @@
 """Base of guards: the state that they look at, and their alarms."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 import math
-from typing import ClassVar, NamedTuple, TypeVar
+from struct import Struct
+from typing import ClassVar, NamedTuple
 
 from hnn_vi_ros.simulation import Sample
 import numpy as np
@@ -26,7 +27,13 @@ class Look(NamedTuple):
 
 # The state that guards look at.
 Observed = Sample | Look
-One = TypeVar('One', Sample, Look)
+
+
+def accounted_energy(sample: Observed) -> float:
+    """Return H~, or H for want of it, less the work done on the system [J]."""
+    modified = sample.modified_energy
+    # Only NaN differs from itself.
+    return (modified if modified == modified else sample.energy) - sample.work
 
 
 class Block(NamedTuple):
@@ -53,16 +60,63 @@ class Block(NamedTuple):
     accounted: np.ndarray
     work: np.ndarray
 
-    @classmethod
-    def of(cls, samples: Sequence[Sample] | Sequence[Look]) -> 'Block':
-        """Return samples as a block."""
-        q, p, dH_dq, dH_dp = (np.array([getattr(one, name) for one in samples])
-                              for name in ('q', 'p', 'dH_dq', 'dH_dp'))
-        energy, modified, work = np.array([
-            [one.energy for one in samples], [one.modified_energy for one in samples],
-            [one.work for one in samples]])
-        return cls(np.array([one.step for one in samples]), q, p, dH_dq, dH_dp, energy,
-                   np.where(np.isnan(modified), energy, modified) - work, work)
+
+# Step, H, accounted energy and work of a sample.
+_REST = Struct('4d')
+
+
+class Waiting:
+    """
+    Samples that wait for others, to be looked at together.
+
+    They are copied while they are new, which costs less than to keep them.
+
+    Parameters
+    ----------
+    most : int
+        Coordinates of theirs that there is room for, those of one sample at least.
+
+    Attributes
+    ----------
+    full : bool
+        Whether there is no room for another.
+
+    """
+
+    def __init__(self, most: int):
+        # In bytes.
+        self._most = 8 * most
+        self.full = False
+        self._shapes: list[tuple[int, ...]] = []
+        self._q, self._p = bytearray(), bytearray()
+        self._dH_dq, self._dH_dp, self._rest = bytearray(), bytearray(), bytearray()
+
+    def __len__(self) -> int:
+        """Return how many wait."""
+        return len(self._rest) // _REST.size
+
+    def add(self, sample: Observed) -> float:
+        """Let a sample wait; return its accounted energy [J]."""
+        accounted = accounted_energy(sample)
+        self._q += sample.q.tobytes()
+        self._p += sample.p.tobytes()
+        self._dH_dq += sample.dH_dq.tobytes()
+        self._dH_dp += sample.dH_dp.tobytes()
+        self._rest += _REST.pack(sample.step, sample.energy, accounted, sample.work)
+        self.full = len(self._q) >= self._most
+        if not self._shapes:
+            self._shapes = [one.shape for one in (sample.q, sample.p, sample.dH_dq, sample.dH_dp)]
+        return accounted
+
+    def block(self, first: int = 0) -> Block | None:
+        """Return those that wait, from the first on; None for none."""
+        n = len(self)
+        if first >= n:
+            return None
+        states = (np.frombuffer(part).reshape(n, *shape)[first:].copy() for part, shape in zip(
+            (self._q, self._p, self._dH_dq, self._dH_dp), self._shapes, strict=True))
+        step, *energies = np.frombuffer(self._rest).reshape(n, _REST.size // 8)[first:].T.copy()
+        return Block(step.astype(np.int64), *states, *energies)
 
 
 class Alarm(NamedTuple):
@@ -147,24 +201,15 @@ class BlockGuard(Guard):
         """Look at the next samples; return an alarm where it stops to hold, not while it lasts."""
 
 
-def accounted_energy(sample: Observed) -> float:
-    """Return H~, or H for want of it, less the work done on the system [J]."""
-    modified = sample.modified_energy
-    return (sample.energy if math.isnan(modified) else modified) - sample.work
-
-
 # Returns the energy scale at each sample of a block [J].
 Scale = Callable[[Block], np.ndarray]
 
 
-def judge(guards: Iterable[BlockGuard], samples: Sequence[One]
-          ) -> list[tuple[Alarm, One]]:
-    """Let guards look at the next samples; return what they find, and in which sample."""
-    if not samples:
+def judge(guards: Iterable[BlockGuard], block: Block | None) -> list[Alarm]:
+    """Let guards look at the next samples; return what they find, by steps."""
+    if block is None:
         return []
-    block = Block.of(samples)
     # A guard judges what is not finite; it says so itself.
     with np.errstate(invalid='ignore', over='ignore'):
-        found = [(alarm, samples[int((block.step == alarm.step).argmax())])
-                 for guard in guards for alarm in guard.take(block)]
-    return sorted(found, key=lambda one: one[1].step)
+        found = [alarm for guard in guards for alarm in guard.take(block)]
+    return sorted(found, key=lambda alarm: alarm.step)

@@ -3,10 +3,25 @@
 """Bounds of what a model knows: the box of its training data, and the spread of an ensemble."""
 
 from collections.abc import Callable
+import math
 
 from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
+from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import Domain
 import numpy as np
+
+
+@kept(error_model='numpy')
+def _excess(q: np.ndarray, p: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return how far states (k, d) are outside of a box, in half-widths; NaN where one is."""
+    (k, d), excess = q.shape, np.zeros(len(q))
+    for i in range(k):
+        for j in range(2 * d):
+            x = q[i, j] if j < d else p[i, j - d]
+            beyond = max(x - high[j], low[j] - x) / (0.5 * (high[j] - low[j]))
+            if not (beyond <= excess[i] or math.isnan(excess[i])):
+                excess[i] = beyond
+    return excess
 
 
 class BoxGuard(BlockGuard):
@@ -43,16 +58,18 @@ class BoxGuard(BlockGuard):
         self.excess = self.largest = 0.0
         self._samples = self._outside = 0
         self._what = ''
-        self._low, self._high = np.concatenate(box).T
-        self._half = 0.5 * (self._high - self._low)
+        self._bounds = tuple(np.concatenate(box).T.copy())
 
     def outside(self, sample: Observed) -> bool:
         """Return whether a sample is outside."""
-        return bool(self._excess(sample.q, sample.p, sample.dH_dp) > 0.0)
+        return bool(self._excess(sample.q[None], sample.p[None], sample.dH_dp[None])[0] > 0.0)
 
     def take(self, block: Block) -> list[Alarm]:
         """See BlockGuard."""
         excess = self._excess(block.q, block.p, block.dH_dp)
+        if self.excess == 0.0 and not excess.any():
+            self._samples += excess.size
+            return []
         before = np.concatenate([[self.excess], excess[:-1]])
         alarms, first = [], 0
         for left in [*np.flatnonzero((excess > 0.0) & (before == 0.0)), None]:
@@ -74,12 +91,10 @@ class BoxGuard(BlockGuard):
         return alarms
 
     def _excess(self, q: np.ndarray, p: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return how far states (..., d) are outside, in half-widths, shape (...)."""
+        """Return how far states (k, d) are outside, in half-widths, shape (k,)."""
         if self._domain is not None:
             return self._domain.excess(q, v).max(axis=-1)
-        z = np.concatenate([q, p if self._gauge is None else p - q @ self._gauge.T], axis=-1)
-        beyond = np.maximum(z - self._high, self._low - z) / self._half
-        return np.maximum(beyond.max(axis=-1), 0.0)
+        return _excess(q, p if self._gauge is None else p - q @ self._gauge.T, *self._bounds)
 
     @property
     def share(self) -> float:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The guards of a run outside of ROS: its energy scale, a screening, and what they find."""
 
-from collections.abc import Sequence
 import math
 import warnings
 
@@ -11,13 +10,14 @@ from hnn_vi_ros.accuracy.diagnostics import (
 from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
-from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard
+from hnn_vi_ros.guards.base import (
+    Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard, Waiting)
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import domain_of
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 # An error of energy must be this many times larger, over the scale, to differ from rounding: a
@@ -30,7 +30,8 @@ _EARLY = 20.0
 
 @kept(error_model='numpy')
 def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, potential: np.ndarray,
-                    virial: np.ndarray, size: np.ndarray) -> np.ndarray:
+                    virial: np.ndarray, accounted: np.ndarray, work: np.ndarray,
+                    rounding: float) -> np.ndarray:
     """Return the scales of the next samples; own are first and newest step, and largest size."""
     scales = np.empty(len(step))
     for i in range(len(step)):
@@ -38,8 +39,9 @@ def _follow_samples(record: np.ndarray, own: np.ndarray, step: np.ndarray, poten
             own[0] = own[1] = step[i]
         scale, turned = follow(record, potential[i], virial[i], max(step[i] - own[1], 1.0))
         own[1] = step[i]
-        if own[2] < size[i] < math.inf:
-            own[2] = size[i]
+        size = abs(accounted[i]) + abs(work[i]) + rounding
+        if own[2] < size < math.inf:
+            own[2] = size
         steps = step[i] - own[0] + 1.0
         scales[i] = max(_FLOOR * own[2] * math.sqrt(steps),
                         scale if turned else scale * (1.0 + _EARLY / steps))
@@ -79,16 +81,15 @@ class SampledScale:
     def __call__(self, block: Block) -> np.ndarray:
         """Return the scale at each sample of the next block [J], or of that before it again."""
         if block is not self._block:
-            n = len(self._ahead)
-            later = self._take(Block(*(part[n:] for part in block)))
-            self._block, self._values = block, np.array([*self._ahead, *later])
-            self._ahead = []
+            ahead, self._ahead, self._block = self._ahead, [], block
+            later = self._take(Block(*(part[len(ahead):] for part in block)) if ahead else block)
+            self._values = np.array([*ahead, *later]) if ahead else later
         return self._values
 
-    def ahead(self, samples: Sequence[Sample]) -> float:
+    def ahead(self, waiting: Waiting) -> float:
         """Return the scale [J] at the last of the samples so far of what will be a block."""
-        if new := samples[len(self._ahead):]:
-            self._ahead.extend(self._take(Block.of(new)))
+        if (new := waiting.block(len(self._ahead))) is not None:
+            self._ahead.extend(self._take(new))
         return self.value
 
     def _take(self, block: Block) -> np.ndarray:
@@ -96,8 +97,8 @@ class SampledScale:
         if potential.ndim > 1:
             # The energies of trajectories that step together add up.
             potential, virial = potential.sum(axis=1), virial.sum(axis=1)
-        size = np.abs(block.accounted) + np.abs(block.work) + self._rounding
-        scales = _follow_samples(self._record, self._own, block.step, potential, virial, size)
+        scales = _follow_samples(self._record, self._own, block.step, potential, virial,
+                                 block.accounted, block.work, self._rounding)
         if scales.size:
             self.value = float(scales[-1])
         return scales
@@ -198,16 +199,16 @@ class Watch:
         self._of_blocks = [guard for guard in guards if isinstance(guard, BlockGuard)]
         self._of_states = [guard for guard in guards if isinstance(guard, StateGuard)]
         self._kinds = [guard.kind for guard in guards]
-        # What was found in which step, by kind, and looks that wait for others.
+        # What was found in which step, by kind.
         self._found: dict[str, tuple[int, Alarm]] = {}
-        self._pending: list[Look] = []
+        self._waiting = Waiting(_WAITING)
 
     @property
     def alarms(self) -> list[Alarm]:
         """Return the first alarm of each kind by its step, in the order of the guards."""
-        pending, self._pending = self._pending, []
-        for alarm, look in judge(self._of_blocks, pending):
-            self._found.setdefault(alarm.kind, (look.step, alarm))
+        waiting, self._waiting = self._waiting, Waiting(_WAITING)
+        for alarm in judge(self._of_blocks, waiting.block()):
+            self._found.setdefault(alarm.kind, (alarm.step, alarm))
         return [alarm for _, alarm in sorted(
             self._found.values(), key=lambda one: (one[0], self._kinds.index(one[1].kind)))]
 
@@ -218,8 +219,8 @@ class Watch:
             if (alarm := guard.update(look)) is not None:
                 self._found.setdefault(alarm.kind, (look.step, alarm))
         if self._of_blocks:
-            self._pending.append(look)
-            if len(self._pending) * look.q.size >= _WAITING:
+            self._waiting.add(look)
+            if self._waiting.full:
                 _ = self.alarms
 
     def show(self, simulation: Simulation, steps: np.ndarray, states: tuple[np.ndarray, ...],

@@ -3,12 +3,13 @@
 """Monitor of a run: its timing, the record of its energy, its tolerance, guards."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 import math
 import time
 
 from hnn_vi_ros.accuracy.diagnostics import secular_change
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, time_scale, Tolerance
-from hnn_vi_ros.guards.base import Alarm, BlockGuard, Guard, judge, StateGuard
+from hnn_vi_ros.guards.base import Alarm, BlockGuard, Guard, judge, StateGuard, Waiting
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.timing import Timing
 from hnn_vi_ros.simulation import Sample, Simulation
@@ -119,9 +120,8 @@ class EnergyRecord:
         return error / self._steepest if self._steepest else 0.0
 
 
-# Samples that guards look at together, at most: more would cost little less for each, and would
-# take longer than a tick at 1 kHz leaves.
-_MOST = 64
+# Samples that guards look at together, at most: more would cost little less for each.
+_MOST = 256
 # Wall time between two warnings of the same thing [s].
 _REPEATED = 10.0
 
@@ -170,9 +170,10 @@ class Monitor:
         self._scale = scale
         self.guards = list(guards)
         # Samples that the guards have not looked at, and what they have found meanwhile.
-        self._pending: list[Sample] = []
+        self._room = partial(Waiting, _MOST * simulation.q.size)
+        self._waiting = self._room()
         self._queued: Sample | None = None
-        self._found: list[tuple[Alarm, Sample]] = []
+        self._found: list[tuple[Alarm, int]] = []
         # Those that must be asked at each sample.
         self._each: list[StateGuard] = []
         # Accounted energies between which a sample can wait.
@@ -197,7 +198,7 @@ class Monitor:
         self.timing.add_batch(taken, seconds, simulation.gradients - gradients)
         return taken, seconds
 
-    def watch(self, sample: Sample, at_once: bool = True) -> list[tuple[Alarm, Sample]]:
+    def watch(self, sample: Sample, at_once: bool = True) -> list[tuple[Alarm, int]]:
         """
         Let the guards look at the next sample, the initial one first.
 
@@ -213,37 +214,33 @@ class Monitor:
 
         Returns
         -------
-        list of (Alarm, Sample)
-            What was found, and in which sample.
+        list of (Alarm, int)
+            What was found, and in the sample after how many steps.
 
         """
         self._queue(sample)
-        # As accounted_energy, without a call of it.
-        energy = sample.modified_energy
-        if energy != energy:
-            energy = sample.energy
         # Written so that NaN is looked at.
-        if at_once or self._found or len(self._pending) >= _MOST or not (
-                self._lowest <= energy - sample.work <= self._highest):
+        if at_once or self._found or self._waiting.full or not (
+                self._lowest <= self._accounted <= self._highest):
             return self.look()
         return []
 
     def _queue(self, sample: Sample) -> None:
         if sample is not self._queued:
             self.newest = self._queued = sample
-            self._pending.append(sample)
+            self._accounted = self._waiting.add(sample)
             if self._each:
                 self._found += _ask(self._each, sample)
 
-    def look(self) -> list[tuple[Alarm, Sample]]:
+    def look(self) -> list[tuple[Alarm, int]]:
         """Let the guards look at all samples so far; return what they have found."""
         found, self._found = self._found, []
-        pending, self._pending = self._pending, []
+        waiting, self._waiting = self._waiting, self._room()
         of_blocks = [guard for guard in self.guards if isinstance(guard, BlockGuard)]
         of_states = [guard for guard in self.guards if isinstance(guard, StateGuard)]
-        found += judge(of_blocks, pending)
-        if pending:
-            found += _ask((guard for guard in of_states if not guard.each), pending[-1])
+        found += [(alarm, alarm.step) for alarm in judge(of_blocks, waiting.block())]
+        if waiting and self._queued is not None:
+            found += _ask((guard for guard in of_states if not guard.each), self._queued)
         self._each = [guard for guard in of_states if guard.each]
         calm = [guard.calm for guard in of_blocks]
         self._lowest = max((low for low, _ in calm), default=-math.inf)
@@ -255,7 +252,7 @@ class Monitor:
         """Return the size of the energies in play as of the newest sample, NaN before it [J]."""
         if self.newest is not None:
             self._queue(self.newest)
-        return math.nan if self._scale is None else self._scale.ahead(self._pending)
+        return math.nan if self._scale is None else self._scale.ahead(self._waiting)
 
     def add(self, sample: Sample) -> None:
         """Look at the next sample."""
@@ -286,5 +283,6 @@ class Monitor:
                 'step_size, or ask for a smaller error or a longer horizon')
 
 
-def _ask(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, Sample]]:
-    return [(alarm, sample) for guard in guards if (alarm := guard.update(sample)) is not None]
+def _ask(guards: Iterable[StateGuard], sample: Sample) -> list[tuple[Alarm, int]]:
+    found = ((guard.update(sample), sample.step) for guard in guards)
+    return [(alarm, step) for alarm, step in found if alarm is not None]

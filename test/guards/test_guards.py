@@ -6,7 +6,7 @@ import math
 
 from helpers import alarm_of
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.guards.base import accounted_energy, Block, BlockGuard, judge
+from hnn_vi_ros.guards.base import accounted_energy, Block, BlockGuard, judge, Waiting
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation import Sample
 import numpy as np
@@ -23,15 +23,17 @@ def sample(step: int = 0, q: tuple = (0.0, 1.0), p: tuple = (0.0, 0.0), energy: 
                   0.0, work)
 
 
-def one_joule(block: Block) -> float:
+def one_joule(block: Block) -> np.ndarray:
     """Return a scale that is the same at all samples [J]."""
-    return 1.0
+    return np.ones(len(block.step))
 
 
 def alarms(guard: BlockGuard, energies: np.ndarray) -> list:
     """Show energies to a guard; return its alarms."""
-    samples = [sample(step, energy=energy) for step, energy in enumerate(energies)]
-    return [alarm for alarm, _ in judge([guard], samples)]
+    waiting = Waiting(2 * len(energies))
+    for step, energy in enumerate(energies):
+        waiting.add(sample(step, energy=energy))
+    return judge([guard], waiting.block())
 
 
 @pytest.mark.parametrize('q, p, excess', [
@@ -74,8 +76,8 @@ def test_accounted_energy_is_the_modified_one_less_the_work():
 @pytest.mark.parametrize('plain, said', [(1.0, [1]), (4.0, [3])])
 def test_resolution_guard_says_to_what_share_h_is_kept_where_h_went_too_far(plain, said):
     guard = ResolutionGuard(0.05, one_joule, plain)
-    samples = [sample(step, energy=1.0 + 0.1 * step, modified_energy=1.0) for step in range(4)]
-    found = [alarm for alarm, _ in judge([guard], samples)]
+    found = [alarm for step in range(4) if (alarm := alarm_of(
+        guard, sample(step, energy=1.0 + 0.1 * step, modified_energy=1.0))) is not None]
     assert [alarm.step for alarm in found] == said
     assert found[0].value == pytest.approx(0.1 * said[0])
     assert f'kept only to {0.1 * said[0]:.2g} of the energies' in found[0].message

@@ -14,7 +14,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.guards.base import Alarm, Guard
+from hnn_vi_ros.guards.base import Alarm, Block, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.guards.watch import SampledScale
@@ -194,9 +194,9 @@ def test_bag_of_a_run_without_alarm_holds_no_diagnostics(tmp_path):
     assert TOPIC not in read_bag(tmp_path / 'bag')
 
 
-def fixed(scale: float) -> Callable[[Sample], float]:
+def fixed(scale: float) -> Callable[[Block], np.ndarray]:
     """Return a scale that is the same at all samples [J]."""
-    return lambda sample: scale
+    return lambda block: np.full(len(block.step), scale)
 
 
 def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'variational_euler',

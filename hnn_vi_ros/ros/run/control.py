@@ -259,7 +259,8 @@ class Control:
                 self._take_requested()
             elif run.at_sample and not run.pacer.due():
                 wait = run.pacer.wait
-                if now + wait > until or (wait > _TURN and now > begin + 0.8 * LONGEST_CALL):
+                if now + wait + _TURN > until or (
+                        wait > _TURN and now > begin + 0.8 * LONGEST_CALL):
                     return
                 time.sleep(max(wait, 0.0))
             elif (taken := run.step()) is None:

@@ -151,11 +151,12 @@ class Run:
         """Publish what the guards find in a sample, or the state; stop if that was asked for."""
         self._report_alarms(self._monitor.watch(sample or self.sampler.sample(), at_once))
 
-    def _report_alarms(self, alarms: Iterable[tuple[Alarm, Sample]]) -> None:
-        for alarm, sample in alarms:
-            self._health.add(alarm, sample.stamp)
+    def _report_alarms(self, alarms: Iterable[tuple[Alarm, int]]) -> None:
+        for alarm, step in alarms:
+            stamp = self.sampler.stamp_at(step)
+            self._health.add(alarm, stamp)
             if alarm.kind == BoxGuard.kind and self._settings.stop_outside_box:
-                self._stop(1, f'stopped by stop_outside_box at t = {sample.stamp / 1e9:.9g} s')
+                self._stop(1, f'stopped by stop_outside_box at t = {stamp / 1e9:.9g} s')
 
     def publish_diagnostics(self) -> None:
         """Publish how the run does."""
