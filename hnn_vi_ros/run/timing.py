@@ -19,6 +19,9 @@ import numpy as np
 LARGEST_DEBT, LARGEST_DEBT_TO_OTHERS = 1.0, 10.0
 # One timer call works at most this long: a request may wait for two of them [s].
 LONGEST_CALL = 0.01
+# What a stall held up is caught up with by ticks that are this share of their time apart: those
+# who listen hear a faster pace for a while, and no burst. Shorter ticks [s] cannot be slept for.
+_APART, _SHORTEST = 0.75, 5e-4
 # A clock that is set in steps of a tick is due at the tick, however its sums are rounded.
 _ROUNDING = 1e-6
 
@@ -62,7 +65,7 @@ class Pacer:
     def restart(self) -> None:
         """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
         self._origin, self._done = self._now(), 0
-        self._newest = self._origin
+        self._newest, self._earliest = self._origin, -math.inf
 
     @property
     def timer_period(self) -> float:
@@ -91,7 +94,8 @@ class Pacer:
         """Return the wall time until the next tick is due [s]; endless if others decide that."""
         if self.led:
             return math.inf
-        return self._origin + (self._done + 1) * self._wall_per_tick - self._now()
+        due = self._origin + (self._done + 1) * self._wall_per_tick
+        return max(due, self._earliest) - self._now()
 
     def due(self) -> bool:
         """Return whether one more tick is due; if so, it counts as taken."""
@@ -102,11 +106,14 @@ class Pacer:
                 self.restart()
             self._newest = now
             owed = (now - self._origin) / self._wall_per_tick - self._done
-            if owed < 1.0 - _ROUNDING:
+            if owed < 1.0 - _ROUNDING or now < self._earliest:
                 return False
             if owed * self._wall_per_tick > self.largest_debt + self._wall_per_tick:
                 self._origin += (owed - 1.0) * self._wall_per_tick
                 self.overruns += 1
+            if _SHORTEST <= self._wall_per_tick < LONGEST_CALL and not self.led:
+                # One call takes one longer tick, and who is led follows at once.
+                self._earliest = now + _APART * self._wall_per_tick
         self._done += 1
         return True
 

@@ -406,6 +406,22 @@ def test_pacer_owes_nothing_after_a_pause_and_counts_no_overrun():
     assert pacer.overruns == 0
 
 
+def test_pacer_catches_up_with_a_stall_by_ticks_that_are_apart():
+    now, taken = 0.0, []
+    pacer = Pacer(0.001, 1.0, lambda: now)
+    # A stall of ten ticks, in a loop that sleeps as it is told to.
+    now = 0.01
+    while now < 0.06:
+        if pacer.due():
+            taken.append(now)
+        else:
+            now += max(pacer.wait, 0.0) + 1e-7
+    gaps = np.diff(taken)
+    assert gaps.min() >= 0.00075 and gaps[:30] == pytest.approx(0.00075, abs=1e-6)
+    # No tick is lost: those of the first 60 ms are taken, and the last ones in time.
+    assert len(taken) == 59 and gaps[-10:] == pytest.approx(0.001, abs=1e-6)
+
+
 def test_clock_throttles_drops_repetitions_and_follows_a_jump_back():
     encoder, stamps = ClockEncoder(), []
     for now in (0, 0, TICK // 2, TICK, TICK, TICK + 1, 2 * TICK, 35_000_000, 4_000_000_001, TICK,

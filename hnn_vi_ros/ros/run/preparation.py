@@ -15,6 +15,7 @@ from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
@@ -191,6 +192,10 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     with announced(tell):
         box = simulation.hamiltonian.box or look_ahead(
             simulation, min(seconds, settings.duration or seconds))
+    # What guards run is compiled, or found, here: not while the node is to answer.
+    watch = Watch(simulation, simulation.hamiltonian.barrier)
+    watch.update(look(simulation))
+    _ = watch.alarms
     if settings.explain:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
