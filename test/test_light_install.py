@@ -90,7 +90,8 @@ else:
         'commands.cost', 'envs', 'learning.scene_numbers.identify', 'learning.import_checkpoint',
         'ros.controller_node', 'companions.members', 'torch')],
     *[(module, TRAINING) for module in ('ros.rerun_bridge', 'viewer.rerun_sink')],
-    *[(module, TRAINING | {'rerun', 'pyarrow'}) for module in (
+    # Scipy takes a tenth of a start.
+    *[(module, TRAINING | {'rerun', 'pyarrow', 'scipy'}) for module in (
         'bags.recover_bag', 'commands.scene_tool', 'ros.listener_node', 'ros.replay.replay_node',
         'ros.simulator_node')]])
 def test_what_runs_is_imported_without_what_it_does_not_take(module, hidden):

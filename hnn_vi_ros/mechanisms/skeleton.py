@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.resources import package_file, SCHEME
@@ -12,13 +13,15 @@ from hnn_vi_ros.files.xml_text import parse_xml
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Link, Robot, SLIDING
 from hnn_vi_ros.mechanisms.parts import AMBER, Ball, Line, Mechanism, Part, SILVER
 import numpy as np
-from scipy.spatial.transform import Rotation
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 # Radii of bones and joints, over the size of the robot.
 _BONE, _JOINT = 0.012, 0.025
 
 
-def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, Rotation]:
+def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
     """
     Return where the child of a joint is in the frame of its parent.
 
@@ -35,6 +38,7 @@ def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, Rotation]:
         Place [m] and attitudes.
 
     """
+    from scipy.spatial.transform import Rotation  # slow to import
     motion, frame = values[:, None] * joint.axis, Rotation.from_matrix(joint.rotation)
     if joint.kind == SLIDING:
         return joint.origin + frame.apply(motion), Rotation.concatenate([frame] * len(values))
@@ -65,6 +69,7 @@ def bones(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> dict[str, 
         Places [m].
 
     """
+    from scipy.spatial.transform import Rotation  # slow to import
     found, columns = {}, {name: column for column, name in enumerate(coordinates)}
     waiting = [(robot.root, np.zeros((len(q), 3)), Rotation.identity(len(q)))]
     while waiting:
