@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `make build` says where it cannot begin."""
 
+from contextlib import suppress
+from importlib.metadata import metadata, PackageNotFoundError
 import os
 from pathlib import Path
 import shutil
 import subprocess
 import tempfile
 
+from packaging.specifiers import SpecifierSet
 import pytest
 
 REQUIREMENTS = Path(__file__).parents[1] / 'requirements'
@@ -59,3 +62,14 @@ def test_every_wheel_of_a_distribution_is_pinned_once(distribution):
     assert heads == {name for name in names if name.startswith(f'ros-{distribution}-')}
     others = (REQUIREMENTS / 'constraints.txt').read_text().splitlines()
     assert not any(line.startswith('ros-') for line in others)
+
+def test_every_pin_takes_the_oldest_python_that_the_readme_names():
+    """Debian 12 has Python 3.11.2."""
+    refused = []
+    for line in (REQUIREMENTS / 'constraints.txt').read_text(encoding='utf-8').splitlines():
+        name = line.partition('==')[0].strip()
+        with suppress(PackageNotFoundError):
+            needed = metadata(name)['Requires-Python'] if name and name[0] != '#' else None
+            if needed and not SpecifierSet(needed).contains('3.11.2'):
+                refused.append(f'{line}: {needed}')
+    assert not refused
