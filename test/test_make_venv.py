@@ -63,6 +63,7 @@ def test_every_wheel_of_a_distribution_is_pinned_once(distribution):
     others = (REQUIREMENTS / 'constraints.txt').read_text().splitlines()
     assert not any(line.startswith('ros-') for line in others)
 
+
 def test_every_pin_takes_the_oldest_python_that_the_readme_names():
     """Debian 12 has Python 3.11.2."""
     refused = []
