@@ -173,6 +173,7 @@ class Monitor:
         self._room = partial(Waiting, _MOST * simulation.q.size)
         self._waiting = self._room()
         self._queued: Sample | None = None
+        self._accounted = math.nan
         self._found: list[tuple[Alarm, int]] = []
         # Those that must be asked at each sample.
         self._each: list[StateGuard] = []

@@ -88,7 +88,7 @@ def test_momentum_and_velocity_are_inverse():
 
 
 def test_python_control_takes_the_linear_model():
-    pytest.importorskip('control', minversion='0.10')
+    pytest.importorskip('control', minversion='0.10', reason='python-control is not installed')
     scene, at = pendulum(), ([np.pi, 0.0], [0.0])
     for hold, time in ((None, 0.0), (4, 0.04)):
         found = state_space(scene, at, hold)

@@ -85,7 +85,8 @@ def test_the_sweep_minimises_a_quadratic_cost_in_a_box(limit):
 
 
 def test_python_control_has_the_same_regulator():
-    control = pytest.importorskip('control', minversion='0.10')
+    control = pytest.importorskip('control', minversion='0.10',
+                                  reason='python-control is not installed')
     of = stages(2, 1, 4, 2, np.inf)
     arguments = of.f_z[0, 0], of.f_u[0, 0], of.l_zz[0, 0], of.l_uu[0, 0]
     for discrete, theirs in ((True, control.dlqr), (False, control.lqr)):

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.ros.run import control
 from hnn_vi_ros.ros.topics.messages import CLOCK_QOS, ClockEncoder
 from hnn_vi_ros.run.timing import Pacer
 from hnn_vi_ros.simulation.build import build
@@ -420,6 +421,39 @@ def test_pacer_catches_up_with_a_stall_by_ticks_that_are_apart():
     assert gaps.min() >= 0.00075 and gaps[:30] == pytest.approx(0.00075, abs=1e-6)
     # No tick is lost: those of the first 60 ms are taken, and the last ones in time.
     assert len(taken) == 59 and gaps[-10:] == pytest.approx(0.001, abs=1e-6)
+
+
+def left_for_others(monkeypatch, phase: float, seconds: float, slow: int) -> tuple[float, bool]:
+    """Return the time to the next tick at the end of a call, and whether a slow one ended it."""
+    now, taken = 100.0, 0
+
+    def sleep(wait: float) -> None:
+        nonlocal now
+        # It ends late, as it does.
+        now += wait + 6e-5
+
+    def step() -> int:
+        nonlocal now, taken
+        now += 0.95e-3 if taken == slow else seconds
+        taken += 1
+        return 1
+    pacer = Pacer(0.001, 1.0, lambda: now)
+    run = SimpleNamespace(at_sample=True, pacer=pacer, step=step, simulation=SimpleNamespace(
+        motors=SimpleNamespace(takes=())))
+    monkeypatch.setattr(control, 'time', SimpleNamespace(monotonic=lambda: now, sleep=sleep))
+    now += phase
+    control.Control._on_timer(SimpleNamespace(active=True, paused=False, run=run))
+    return pacer.wait, taken == slow + 1
+
+
+@pytest.mark.parametrize('seconds', [2e-4, 3.5e-4, 4.5e-4])
+def test_executor_has_its_turn_where_a_tick_leaves_time_for_it(monkeypatch, seconds):
+    """Whenever the call of the timer begins, and wherever in it a tick is slow."""
+    for phase in np.arange(0.0, 1e-3, 1e-4):
+        for slow in range(12):
+            left, ends_slow = left_for_others(monkeypatch, phase, seconds, slow)
+            # All that a tick leaves, but for sleep that ends late.
+            assert ends_slow or left > 1e-3 - seconds - 2e-4
 
 
 def test_clock_throttles_drops_repetitions_and_follows_a_jump_back():
