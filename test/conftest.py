@@ -11,6 +11,7 @@ from hashlib import sha256
 from importlib.metadata import distributions
 import os
 from pathlib import Path
+import shutil
 import signal
 import socket
 import sys
@@ -18,6 +19,7 @@ import tempfile
 from typing import Any, IO
 
 from hypothesis import HealthCheck, settings
+import messages
 import pytest
 
 # A machine that is busy is slow: that is no failure.
@@ -93,6 +95,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['PYTHONSAFEPATH'] = '1'
     if (Path(sys.prefix) / 'share' / 'ament_index').is_dir():  # the ROS 2 wheels' own venv
         os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
+    if config.getoption('--messages') and messages.RECORD not in os.environ:
+        os.environ[messages.RECORD] = tempfile.mkdtemp(prefix='ros-test-messages-')
     logs = tempfile.TemporaryDirectory(prefix='ros-test-log-', ignore_cleanup_errors=True)
     config.add_cleanup(logs.cleanup)
     os.environ['ROS_LOG_DIR'] = logs.name
@@ -147,6 +151,8 @@ class Finding:
 
 
 _findings: list[Finding] = []
+# The tests that have run.
+_finished: set[str] = set()
 
 
 @pytest.fixture
@@ -160,6 +166,7 @@ def measured(record_property: Callable[[str, object], None]
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Keep what a test has measured."""
+    _finished.add(report.nodeid)
     if report.when == 'call':
         rows: list[Any] = [row for name, row in report.user_properties if name == 'finding']
         _findings.extend(Finding(*row) for row in rows)
@@ -169,15 +176,23 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Let files that tests compare with be renewed by them."""
     parser.addoption('--findings', type=Path, metavar='FILE',
                      help='write what the verification tests measured into a CSV')
+    parser.addoption('--messages', action='store_true',
+                     help='write the tables of error messages again')
     parser.addoption('--policy', action='store_true',
                      help='write the SROS2 policy of the simulator as it is in the graph')
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the findings into a CSV, sorted by claim and subject."""
-    path = session.config.getoption('--findings')
+    """Write the tables of messages, and the findings into a CSV by claim and subject."""
     # Workers of pytest-xdist have what their own tests measured only.
-    if path is None or hasattr(session.config, 'workerinput'):
+    if hasattr(session.config, 'workerinput'):
+        return
+    if session.config.getoption('--messages'):
+        notes = Path(os.environ.pop(messages.RECORD))
+        messages.write_tables(notes, _finished)
+        shutil.rmtree(notes)
+    path = session.config.getoption('--findings')
+    if path is None:
         return
     rows = sorted(_findings, key=lambda row: (row.claim, row.bound, row.subject))
     with path.open('w', newline='', encoding='utf-8') as file:

@@ -1,0 +1,93 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Tables of error messages, one a folder of tests: `messages.txt`, a line for each mistake.
+
+A row holds the test that makes the mistake, its parameters as the input, and the message that
+answers it. `make messages` writes the tables again; the diff is what gets reviewed.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from hashlib import sha256
+import os
+from pathlib import Path
+import re
+import tempfile
+
+import pytest
+
+TESTS = Path(__file__).resolve().parent
+TABLE = 'messages.txt'
+# Set by --messages: a folder in which each process notes the messages that it has seen.
+RECORD = 'HNN_VI_ROS_MESSAGES'
+# Folders of one run: that of pytest's tmp_path, and others below the folder of temporary files.
+_FOLDER = re.compile(re.escape(tempfile.gettempdir())
+                     + r'/(pytest-of-[^/ ]+/pytest-\d+/(popen-gw\d+/)?)?[^/\s\'"]+')
+_LONGEST_KEY = 120
+_calls: Counter[str] = Counter()
+
+
+@contextmanager
+def refused(*kinds: type[BaseException]) -> Iterator[pytest.ExceptionInfo]:
+    """Expect an error of one of these kinds, in one line, with the message of the table."""
+    with pytest.raises(kinds) as caught:
+        yield caught
+    assert_message(f'{caught.type.__name__}: {caught.value}')
+
+
+def assert_message(text: str) -> None:
+    """Compare a message in one line with the row of the table for the running test."""
+    said = _FOLDER.sub('TMP', text).replace(f'{TESTS.parent}/', '')
+    assert '\n' not in said and len(said) < 2200, said
+    file, _, case = os.environ['PYTEST_CURRENT_TEST'].rpartition(' (')[0].partition('::')
+    folder = (TESTS.parent / file).parent
+    key = f'{Path(file).name}::{case}'
+    if len(key) > _LONGEST_KEY:
+        key = f'{key[:_LONGEST_KEY]} {sha256(key.encode()).hexdigest()[:8]}'
+    _calls[file + key] += 1
+    if _calls[file + key] > 1:
+        key += f' #{_calls[file + key]}'
+    if record := os.environ.get(RECORD):
+        with Path(record, str(os.getpid())).open('a', encoding='utf-8') as notes:
+            notes.write(f'{folder.relative_to(TESTS)}\t{key}\t{said}\n')
+        return
+    rows = read_table(folder / TABLE)
+    assert key in rows, f'no row {key} in {folder / TABLE}; `make messages` writes it: {said}'
+    assert said == rows[key]
+
+
+@cache
+def read_table(path: Path) -> dict[str, str]:
+    """Return the messages of a table by their keys."""
+    if not path.exists():
+        return {}
+    return dict(line.split('\t', 1) for line in path.read_text(encoding='utf-8').splitlines())
+
+
+def write_tables(notes: Path, tests: set[str]) -> None:
+    """Put what was noted into the tables, in place of all rows of the test functions that ran."""
+    noted: dict[Path, dict[str, str]] = {}
+    for line in (line for note in notes.iterdir()
+                 for line in note.read_text(encoding='utf-8').splitlines()):
+        folder, key, said = line.split('\t', 2)
+        noted.setdefault(TESTS / folder / TABLE, {})[key] = said
+    ran = {test.partition('[')[0] for test in tests}
+    for path in {(TESTS.parent / test.partition('::')[0]).parent / TABLE for test in ran}:
+        rows = {key: said for key, said in read_table(path).items() if _is_kept(path, key, ran)}
+        rows |= noted.get(path, {})
+        if rows:
+            path.write_text(''.join(f'{key}\t{rows[key]}\n' for key in sorted(rows)),
+                            encoding='utf-8')
+        else:
+            path.unlink(missing_ok=True)
+
+
+def _is_kept(table: Path, key: str, ran: set[str]) -> bool:
+    """Return whether the function of a row did not run, and still exists."""
+    file, function = key.partition('[')[0].partition(' #')[0].split('::', 1)
+    path = table.parent / file
+    return (f'{path.relative_to(TESTS.parent)}::{function}' not in ran and path.exists()
+            and f'def {function.rpartition("::")[2]}(' in path.read_text(encoding='utf-8'))
