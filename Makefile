@@ -89,7 +89,7 @@ bench:
 	$(VENV) run train bench
 	$(BUILD)
 	@$(ENVIRONMENT); $(ONE_THREAD); \
-	export PYTHONPATH="$(CURDIR)/test:$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
+	export PYTHONPATH="$(CURDIR)/docs$${PYTHONPATH:+:$$PYTHONPATH}"; \
 	exec .venv/bin/python -P -m benchmarks.bench --out '$(OUT)' $(ARGS)
 
 # The studies of docs/studies, of the package that was built. The long ones keep what they have

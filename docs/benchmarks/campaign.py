@@ -3,7 +3,7 @@
 """
 What the integrator auto chooses on systems that are not shipped, beside the best of a sweep.
 
-Run it in the folder test with ``python -m benchmarks.campaign --out FILE.json``: each row is
+Run it in the folder docs with ``python -m benchmarks.campaign --out FILE.json``: each row is
 written when it is finished, and a run that was interrupted goes on with the next one. With
 ``--table FILE.md`` the rows become a page.
 """
@@ -240,9 +240,9 @@ def page(rows: list[Row]) -> Iterator[str]:
     yield from table(rows)
     yield from (
         '', f'Machine: {machine()}; commits {", ".join(sorted({row.commit for row in rows}))}.',
-        'Run in `test/`, this continues with missing rows:',
-        '`python -m benchmarks.campaign --out ../docs/automatic-choice.json '
-        '--table ../docs/automatic-choice.md`')
+        'Run in `docs/`, this continues with missing rows:',
+        '`python -m benchmarks.campaign --out automatic-choice.json '
+        '--table automatic-choice.md`')
 
 
 def table(rows: list[Row]) -> Iterator[str]:

@@ -7,7 +7,7 @@ Each start has a bag, which is simulated again without the controller and compar
 start is a success where both angles stay upright through the last two seconds. The latency is
 simulated time, at the pace of the clock, from the state that a command answers to when it acts.
 
-    PYTHONPATH=test .venv/bin/python -m benchmarks.controller_starts acrobot --starts 20
+    PYTHONPATH=docs .venv/bin/python -m benchmarks.controller_starts acrobot --starts 20
 """
 
 import argparse

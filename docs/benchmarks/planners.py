@@ -6,7 +6,7 @@ Our planners next to crocoddyl's BoxFDDP and pytorch_mppi, all over the same Bat
 The swing-up of an acrobot from rest, with the costs of real_ai_gym, from the same first commands.
 It needs crocoddyl and pytorch_mppi.
 
-    cd test && ../.venv/bin/python -m benchmarks.planners
+    cd docs && ../.venv/bin/python -m benchmarks.planners
 """
 
 import time

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
 from benchmarks.networks import jax_gradient
-from helpers import random_checkpoint
+from benchmarks.systems import random_checkpoint
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 import jax

@@ -4,15 +4,16 @@
 
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 import math
 from typing import NamedTuple
 
-from helpers import random_checkpoint
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.phase_space import Coordinate
 import numba
@@ -130,6 +131,20 @@ def _hessian_vector(parameters: tuple, q: np.ndarray, p: np.ndarray, v_q: np.nda
                 du, dv = slope / r * w_u + along * u, slope / r * w_v + along * v
             for i in range(d):
                 product_q[start + i] += du * first[k, i] + dv * second[k, i]
+
+
+def random_checkpoint(widths: list[int], seed: int) -> Checkpoint:
+    """Return a network of these widths with random weights of the usual size."""
+    rng = np.random.default_rng(seed)
+    d = widths[0] // 2
+    pairs = list(pairwise(widths))
+    card = ModelCard(
+        name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
+        package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
+        coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
+    return Checkpoint(card, {'energy': Layers(
+        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
+        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))})
 
 
 def network(widths: list[int], seed: int, gain: float) -> NeuralHamiltonian:

@@ -8,7 +8,7 @@ acrobot. Fifteen times both joints are pushed for 0.2 s towards random angles. T
 share of the time in which the tip is above 0.9 of its greatest height. Real time is enforced: a
 command acts when its plan is found, by the processor time that it took.
 
-    cd test && ../.venv/bin/python -m benchmarks.real_ai_gym acrobot --seeds 10
+    cd docs && ../.venv/bin/python -m benchmarks.real_ai_gym acrobot --seeds 10
 """
 
 import argparse

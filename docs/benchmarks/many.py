@@ -8,7 +8,7 @@ from pathlib import Path
 import tempfile
 
 from benchmarks.measurement import compare, interleave, Row, Settings
-from helpers import random_checkpoint
+from benchmarks.systems import random_checkpoint
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
