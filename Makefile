@@ -30,11 +30,13 @@ RUNNABLE := install/hnn_vi_ros/lib/hnn_vi_ros
 ONE_THREAD := export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 JAX_PLATFORMS=cpu \
 	XLA_FLAGS='--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
-.PHONY: help build run test test-core test-nodes bench accuracy hard-cases study docs clean distclean
+.PHONY: help build run test test-long messages bench accuracy hard-cases study docs clean distclean
 
 help:
 	@echo 'make run [SCENE=NAME|FILE] [DURATION=SECONDS]  simulate a scene (0: until Ctrl-C)'
-	@echo 'make test [ARGS=...]                           run every test (ARGS go to pytest)'
+	@echo 'make test [ARGS=...]                           run what a change can break (ARGS go to pytest)'
+	@echo 'make test-long                                 run the tests that take long; an hour'
+	@echo 'make messages [ARGS=...]                       write the tables of error messages again'
 	@echo 'make bench [OUT=FOLDER] [ARGS=...]             measure the speed against other tools'
 	@echo 'make accuracy [OUT=FOLDER] [ARGS=...]          measure what accuracy costs; hours'
 	@echo 'make hard-cases [OUT=FOLDER] [ARGS=...]        run the hard cases in full; hours'
@@ -60,29 +62,30 @@ run:
 		-p "scene:='$${SCENE//$$quote/$$quote$$quote}'" -p 'duration:=$(DURATION)'
 
 # Plugins by name: those of a sourced ROS 2 were written for an older pytest. Tests of one process
-# share the cores; those of processes that keep time come after: they mostly wait, so that a few
-# run at once, each worker in a ROS domain of its own. test/conftest.py says which files come first.
+# share the cores; those of nodes come after: they mostly wait, so that a few run at once, each
+# worker in a ROS domain of its own. test/conftest.py says which files come first.
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 .venv/bin/pytest -p timeout
 IN_PARALLEL := $(PYTEST) -p xdist --dist loadfile --no-loadscope-reorder --durations 15
-test:
-ifdef ARGS
+TESTS = $(ENVIRONMENT); status=0; \
+	$(IN_PARALLEL) -n auto -m '$(SELECTED)' --ignore test/ros || status=$$?; \
+	$(IN_PARALLEL) -n 4 -m '$(SELECTED)' test/ros || status=$$?; exit $$status
+test: SELECTED = not long
+test-long: SELECTED = long
+test test-long:
 	$(VENV) run train test
 	$(BUILD)
+ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
 else
-	@$(MAKE) test-core
-	@$(MAKE) test-nodes
+	@$(TESTS)
 endif
 
-test-core:
+# Review the diff: each row is a mistake and the line that answers it.
+messages:
 	$(VENV) run train test
 	$(BUILD)
-	@$(ENVIRONMENT); $(IN_PARALLEL) -n auto --ignore test/ros
-
-test-nodes:
-	$(VENV) run train test
-	$(BUILD)
-	@$(ENVIRONMENT); $(IN_PARALLEL) -n 4 test/ros
+	@$(ENVIRONMENT); $(PYTEST) -p xdist -n auto --dist loadfile --messages $(or $(ARGS),test)
+	@git diff --stat -- '*/messages.txt'
 
 # -P: the package that is measured is the one that was built.
 bench:
