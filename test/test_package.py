@@ -3,7 +3,7 @@
 """Enforce the architecture: which module may import what, and what every file must be like."""
 
 import ast
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 import re
 import sys
@@ -15,15 +15,8 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.version import __version__
 import pytest
+from sources import MODULES, PACKAGE, PYTHON_FILES, relative, ROOT, TEST_FILES, text, tree
 import yaml
-
-ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / 'hnn_vi_ros'
-MODULES = sorted(PACKAGE.rglob('*.py'))
-TEST_FILES = sorted((ROOT / 'test').rglob('test_*.py'))
-PYTHON_FILES = [*MODULES, *sorted((ROOT / 'test').rglob('*.py')), ROOT / 'setup.py',
-                *sorted((ROOT / 'launch').glob('*.py')), *sorted((ROOT / 'docs').glob('*.py')),
-                *sorted((ROOT / 'docs' / 'studies').glob('*.py'))]
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (
@@ -75,66 +68,64 @@ ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'b
        'lifecycle_msgs', 'std_srvs', 'trajectory_msgs', 'rosidl_runtime_py'}
 
 
-def relative(path: Path) -> str:
-    return path.relative_to(PACKAGE).as_posix()
-
-
 def name_of(path: Path) -> str:
     """Return the name of a module within the package; that of its room for an __init__."""
     parts = path.relative_to(PACKAGE).with_suffix('').parts
     return '.'.join(parts[:-1] if parts[-1] == '__init__' and len(parts) > 1 else parts)
 
 
-NAMES = {name_of(path) for path in MODULES}
+NAMES = {name_of(path): path for path in MODULES}
 
 
-def imports(path: Path) -> Iterator[tuple[str, bool]]:
+@cache
+def imports(path: Path) -> list[tuple[str, bool]]:
     """
-    Yield each imported module and whether the import runs when the file is imported.
+    Return each imported module and whether the import runs when the file is imported.
 
     Those for type checkers and those inside functions are among them.
     """
-    def walk(node: ast.AST, at_top: bool) -> Iterator[tuple[str, bool]]:
+    found: list[tuple[str, bool]] = []
+
+    def walk(node: ast.AST, at_top: bool) -> None:
         for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.expr):
+                continue
             if isinstance(child, ast.Import):
-                yield from ((alias.name, at_top) for alias in child.names)
+                found.extend((alias.name, at_top) for alias in child.names)
             elif isinstance(child, ast.ImportFrom):
                 assert child.level == 0, f'{path}:{child.lineno}: a relative import'
                 for alias in child.names:
                     full = f'{child.module}.{alias.name}'
-                    yield (full if full.partition('.')[2] in NAMES else child.module), at_top
-            inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+                    found.append((full if full.partition('.')[2] in NAMES else child.module,
+                                  at_top))
+            inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
             unused = isinstance(child, ast.If) and ast.unparse(child.test) == 'TYPE_CHECKING'
-            yield from walk(child, at_top and not inside and not unused)
-    yield from walk(ast.parse(path.read_text()), True)
+            walk(child, at_top and not inside and not unused)
+    walk(tree(path), True)
+    return found
 
 
-def own_imports(path: Path) -> set[str]:
-    """Return the modules of this package that a file imports, anywhere in it."""
-    return {module.partition('.')[2] or '__init__' for module, _ in imports(path)
-            if module.partition('.')[0] == 'hnn_vi_ros'} - {name_of(path)}
+@cache
+def own_imports(name: str) -> set[str]:
+    """Return the modules of this package that a module imports, anywhere in it."""
+    return {module.partition('.')[2] or '__init__' for module, _ in imports(NAMES[name])
+            if module.partition('.')[0] == 'hnn_vi_ros'} - {name}
 
 
-@pytest.mark.parametrize('path', MODULES, ids=relative)
-def test_imports_run_downwards(path):
-    own = name_of(path).partition('.')[0]
-    assert own in FLOORS, f'{own} has no floor'
-    for module in own_imports(path):
-        room = module.partition('.')[0]
-        assert FLOORS.index(room) <= FLOORS.index(own), f'{own} imports {module}'
-
-
-@pytest.mark.parametrize('path', [path for path in MODULES if name_of(path).count('.') and name_of(
-    path).partition('.')[0] in INNER_FLOORS], ids=relative)
-def test_imports_inside_a_room_run_downwards(path):
-    own = name_of(path)
-    room, box = own.split('.')[:2]
-    floors = INNER_FLOORS[room]
-    assert box in floors, f'{own} has no floor'
-    for module in own_imports(path):
-        if module.startswith(f'{room}.'):
-            below = module.split('.')[1]
-            assert floors.index(below) <= floors.index(box), f'{own} imports {module}'
+def test_imports_run_downwards():
+    wrong = []
+    for own in NAMES:
+        room, *boxes = own.split('.')
+        assert room in FLOORS, f'{own} has no floor'
+        inner = INNER_FLOORS.get(room, ()) if boxes else ()
+        assert not inner or boxes[0] in inner, f'{own} has no floor'
+        for module in own_imports(own):
+            other, *others = module.split('.')
+            if FLOORS.index(other) > FLOORS.index(room) or (
+                    inner and other == room and others
+                    and inner.index(others[0]) > inner.index(boxes[0])):
+                wrong.append(f'{own} imports {module}')
+    assert not wrong, '\n'.join(wrong)
 
 
 def test_tests_stand_in_the_rooms_of_what_they_test():
@@ -145,8 +136,10 @@ def test_tests_stand_in_the_rooms_of_what_they_test():
 
 
 def test_no_module_imports_itself_around_a_circle():
-    graph = {name_of(path): {module for module in own_imports(path)
-                             if (name_of(path), module) not in DELIBERATE} for path in MODULES}
+    for own, module in DELIBERATE:
+        assert module in own_imports(own), f'{own} does not import {module} any more'
+    graph = {name: {module for module in own_imports(name) if (name, module) not in DELIBERATE}
+             for name in NAMES}
     # The registry of a room imports what stands in it; what does is not to import the registry.
     done: set[str] = set()
     while free := {name for name, needed in graph.items() if needed <= done} - done:
@@ -161,30 +154,31 @@ def test_what_a_registry_lists_is_imported_by_it_alone():
               for cls in registry.values()}
     # A system that is written as a formula is a kind of its own, and the base of others.
     listed -= {'hamiltonians.formula'}
-    for path in MODULES:
-        own = name_of(path)
-        if not own.startswith(('learning.', 'commands.new_scene')) and own not in REGISTRIES:
-            assert not own_imports(path) & listed, f'{own} imports one of them by name'
+    wrong = [f'{own} imports {module}' for own in NAMES
+             if not own.startswith(('learning.', 'commands.new_scene')) and own not in REGISTRIES
+             for module in own_imports(own) & listed]
+    assert not wrong, '\n'.join(wrong)
+    files = [effect.__module__ for effect in EFFECTS.values()]
+    assert len(set(files)) == len(files), 'an effect is a file of its own'
 
 
-def test_imports_that_are_there_on_purpose_are_there():
-    for own, module in DELIBERATE:
-        assert module in own_imports(PACKAGE / f'{own.replace(".", "/")}.py')
+def may_import(own: str, module: str, at_top: bool) -> bool:
+    """Return whether a file of the package may import a module."""
+    package = module.partition('.')[0]
+    if package in ROS:
+        return own.startswith('ros/')
+    if package == 'torch' and not at_top:
+        return True  # loaded on demand: the node's path on a shipped model loads none
+    if package in HOMES:
+        return re.fullmatch(HOMES[package], own) is not None
+    return package in {'hnn_vi_ros', *sys.stdlib_module_names} | CORE_LIBRARIES
 
 
-@pytest.mark.parametrize('path', MODULES, ids=relative)
-def test_packages_are_imported_only_in_their_homes(path):
-    own = relative(path)
-    for module, at_top in imports(path):
-        package = module.partition('.')[0]
-        if package in ROS:
-            assert own.startswith('ros/'), f'{own} imports {module}'
-        elif package == 'torch' and not at_top:
-            continue  # loaded on demand: the node's path on a shipped model loads none
-        elif package in HOMES:
-            assert re.fullmatch(HOMES[package], own), f'{own} imports {module}'
-        elif package != 'hnn_vi_ros' and package not in sys.stdlib_module_names:
-            assert package in CORE_LIBRARIES, f'{own} imports {module}'
+def test_packages_are_imported_only_in_their_homes():
+    wrong = [f'{relative(path)} imports {module}' for path in MODULES
+             for module, at_top in imports(path)
+             if not may_import(path.relative_to(PACKAGE).as_posix(), module, at_top)]
+    assert not wrong, '\n'.join(wrong)
 
 
 def test_version_is_the_same_everywhere():
@@ -210,45 +204,35 @@ def test_every_executable_names_a_function_of_cli():
         cli.trian  # noqa: B018
 
 
-@pytest.mark.parametrize('path', PYTHON_FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_file_is_licensed_and_free_of_machine_paths(path):
-    text = path.read_text()
-    lines = text.splitlines()
-    assert lines[0] == '# Copyright 2026 The hnn_vi_ros Authors'
-    assert lines[1] == '# SPDX-License-Identifier: Apache-2.0'
-    assert not re.search(r'["\'\s]/(?:home|root|Users|work|tmp)/', text)
+def test_files_are_licensed_and_free_of_machine_paths():
+    header = '# Copyright 2026 The hnn_vi_ros Authors\n# SPDX-License-Identifier: Apache-2.0\n'
+    wrong = [relative(path) for path in PYTHON_FILES if not text(path).startswith(header)
+             or re.search(r'["\'\s]/(?:home|root|Users|work|tmp)/', text(path))]
+    assert not wrong, '\n'.join(wrong)
 
 
-@pytest.mark.parametrize('path', MODULES, ids=relative)
-def test_docstrings_begin_with_a_verb_or_the_thing(path):
-    tree = ast.parse(path.read_text())
+def test_docstrings_begin_with_a_verb_or_the_thing():
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    documented = [(node, text) for node in ast.walk(tree) if isinstance(node, kinds)
-                  and (text := ast.get_docstring(node))]
-    wrong = [f'{getattr(node, "name", "the module")}: {text.splitlines()[0]}'
-             for node, text in documented if re.match(
-                 r'(What|How|Whether|Where|Which|Who|Why|When|Tell)\b', text)]
-    assert not wrong, f'{relative(path)}: name the thing, or begin with a verb: {wrong}'
+    wrong = [f'{relative(path)}: {getattr(node, "name", "the module")}: {words.splitlines()[0]}'
+             for path in MODULES for node in ast.walk(tree(path)) if isinstance(node, kinds)
+             and re.match(r'(What|How|Whether|Where|Which|Who|Why|When|Tell)\b',
+                          words := ast.get_docstring(node) or '')]
+    assert not wrong, 'name the thing, or begin with a verb:\n' + '\n'.join(wrong)
 
 
-@pytest.mark.parametrize('path', MODULES, ids=relative)
-def test_no_constant_of_a_module_is_assigned_twice(path):
-    names = [name.id for node in ast.parse(path.read_text()).body if isinstance(node, ast.Assign)
-             for target in node.targets for name in ast.walk(target)
-             if isinstance(name, ast.Name)]
-    assert len(names) == len(set(names))
+def test_no_constant_of_a_module_is_assigned_twice():
+    wrong = []
+    for path in MODULES:
+        names = [name.id for node in tree(path).body if isinstance(node, ast.Assign)
+                 for target in node.targets for name in ast.walk(target)
+                 if isinstance(name, ast.Name)]
+        wrong += [f'{relative(path)}: {name}' for name in {*names} if names.count(name) > 1]
+    assert not wrong, '\n'.join(wrong)
 
 
-@pytest.mark.parametrize('path', TEST_FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_test_file_asserts_something(path):
-    tree = ast.parse(path.read_text())
-    tests = [node for node in ast.walk(tree)
-             if isinstance(node, ast.FunctionDef) and node.name.startswith('test_')]
-    assert tests
-    assert any(isinstance(node, ast.Assert) for test in tests for node in ast.walk(test))
-
-
-@pytest.mark.parametrize('effect', EFFECTS.values(), ids=lambda effect: effect.__name__)
-def test_effect_is_a_file_of_its_own(effect):
-    module = effect.__module__
-    assert [other for other in EFFECTS.values() if other.__module__ == module] == [effect]
+def test_test_files_assert_something():
+    wrong = [relative(path) for path in TEST_FILES if not any(
+        isinstance(node, ast.FunctionDef) and node.name.startswith('test_')
+        and any(isinstance(line, ast.Assert) for line in ast.walk(node))
+        for node in ast.walk(tree(path)))]
+    assert not wrong, '\n'.join(wrong)

@@ -4,10 +4,8 @@
 
 import argparse
 import ast
-from collections.abc import Iterator
 import inspect
 from io import BytesIO
-from pathlib import Path
 
 from mcap.writer import Writer
 import numba
@@ -20,8 +18,8 @@ import pytest
 import rerun as rr
 from rerun import bindings
 import rerun.blueprint as rrb
+from sources import MODULES, PACKAGE, tree
 
-PACKAGE = Path(__file__).resolve().parents[1] / 'hnn_vi_ros'
 # By file: whose it is, and what; the file says why. What is documented in spite of its name, such
 # as _replace of a named tuple, is no such thing.
 PRIVATE = {
@@ -39,6 +37,14 @@ PRIVATE = {
         'rclpy.impl.rcutils_logger.RcutilsLogger'}),
     'viewer/rerun_stream.py': ('rerun', {'_from_native', '_log_to_stream', 'rerun.bindings'}),
 }
+# Functions of numba that others take the place of, and their parameters.
+REPLACED = {
+    JITCodeLibrary.finalize: 'self', JITCodeLibrary._raise_if_finalized: 'self',
+    JITCodeLibrary._optimize_final_module: 'self',
+    JITCodeLibrary._finalize_dynamic_globals: 'self',
+    JITCodeLibrary._get_module_for_linking: 'self', NativeLowering.run_pass: 'self, state',
+    Lower.emit_environment_object: 'self', FunctionCache._index_key: 'self, sig, codegen',
+    CPUDispatcher._set_uuid: 'self, u'}
 DOCUMENTED = {'_asdict', '_exit', '_fields', '_make', '_replace'}
 # Parts of packages that are theirs alone although their names do not say so.
 INTERNAL = {'rclpy.impl', 'rerun.bindings'}
@@ -48,41 +54,40 @@ def is_private(name: str) -> bool:
     return name.startswith('_') and not name.endswith('__')
 
 
-def defined(tree: ast.AST) -> Iterator[str]:
-    """Yield what a file defines: functions, classes, what is in these, attributes of self."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            yield node.name
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store) \
-                and ast.unparse(node.value) in ('self', 'cls'):
-            yield node.attr
-        if isinstance(node, ast.ClassDef):
-            for line in node.body:
-                targets = line.targets if isinstance(line, ast.Assign) else \
-                    [line.target] if isinstance(line, ast.AnnAssign) else []
-                yield from (target.id for target in targets if isinstance(target, ast.Name))
+def defined_and_used(module: ast.Module) -> tuple[set[str], set[str]]:
+    """
+    Return the names that a file defines, and the private ones that it uses or imports.
 
-
-def used(tree: ast.AST) -> Iterator[str]:
-    """Yield the private attributes that a file uses, and what it imports of others' internals."""
-    for node in ast.walk(tree):
+    Defined are functions, classes, the attributes of these and those of self.
+    """
+    defined, used = set[str](), set[str]()
+    for node in ast.walk(module):
+        match node:
+            case ast.Attribute(value=ast.Name(id='self' | 'cls'), attr=name, ctx=ast.Store()):
+                defined.add(name)
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+                defined.add(name)
+            case ast.ClassDef(name=name, body=body):
+                defined.add(name)
+                for line in body:
+                    targets = line.targets if isinstance(line, ast.Assign) else \
+                        [line.target] if isinstance(line, ast.AnnAssign) else []
+                    defined |= {one.id for one in targets if isinstance(one, ast.Name)}
+            case ast.Import(names=names):
+                used |= {alias.name for alias in names}
+            case ast.ImportFrom(module=package, names=names):
+                used |= {f'{package}.{alias.name}' for alias in names}
         if isinstance(node, ast.Attribute) and is_private(node.attr):
-            yield node.attr
-        if isinstance(node, ast.Import | ast.ImportFrom):
-            module = getattr(node, 'module', None)
-            for alias in node.names:
-                full = f'{module}.{alias.name}' if module else alias.name
-                if not full.startswith('hnn_vi_ros') and (
-                        any(map(is_private, full.split('.'))) or full.startswith(tuple(INTERNAL))):
-                    yield full
+            used.add(node.attr)
+    return defined, {name for name in used if not name.startswith('hnn_vi_ros') and (
+        any(map(is_private, name.split('.'))) or name.startswith(tuple(INTERNAL)))}
 
 
 def test_what_others_keep_to_themselves_is_used_in_one_file_for_each():
-    trees = {path.relative_to(PACKAGE).as_posix(): ast.parse(path.read_text())
-             for path in PACKAGE.rglob('*.py')}
-    own = {name for tree in trees.values() for name in defined(tree)} | DOCUMENTED
-    found = {name: set(used(tree)) - own for name, tree in trees.items()}
-    assert {name: names for name, names in found.items() if names} == {
+    found = {path.relative_to(PACKAGE).as_posix(): defined_and_used(tree(path))
+             for path in MODULES}
+    own = set.union(*(defined for defined, _ in found.values())) | DOCUMENTED
+    assert {name: used - own for name, (_, used) in found.items() if used - own} == {
         name: names for name, (_, names) in PRIVATE.items()}
     owners = [owner for owner, _ in PRIVATE.values()]
     assert len(set(owners)) == len(owners)
@@ -98,15 +103,9 @@ def test_mcap_notes_the_chunks_of_a_file_in_a_list():
     assert Writer(BytesIO())._Writer__chunk_indices == []
 
 
-@pytest.mark.parametrize('function, parameters', [
-    (JITCodeLibrary.finalize, 'self'), (JITCodeLibrary._raise_if_finalized, 'self'),
-    (JITCodeLibrary._optimize_final_module, 'self'),
-    (JITCodeLibrary._finalize_dynamic_globals, 'self'),
-    (JITCodeLibrary._get_module_for_linking, 'self'),
-    (NativeLowering.run_pass, 'self, state'), (Lower.emit_environment_object, 'self'),
-    (FunctionCache._index_key, 'self, sig, codegen'), (CPUDispatcher._set_uuid, 'self, u')])
-def test_numba_calls_and_has_what_is_put_in_its_place(function, parameters):
-    assert ', '.join(inspect.signature(function).parameters) == parameters
+def test_numba_calls_and_has_what_is_put_in_its_place():
+    assert {function: ', '.join(inspect.signature(function).parameters)
+            for function in REPLACED} == REPLACED
 
 
 def test_numba_keeps_in_libraries_and_functions_what_is_read_of_them():
