@@ -2,13 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Give every test session a ROS 2 graph, a domain and log folders of its own."""
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 import csv
 from dataclasses import dataclass
 import fcntl
-from hashlib import sha256
-from importlib.metadata import distributions
 import os
 from pathlib import Path
 import shutil
@@ -36,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'docs'))
 LONGEST = (
     'studies/test_work_precision.py', 'studies/test_hard_cases.py', 'test_planted_faults.py',
     'commands/test_scene_tool.py', 'accuracy/test_calibration.py', 'simulation/test_assembly.py',
-    'test_flake8.py', 'test_cli.py', 'learning/test_rigid_body.py',
+    'test_linters.py', 'test_cli.py', 'learning/test_rigid_body.py',
     'learning/test_machine_training.py', 'learning/test_input_map.py',
     'learning/test_family_training.py', 'models/test_mechanical_mean.py',
     'models/test_confined.py', 'learning/test_train.py', 'test_mypy.py',
@@ -113,31 +110,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if missing := [str(path) for path in places if not path.is_file()]:
         raise pytest.UsageError(f'{__file__}: LONGEST has no file {", ".join(missing)}')
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
-
-
-@pytest.fixture
-def changed_sources(pytestconfig: pytest.Config
-                    ) -> Callable[[str], AbstractContextManager[list[str]]]:
-    """Return a context of the Python files that a linter has not found to be right before."""
-    root = Path(__file__).parents[1]
-    # Not those of .venv/, build/, install/ and docs/_build/.
-    paths = [root / 'setup.py', *(root / 'docs').glob('*.py'), *(
-        path for folder in ('docs/studies', 'hnn_vi_ros', 'launch', 'test')
-        for path in (root / folder).rglob('*.py'))]
-    # Another version of a plugin may find more.
-    tools = sorted(f'{tool.name} {tool.version}' for tool in distributions())
-    files = {str(path): sha256(f'{path} {tools}'.encode() + path.read_bytes()).hexdigest()
-             for path in paths}
-    cache = pytestconfig.cache
-    assert cache is not None
-
-    @contextmanager
-    def changed(linter: str) -> Iterator[list[str]]:
-        right = cache.get(f'{linter}/right', [])
-        # At least one: without any, a linter would look for files by itself.
-        yield [path for path, digest in files.items() if digest not in right] or [str(paths[0])]
-        cache.set(f'{linter}/right', [*files.values()])
-    return changed
 
 
 @dataclass(frozen=True)

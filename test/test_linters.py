@@ -1,0 +1,98 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Hold every Python file to the style rules of ROS 2 and to those of ruff.toml."""
+
+import ast
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from functools import cache, lru_cache
+import gc
+from hashlib import sha256
+from importlib.metadata import distributions
+import inspect
+from io import StringIO
+from pathlib import Path
+import subprocess
+import sys
+import tokenize
+
+import pytest
+from sources import PYTHON_FILES, ROOT
+
+
+@pytest.fixture(scope='module')
+def parsed_once() -> Iterator[None]:
+    """Let the plugins of flake8 and the judge of docstrings share what they read of a file."""
+    tokens, walk = tokenize.generate_tokens, ast.walk
+    tokens_of = lru_cache(1)(lambda text: [*tokens(StringIO(text).readline)])
+    nodes_of = lru_cache(1)(lambda tree: [*walk(tree)])
+    checker = pytest.importorskip('pydocstyle.checker', reason='pydocstyle is not installed')
+    docstrings_of = cache(lambda text, name, parse=checker.parse: parse(StringIO(text), name))
+    threshold = gc.get_threshold()
+    with pytest.MonkeyPatch.context() as patch:
+        # flake8 itself counts the lines as it takes the tokens of a file, by a method of its own.
+        patch.setattr(tokenize, 'generate_tokens', lambda readline: tokens(readline)
+                      if inspect.ismethod(readline)
+                      else iter(tokens_of(''.join(iter(readline, '')))))
+        patch.setattr(ast, 'walk', lambda tree: iter(nodes_of(tree))
+                      if isinstance(tree, ast.Module) else walk(tree))
+        patch.setattr(checker, 'parse', lambda file, name: docstrings_of(file.read(), name))
+        # A fifth of the time went into looking for garbage.
+        gc.set_threshold(200_000)
+        yield
+        gc.set_threshold(*threshold)
+
+
+@pytest.fixture
+def changed_sources(pytestconfig: pytest.Config
+                    ) -> Callable[[str], AbstractContextManager[list[str]]]:
+    """Return a context of the Python files that a linter has not found to be right before."""
+    # Another version of a plugin may find more.
+    tools = sorted(f'{tool.name} {tool.version}' for tool in distributions())
+    files = {str(path): sha256(f'{path} {tools}'.encode() + path.read_bytes()).hexdigest()
+             for path in PYTHON_FILES}
+    kept = getattr(pytestconfig, 'cache', None)
+
+    @contextmanager
+    def changed(linter: str) -> Iterator[list[str]]:
+        right = kept.get(f'{linter}/right', []) if kept else []
+        # At least one: without any, a linter would look for files by itself.
+        yield [path for path, digest in files.items() if digest not in right] or [*files][:1]
+        if kept:
+            kept.set(f'{linter}/right', [*files.values()])
+    return changed
+
+
+@pytest.mark.flake8
+@pytest.mark.linter
+def test_python_files_satisfy_ament_flake8(changed_sources, parsed_once, monkeypatch, tmp_path):
+    ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
+    # It compares each file with every folder below the current one whose name begins with . or _,
+    # of which .venv/ has thousands: from a folder without any.
+    monkeypatch.chdir(tmp_path)
+    rules = Path(ament_flake8.__file__).parent / 'configuration' / 'ament_flake8.ini'
+    config = tmp_path / 'one_process.ini'
+    config.write_text(f'{rules.read_text()}\njobs = 1\n')
+    with changed_sources('flake8') as files:
+        code, errors = ament_flake8.main_with_errors(argv=[f'--config={config}', *files])
+        assert code == 0, '\n'.join(errors)
+
+
+@pytest.mark.linter
+@pytest.mark.pep257
+def test_docstrings_satisfy_ament_pep257(changed_sources, parsed_once, capfd):
+    ament_pep257 = pytest.importorskip('ament_pep257.main', reason='needs ament_pep257')
+    with changed_sources('pep257') as files:
+        code = ament_pep257.main(argv=files)
+        assert code == 0, '\n'.join(line for line in capfd.readouterr().err.splitlines()
+                                    if not line.startswith('checking'))
+
+
+@pytest.mark.linter
+def test_python_files_satisfy_ruff():
+    pytest.importorskip('ruff', reason='ruff is not installed')
+    found = subprocess.run(
+        [sys.executable, '-m', 'ruff', 'check', '--no-cache', '--output-format', 'concise',
+         *map(str, PYTHON_FILES)], cwd=ROOT, capture_output=True, text=True, check=False,
+        timeout=100)
+    assert found.returncode == 0, found.stdout + found.stderr
