@@ -5,15 +5,15 @@
 import pickle
 
 from hnn_vi_ros.errors import listed, ModelError, SceneError
-import pytest
 
 
-@pytest.mark.parametrize('names, text', [
-    ([], ''), (['a'], 'a'), (range(3), '0, 1, 2'), ({'x': 1.0, 'y': 2.0}, 'x, y'),
-    ((f'n{i}' for i in range(20)), ', '.join(f'n{i}' for i in range(20))),
-    (range(14_000), ', '.join(map(str, range(20))) + ', ... (13980 more)')])
-def test_list_of_many_names_ends_with_how_many_more_there_are(names, text):
-    assert listed(names) == text
+def test_list_of_many_names_ends_with_how_many_more_there_are():
+    numbers = ', '.join(map(str, range(20)))
+    for names, text in (
+            ([], ''), (['a'], 'a'), (range(3), '0, 1, 2'), ({'x': 1.0, 'y': 2.0}, 'x, y'),
+            ((f'{i}' for i in range(20)), numbers),
+            (range(14_000), f'{numbers}, ... (13980 more)')):
+        assert listed(names) == text
 
 
 def test_message_keeps_its_begin_and_its_end_whatever_it_quotes():

@@ -10,12 +10,12 @@ import re
 import runpy
 import tomllib
 
+from hnn_vi_ros.commands.table import EXECUTABLES
 from hnn_vi_ros.errors import pip_command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 import pytest
-
-ROOT = Path(__file__).resolve().parents[1]
+from sources import ROOT
 
 
 @pytest.fixture
@@ -53,28 +53,21 @@ def test_setup_packages_leave_the_tests_out(run_setup):
     assert all(package.partition('.')[0] == 'hnn_vi_ros' for package in packages)
 
 
-@pytest.mark.parametrize('words, generic', [
-    (['egg_info', 'build', 'install', '--record', 'install.log'], True),
-    (['develop', '--editable', '--no-deps'], True),
+@pytest.mark.parametrize('words, by_colcon', [
+    (['egg_info', '--egg-base', 'b', 'build', '--build-base', 'b', 'install'], True),
+    (['develop', '--editable', '--no-deps'], True), (['egg_info'], False),
     (['bdist_wheel'], False), (['dist_info'], False), (['editable_wheel'], False)])
-def test_only_what_ros_finds_by_the_package_has_generic_names(
-        run_setup, monkeypatch, words, generic):
+def test_pip_has_one_executable_and_leaves_nothing_in_the_checkout(
+        run_setup, monkeypatch, words, by_colcon):
     monkeypatch.setattr('sys.argv', ['setup.py', *words])
-    names = {row.partition(' = ')[0] for row in run_setup()['entry_points']['console_scripts']}
-    assert 'hnn' in names and ('train' in names) == generic
-    assert generic or names == {'hnn'}
-
-
-@pytest.mark.parametrize('words, elsewhere', [
-    (['bdist_wheel'], True), (['dist_info'], True), (['egg_info'], True),
-    (['egg_info', '--egg-base', 'b', 'build', '--build-base', 'b', 'install'], False)])
-def test_pip_leaves_nothing_in_the_checkout(run_setup, monkeypatch, words, elsewhere):
+    captured = run_setup()
+    names = {row.partition(' = ')[0] for row in captured['entry_points']['console_scripts']}
+    # What ROS finds by the package has generic names.
+    assert names == {'hnn', *(EXECUTABLES if by_colcon else ())}
     # A module that was deleted would be installed from what an earlier build has left.
-    monkeypatch.setattr('sys.argv', ['setup.py', *words])
-    options = run_setup()['options']
-    folders = {options.get('build', {}).get('build_base'),
-               options.get('egg_info', {}).get('egg_base')} - {None}
-    assert bool(folders) == elsewhere
+    folders = {folder for options in captured['options'].values()
+               for name, folder in options.items() if name in ('build_base', 'egg_base')}
+    assert bool(folders) != by_colcon
     assert not any(Path(folder).resolve().is_relative_to(ROOT) for folder in folders)
 
 
@@ -82,18 +75,6 @@ def test_every_pip_builds_a_wheel():
     # Without a backend an older pip runs `setup.py install`, and `hnn` is on nobody's PATH.
     system = tomllib.loads((ROOT / 'pyproject.toml').read_text())['build-system']
     assert system == {'requires': ['setuptools'], 'build-backend': 'setuptools.build_meta'}
-
-
-def test_every_command_that_is_named_anywhere_is_an_executable(run_setup, monkeypatch):
-    monkeypatch.setattr('sys.argv', ['setup.py', 'install'])
-    names = {row.partition(' = ')[0] for row in run_setup()['entry_points']['console_scripts']}
-    texts = [*ROOT.glob('*.md'), *ROOT.glob('docs/*.md'), *(ROOT / 'config').rglob('*.yaml'),
-             *(ROOT / 'hnn_vi_ros').rglob('*.py'), *ROOT.glob('launch/*.py')]
-    # NAME stands for any of them, {name} for the one that a program fills in.
-    named = {(name, path.name) for path in texts for name in re.findall(
-        r'ros2 run hnn_vi_ros (\w+)', path.read_text()) if name != 'NAME'}
-    assert len(named) > 20
-    assert {row for row in named if row[0] not in names} == set()
 
 
 def test_executables_run_the_python_of_an_activated_environment(run_setup, monkeypatch, tmp_path):
@@ -112,29 +93,26 @@ def test_executables_run_the_building_python_where_no_environment_is_active(
     assert '__PYVENV_LAUNCHER__' not in os.environ
 
 
-@pytest.mark.parametrize('name, besides, of_studies', [
-    ('runtime', {'setuptools'}, set()), ('rerun', set(), set()), ('sweep', set(), set()),
-    ('train', {'rerun-sdk'}, {'tqdm'})])
-def test_setup_names_the_packages_of_the_requirements(run_setup, name, besides, of_studies):
+def test_setup_names_the_packages_of_the_requirements(run_setup):
     captured = run_setup()
-    named = captured['install_requires'] if name == 'runtime' else captured['extras_require'][name]
-    ranges = {canonicalize_name(item.name): item.specifier for item in map(Requirement, named)}
-    pins = {canonicalize_name(pin.name): str(pin.specifier)
-            for pin in _requirements(f'{name}.txt')}
-    assert ranges.keys() - besides == pins.keys() - of_studies
-    assert all(pins[package].removeprefix('==') in ranges[package]
-               for package in ranges.keys() - besides)
-
-
-def test_message_of_a_missing_viewer_names_the_versions_of_the_extra(run_setup):
-    extra, = run_setup()['extras_require']['rerun']
+    extras = captured['extras_require']
+    for named, name, besides, of_studies in (
+            (captured['install_requires'], 'runtime', {'setuptools'}, set()),
+            (extras['rerun'], 'rerun', set(), set()), (extras['sweep'], 'sweep', set(), set()),
+            (extras['train'], 'train', {'rerun-sdk'}, {'tqdm'}),
+            (extras['ray'], 'ray', set(), None)):
+        ranges = {canonicalize_name(item.name): item.specifier
+                  for item in map(Requirement, named)}
+        pins = {canonicalize_name(pin.name): str(pin.specifier)
+                for pin in _requirements(f'{name}.txt')}
+        # None: the requirements pin as well what the package brings.
+        assert of_studies is None or ranges.keys() - besides == pins.keys() - of_studies
+        assert all(pins[package].removeprefix('==') in ranges[package]
+                   for package in ranges.keys() - besides), name
+    assert len(extras['ray']) == 1
+    # As the message of a missing viewer names it.
+    extra, = extras['rerun']
     assert pip_command('rerun').endswith(f'-m pip install "{extra}"')
-
-
-def test_extra_of_ray_takes_what_its_requirements_pin(run_setup):
-    extra, = map(Requirement, run_setup()['extras_require']['ray'])
-    pins = {pin.name: str(pin.specifier) for pin in _requirements('ray.txt')}
-    assert extra.name == 'ray' and pins['ray'].removeprefix('==') in extra.specifier
 
 
 def _requirements(name: str) -> Iterator[Requirement]:

@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command lines that pages show are understood: commands, options, parameters and files."""
 
+from collections.abc import Iterator
 from pathlib import Path
 import re
 import shlex
 
-from hnn_vi_ros.commands.table import COMMANDS as KNOWN, parser_of
+from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES, parser_of
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.ros import settings as parameters
-import pytest
+from sources import python_files, ROOT
 
-ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md')),
          *sorted((ROOT / 'docs').glob('[!_]*/*.md'))]
 TABLES = {'simulator': parameters.PARAMETERS, 'replay': parameters.REPLAY_PARAMETERS,
@@ -38,22 +38,9 @@ def words_of(line: str) -> list[str]:
     return []
 
 
-COMMANDS = sorted({(page.relative_to(ROOT).as_posix(), tuple(words)) for page in PAGES
-                   for line in shown(page) if (words := words_of(line))})
-
-
-def test_pages_show_commands_and_all_of_them_are_read():
-    assert len(COMMANDS) > 40
-    assert {'README.md', 'docs/tutorials/urdf-arm.md'} < {page for page, _ in COMMANDS}
-    assert words_of('srun ros2 run hnn_vi_ros scene --list > a  # b') == ['scene', '--list']
-
-
-@pytest.mark.parametrize('page, words', COMMANDS, ids=lambda one: ' '.join(one)[:60]
-                         if isinstance(one, tuple) else one)
-def test_command_of_a_page_is_understood(page, words):
-    name, *rest = words
+def misunderstood(name: str, *rest: str) -> Iterator[str]:
+    """Yield what a command that a page shows has wrong; exits where its options are."""
     arguments, _, of_ros = ' '.join(rest).partition('--ros-args')
-    # Exits where an option, or what it takes, is not understood.
     found = vars(parser_of(name).parse_args(arguments.split()))
     for assignment in re.findall(r'-p (\S+)', of_ros):
         parameter, _, value = assignment.partition(':=')
@@ -66,14 +53,35 @@ def test_command_of_a_page_is_understood(page, words):
             found['scene'] = value
     for kind in ('scene', 'config', 'sweep'):
         named = found.get(kind)
-        if isinstance(named, str | Path) and not READERS.search(str(named)):
-            folder = {'config': 'training'}.get(kind, kind)
-            assert str(named) in shipped_names(folder), (kind, named)
+        if isinstance(named, str | Path) and not READERS.search(str(named)) and \
+                str(named) not in shipped_names({'config': 'training'}.get(kind, kind)):
+            yield f'there is no {kind} {named}'
 
 
-@pytest.mark.parametrize('page', PAGES[:1] + sorted((ROOT / 'docs' / 'tutorials').glob('*.md')),
-                         ids=lambda path: path.stem)
-def test_executable_that_a_page_names_in_a_sentence_is_there(page):
-    named = set(re.findall(r'`(?:ros2 run hnn_vi_ros|hnn) ([a-z_]+)[ `]',
-                           page.read_text(encoding='utf-8')))
-    assert named <= KNOWN.keys()
+def test_commands_that_pages_show_are_understood():
+    assert words_of('srun ros2 run hnn_vi_ros scene --list > a  # b') == ['scene', '--list']
+    commands = {(page.relative_to(ROOT).as_posix(), tuple(words)) for page in PAGES
+                for line in shown(page) if (words := words_of(line))}
+    assert len(commands) > 40
+    assert {'README.md', 'docs/tutorials/urdf-arm.md'} < {page for page, _ in commands}
+    wrong = []
+    for page, words in sorted(commands):
+        try:
+            wrong += [f'{page}: {" ".join(words)}: {problem}' for problem in misunderstood(*words)]
+        except (SystemExit, LookupError, ValueError) as problem:
+            wrong.append(f'{page}: {" ".join(words)}: {problem!r}')
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_commands_that_are_named_in_a_sentence_are_there():
+    # NAME stands for any of them, {name} for the one that a program fills in.
+    named = {(name, path.name) for path in (
+        *PAGES, *ROOT.glob('*.md'), *(ROOT / 'config').rglob('*.yaml'),
+        *python_files('hnn_vi_ros', 'launch'))
+        for name in re.findall(r'ros2 run hnn_vi_ros (\w+)', path.read_text(encoding='utf-8'))
+        if name != 'NAME'}
+    assert len(named) > 20
+    wrong = {(name, page) for name, page in named if name not in EXECUTABLES}
+    wrong |= {(name, page.name) for page in PAGES for name in re.findall(
+        r'`hnn ([a-z_]+)[ `]', page.read_text(encoding='utf-8')) if name not in COMMANDS}
+    assert not wrong
