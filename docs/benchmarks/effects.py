@@ -104,7 +104,7 @@ def _added(kind: str, settings: Settings) -> Row:
         simulation = Simulation(hamiltonian, INTEGRATORS[method](), _H, q, p, effects)
         if simulation.takes_commands:
             simulation.set_command([0.1])
-        simulation.compile(whole=True)
+        simulation.compile()
         return lambda: lambda: simulation.advance(_ADDED_STEPS)
 
     times = interleave([contestant([EFFECTS[kind](**arguments)]), contestant([])],

@@ -145,7 +145,7 @@ class OwnRun(MethodRun):
         self.label, self.step_size = label, simulation.step_size
         self._simulation, self._hamiltonian = simulation, hamiltonian
         self._start = simulation.q.copy(), simulation.p.copy()
-        simulation.compile(whole=True)
+        simulation.compile()
 
     def measure(self, reference: PathReference) -> RunErrors:
         """See MethodRun."""

@@ -53,8 +53,8 @@ class Wrapped(Integrator):
 
     @property
     def own(self) -> bool:
-        """Return whether the layer and the method belong to this package."""
-        return is_own(self._kind.__module__) and self.inner.own
+        """Return whether the layer belongs to this package; the method is compiled by itself."""
+        return is_own(self._kind.__module__)
 
     @property
     def inner_steps(self) -> tuple[Step, ...]:
@@ -73,11 +73,6 @@ class Wrapped(Integrator):
         flags = [part for part in self._taken if not callable(part)]
         return (f'{self._kind.__module__}.{self._kind.__qualname__}'
                 f'({self.inner.keeps_gradient}, {flags})')
-
-    @property
-    def layer_own(self) -> bool:
-        """Return whether the layer belongs to this package."""
-        return is_own(self._kind.__module__)
 
     @property
     def _taken(self) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.blocks import kind_of, type_of
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import aside, find, keep, keep_loop, Part, set_identity, Whole
+from hnn_vi_ros.kernels.linking import aside, keep, keep_loop, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
@@ -88,11 +88,6 @@ def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..
         function.compile(signature)
         _entries[key] = function.overloads[signature].entry_point
     return _entries[key]
-
-
-def is_compiled(function: Callable[..., Any], *arguments: object) -> bool:
-    """Return whether a loop is compiled for these argument types, in this process or on disk."""
-    return find(function, tuple(map(type_of, arguments)))
 
 
 def compiled_options(options: Parameters) -> Parameters:

@@ -26,7 +26,6 @@ from hnn_vi_ros.kernels.sources import digest_of
 from llvmlite.binding import Linkage
 import numba
 from numba import _dynfunc
-from numba.core import types
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -349,22 +348,6 @@ def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
     """
     with suppress(AssertionError):
         dispatcher._set_uuid(identity)
-
-
-def find(dispatcher: CPUDispatcher, signature: tuple[types.Type, ...]) -> bool:
-    """Load a function's code for these types from disk, if it is there; return whether it is."""
-    with global_compiler_lock:
-        if signature in dispatcher.overloads:
-            return True
-        result = dispatcher._cache.load_overload(signature, dispatcher.targetctx)
-        if result is None:
-            return False
-        # As numba does before it compiles a function.
-        dispatcher._cache_hits[signature] += 1
-        dispatcher.targetctx.insert_user_function(
-            result.entry_point, result.fndesc, [result.library])
-        dispatcher.add_overload(result)
-        return True
 
 
 def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:

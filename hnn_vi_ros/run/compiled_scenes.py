@@ -73,10 +73,7 @@ def _compile(name: str) -> CompiledScene:
             scene = resolve(load_scene(name))[0]
             simulate(scene, 0.0)
             simulation = build(scene)
-            if scene.effects:
-                simulation.compile(whole=True)
-            # And what other effects will share, by address.
-            simulation.compile(whole=False)
+            simulation.compile()
             simulation.compile_rescue()
             first = simulation.hamiltonian.coordinates[0].name
             for effect in _around(first, scene.initial_state.q[0] - 1.0):

@@ -80,7 +80,7 @@ def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -
 
 def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
     """Compile, and return a number of steps that takes about the given time [s]."""
-    simulation.compile(whole=True)
+    simulation.compile()
     steps, seconds = 1, 0.0
     while seconds < 0.5 * batch_time:
         steps *= 2
@@ -92,7 +92,7 @@ def _try_to_run(parts: Parts, steps: int) -> Simulation | None:
     """Build and warm up some of the parts; None where it cannot do without the rest."""
     try:
         simulation = build(parts)
-        simulation.compile(whole=True)
+        simulation.compile()
         _run(simulation, parts.scene, steps)
     except HnnViRosError:
         return None

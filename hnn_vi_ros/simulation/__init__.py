@@ -502,20 +502,9 @@ class Simulation:
         """Return the simulated time since the initial state [s]."""
         return self.steps * self.step_size
 
-    def compile(self, whole: bool | None = None) -> float:  # noqa: A003
-        """
-        Compile the kernel now, not in the first step; return the wall time it took [s].
-
-        Parameters
-        ----------
-        whole : bool, optional
-            Compile effects and method into one loop, which takes longer, and which later
-            simulations of them find: their steps are the same, and take less time. False for a
-            loop that calls them by address, the default; see assembly.
-
-        """
+    def compile(self) -> float:  # noqa: A003
+        """Compile the kernel now, not in the first step; return the wall time it took [s]."""
         start = time.perf_counter()
-        self._loop(self._active, whole)
         self._take(0, *np.empty((2, 0, self._z.q.size)))
         return time.perf_counter() - start
 
@@ -531,11 +520,10 @@ class Simulation:
         finally:
             self.rescue_ready = True
 
-    def _loop(self, active: int, whole: bool | None = None) -> Loop:
-        """Return the loop over a method, the same each time unless its way is asked for."""
-        if active not in self._loops or whole is not None:
-            method = self._rescue.methods[active]
-            self._loops[active] = Loop(advance, self._kernel, method, whole=whole)
+    def _loop(self, active: int) -> Loop:
+        """Return the loop over a method, the same each time."""
+        if active not in self._loops:
+            self._loops[active] = Loop(advance, self._kernel, self._rescue.methods[active])
         return self._loops[active]
 
     def _arrays(self) -> dict[str, np.ndarray]:

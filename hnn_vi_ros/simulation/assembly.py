@@ -3,16 +3,9 @@
 """
 Loops over the steps of a method, put together for one Hamiltonian and the effects around it.
 
-A method by itself is compiled into its loop, for all Hamiltonians. With effects there are two
-ways, whose results are the same bit by bit:
-
-- as a whole: all of it in one loop. It is the faster one, by 7 to 35 ns for each effect, but each
-  combination of effects with a method has to be compiled by itself, for some 10 s.
-- by address: the loop is that of the account around the outermost effect, and each effect calls
-  what is inside of it by address. Methods and effects are compiled once each.
-
-The rule: as a whole where that is compiled already, in this process or on disk; else by address.
-What compiles it is ``Simulation.compile(whole=True)``, as ``make build`` does for shipped scenes.
+A method by itself is compiled into its loop, for all Hamiltonians. With effects the loop is that
+of the account around the outermost effect, and each effect calls what is inside of it by address:
+methods and effects are compiled once each, whatever they are combined with.
 """
 
 from collections.abc import Callable
@@ -26,7 +19,7 @@ from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
 from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.blocks import bare, clear
 from hnn_vi_ros.kernels.compilation import (
-    compiled, compiled_loop, compiled_options, entry_point, is_compiled)
+    compiled, compiled_loop, compiled_options, entry_point)
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import LINK_ONLY
 from numba.core import types
@@ -122,27 +115,24 @@ class Loop:
         With the effects around it.
     attempt : int, optional
         Which of the attempts at a step.
-    whole : bool, optional
-        True: as a whole; False: by address; else by the rule.
 
     Attributes
     ----------
     function : callable
         What runs, once it has run: compiled or, where H or the method is not, the loop itself.
-    whole : bool
-        Whether it runs as a whole; None where it has not run yet.
 
     """
 
     def __init__(self, loop: Callable[..., Any], kernel: Kernel, method: Integrator,
-                 attempt: int = 0, whole: bool | None = None):
-        self.function, self._kernel, self._method, self.whole = loop, kernel, method, whole
+                 attempt: int = 0):
+        self.function, self._kernel, self._method = loop, kernel, method
+        self._compiled = kernel.compiled and method.compiled
         self._step: Callable[..., Any] = method.step
         self._options: Parameters = method.options(attempt, kernel.dimension - kernel.channels)
         self._entry: Callable[..., Any] | None = None
         self._memory: tuple[Any, ...] | None = None
         self._passed: tuple[Any, ...] = ()
-        if kernel.compiled and method.compiled and isinstance(kernel.parameters, Target):
+        if self._compiled and isinstance(kernel.parameters, Target):
             provide_for(kernel, method.step, self._options)
 
     def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
@@ -158,33 +148,28 @@ class Loop:
 
     def compile(self, h: float, first: int, second: int, z: Point, z1: Point,  # noqa: A003
                 memory: tuple[Any, ...], *others: Any) -> None:
-        """Compile it for such arguments, or find it on disk; the way is chosen here."""
+        """Compile it for such arguments, or find it on disk."""
         if self._entry is not None:
             return
-        kernel, method, name = self._kernel, self._method, self._method.kernel_name
-        if not (kernel.compiled and method.compiled):
-            self.whole, self._entry = True, self.function
+        if not self._compiled:
+            self._entry = self.function
             return
-        step, options = compiled(method.step, name), compiled_options(self._options)
-        loop = compiled_loop(self.function, kernel, name, (step, options), method.own)
-        arguments = (step, kernel, h, options, first, second, z, z1, memory, *others)
-        if not isinstance(method, Wrapped):
-            self.whole = True
-        elif self.whole is None:
-            self.whole = is_compiled(loop, *arguments)
-        if isinstance(method, Wrapped) and not self.whole:
+        kernel, method = self._kernel, self._method
+        if isinstance(method, Wrapped):
             outermost, options, name = _layer(kernel, method, self._options)
-            step = compiled(outermost, name)
-            loop = compiled_loop(self.function, kernel, name, (step, options), method.layer_own)
-            arguments = (step, kernel, h, options, first, second, z, z1, self._taken(memory),
-                         *others)
-        entry = entry_point(loop, *arguments)
+        else:
+            outermost, name = method.step, method.kernel_name
+            options = compiled_options(self._options)
+        step = compiled(outermost, name)
+        loop = compiled_loop(self.function, kernel, name, (step, options), method.own)
+        entry = entry_point(loop, step, kernel, h, options, first, second, z, z1,
+                            self._taken(memory), *others)
         # Nothing has changed if that was refused: it is compiled when it is asked for again.
         self.function, self._step, self._options, self._entry = loop, step, options, entry
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces of the method as the loop takes them; of the same arrays."""
-        return memory if self.whole else _memory_of(self._method, memory)
+        return _memory_of(self._method, memory) if self._compiled else memory
 
 
 def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -201,11 +186,10 @@ def _layer(kernel: Kernel, method: Wrapped, options: Parameters
     if isinstance(inner, Wrapped):
         step, inner_options, name = _layer(kernel, inner, inner_options)
         steps: tuple[Step, ...] = (step,)
-        own = inner.layer_own
     else:
-        steps, name, own = method.inner_steps, inner.kernel_name, inner.own
+        steps, name = method.inner_steps, inner.kernel_name
         inner_options = compiled_options(inner_options)
     memory = _memory_of(inner, inner.memory(kernel.dimension))
-    inside = steps_by_address(steps, name, own, kernel, inner_options, memory)
+    inside = steps_by_address(steps, name, inner.own, kernel, inner_options, memory)
     return (method.around(CALLERS), (inside, *compiled_options(tuple(settings))),
             method.layer_name)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects around steps by address: the bits of steps that are inlined, and what is compiled."""
+"""Effects around steps by address: their results, and what is compiled for them."""
 
 from concurrent.futures import ThreadPoolExecutor
 import copy
@@ -18,6 +18,8 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
 from hnn_vi_ros.kernels.compilation import NotKept
 from hnn_vi_ros.simulation import assembly, Simulation
+from hnn_vi_ros.simulation.assembly import advance
+from numba.core.dispatcher import Dispatcher
 import numpy as np
 import pytest
 
@@ -44,29 +46,30 @@ def simulation(name: str, folder: Path) -> Simulation:
 
 
 @pytest.mark.parametrize('name', SYSTEMS)
-def test_steps_by_address_have_the_bits_of_steps_as_a_whole(name, tmp_path):
+def test_steps_by_address_are_those_of_plain_python(name, tmp_path):
     ways = [simulation(name, tmp_path) for _ in range(2)]
-    for way, whole in zip(ways, (False, True), strict=True):
-        way.compile(whole=whole)
+    ways[1]._loops[0]._compiled = False
+    for way in ways:
         # Back and forth: what is forgotten or put back is in the arrays that steps work on.
         way.advance(3)
         state = way.snapshot()
         way.advance(2)
         way.restore(state)
         way.advance(40)
-        assert way._loops[0].whole == whole
-    here, there = ways
+    here, plain = ways
+    assert isinstance(here._loops[0].function, Dispatcher)
+    assert plain._loops[0].function is advance
     assert np.abs(here.p).max() > 0.0
-    for part in ('q', 'p', 'dH_dq', 'dH_dp', 'gradients', 'works', 'residual'):
-        np.testing.assert_array_equal(getattr(here, part), getattr(there, part))
+    assert here.gradients == plain.gradients
+    for part in ('q', 'p', 'dH_dq', 'dH_dp', 'work'):
+        np.testing.assert_allclose(getattr(here, part), getattr(plain, part), 1e-13, 1e-14)
 
 
 RUN = """
 import sys
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS, step_addresses
-from hnn_vi_ros.kernels.compilation import NotKept
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from numba.core.event import install_recorder
 
@@ -85,71 +88,36 @@ for kinds in sys.argv[1:]:
 """
 
 
-def run(cache: Path, *kinds: str) -> list[list[str]]:
-    """Run simulations in a new process; return steps and loops compiled, and q, of each."""
-    lines = subprocess.run(
-        [sys.executable, '-c', RUN, *kinds], env=os.environ | {'NUMBA_CACHE_DIR': str(cache)},
-        capture_output=True, text=True, timeout=300, check=True).stdout.splitlines()
-    return [line.split() for line in lines]
+def test_part_is_compiled_once_whatever_is_combined_with_it_until_its_source_changes(tmp_path):
+    shutil.copytree(Path(__file__).parents[2] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
+                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
+    cache = tmp_path / 'cache'
 
+    def run(*kinds: str) -> list[list[str]]:
+        """Run simulations in a new process; return steps and loops compiled, and q, of each."""
+        lines = subprocess.run(
+            [sys.executable, '-c', RUN, *kinds], cwd=tmp_path, capture_output=True, text=True,
+            env=os.environ | {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(cache)},
+            timeout=300, check=True).stdout.splitlines()
+        return [line.split() for line in lines]
 
-def test_second_set_of_effects_compiles_neither_the_method_nor_the_loop(tmp_path):
-    first, forced, bathed = run(
-        tmp_path, 'damping', 'damping,periodic_drive', 'thermostat,damping')
+    first, forced, bathed = run('damping', 'damping,periodic_drive', 'thermostat,damping')
     # The method's step and the damping's; then nothing; then the two halves, and the bath.
     assert [line[:2] for line in (first, forced, bathed)] == [
         ['2', '1'], ['0', '0'], ['3', '0']]
     assert len({line[2] for line in (first, forced, bathed)}) == 3
     # Other processes find all of it, whatever was compiled first.
-    assert run(tmp_path, 'thermostat,damping', 'damping') == [
-        ['0', '0', bathed[2]], ['0', '0', first[2]]]
-    assert len([*tmp_path.rglob('assembly.advance_*.nbi')]) == 1
-
-
-WAYS = """
-import sys
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
-from numba.core.event import install_recorder
-
-with install_recorder('numba:compile') as recorder:
-    simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), 0.05,
-                            [1.0], [0.0], [EFFECTS['damping'](0.4)])
-    for whole in sys.argv[1:]:
-        simulation.compile(whole == 'whole')
-    simulation.advance(10)
-names = [event.data['dispatcher'].py_func.__name__ for _, event in recorder.buffer if event.is_end]
-print(simulation._loops[0].whole, names.count('_step_entry'), names.count('advance'),
-      simulation.q[0].hex())
-"""
-
-
-def test_whole_is_found_until_a_source_changes_and_parts_that_did_not_change_then(tmp_path):
-    shutil.copytree(Path(__file__).parents[2] / 'hnn_vi_ros', tmp_path / 'hnn_vi_ros',
-                    ignore=shutil.ignore_patterns('__pycache__', 'resource*'))
-
-    def ways(*arguments: str) -> list[str]:
-        return subprocess.run(
-            [sys.executable, '-c', WAYS, *arguments], cwd=tmp_path, capture_output=True, text=True,
-            env=os.environ | {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path / 'c')},
-            timeout=300, check=True).stdout.split()
-
-    # A method's step, an effect's, and two loops.
-    *compiled, q = ways('parts', 'whole')
-    assert compiled == ['True', '2', '2']
-    assert ways() == ['True', '0', '0', q]
+    assert run('thermostat,damping', 'damping') == [['0', '0', bathed[2]], ['0', '0', first[2]]]
+    assert len([*cache.rglob('assembly.advance_*.nbi')]) == 1
     for changed in ('integrators/stormer_verlet.py', 'effects/damping.py'):
         with (tmp_path / 'hnn_vi_ros' / changed).open('a') as stream:
             stream.write('# changed\n')
-        assert ways() == ['False', '1', '0', q], changed
+        assert run('damping') == [['1', '0', first[2]]], changed
 
 
 def test_threads_compile_each_part_once_and_end_alike(tmp_path):
     def end(_: int) -> tuple[float, float]:
         here = simulation('halves', tmp_path)
-        here.compile(whole=False)
         here.advance(20)
         return here.q[0], here.p[0]
 
@@ -164,7 +132,6 @@ def test_simulation_keeps_what_its_addresses_lead_to(tmp_path):
     ends = []
     for alone in (False, True):
         here = simulation('a keeping step', tmp_path)
-        here.compile(whole=False)
         if alone:
             step_addresses._entry.cache_clear()
             gc.collect()
