@@ -4,10 +4,10 @@
 
 from collections.abc import Callable, Iterator, Sequence
 import math
-import time
 import tracemalloc
 
-from benchmarks.measurement import compare, interleave, Row, Settings
+from benchmarks.choosing import first_good, GAUSS
+from benchmarks.measurement import race, Row, Settings, summarise
 import diffrax
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.torch import DifferentiableSimulation
@@ -22,7 +22,6 @@ from torchdiffeq import odeint_adjoint
 _START = (2.0, 9.81)
 _WANTED = 1e-8
 _HORIZONS = (1.0, 10.0, 100.0, 1000.0)
-_METHODS = ('gauss8', 'gauss10', 'gauss12', 'gauss14', 'gauss16')
 _STEPS = 0.1 * 2.0 ** np.arange(2.0, -2.1, -0.25)
 _TOLERANCES = 10.0 ** np.arange(-9.0, -14.1, -0.5)
 _COSTS = ('variational_euler', 'generalized_leapfrog', 'implicit_midpoint', 'gauss8')
@@ -119,36 +118,34 @@ def rows(settings: Settings) -> Iterator[Row]:
     for duration in _HORIZONS[2:3] if settings.quick else _HORIZONS[2:]:
         yield from _times(duration, peers, settings)
     settings.say('errors')
-    (tolerance,) = (_loosest(peer, 100.0, _TOLERANCES)[0] for peer in peers.values())
-    own, (step, _) = ours('gauss16'), _loosest(ours('gauss16'), 100.0, _STEPS)
+    (tolerance,) = (_loosest(peer, 100.0, _TOLERANCES) for peer in peers.values())
+    own, step = ours('gauss16'), _loosest(ours('gauss16'), 100.0, _STEPS)
     for duration in _HORIZONS[:3] if settings.quick else _HORIZONS:
         true = exact(duration)
         mine, theirs = error(own(duration, step), true), error(
             peers[diffrax_](duration, tolerance), true)
-        yield Row(f'gradient of the pendulum at T = {duration:g}: relative error', f'{mine:.2g}',
-                  f'{diffrax_} {theirs:.2g}', mine / theirs, (mine / theirs, mine / theirs), None,
-                  1, note=f'gauss16, h = {step:.3g}, and tolerance {tolerance:.2g}: those that '
-                  f'are enough for {_WANTED:g} at T = 100')
+        yield summarise(
+            f'gradient of the pendulum at T = {duration:g}: relative error', f'{mine:.2g}',
+            f'{diffrax_} {theirs:.2g}', mine / theirs, None, note=f'gauss16, h = {step:.3g}, and '
+            f'tolerance {tolerance:.2g}: those that are enough for {_WANTED:g} at T = 100')
 
 
 def _times(duration: float, peers: dict[str, Gradient], settings: Settings) -> Iterator[Row]:
     """Measure the time of gradients that are as good at the end, each by its cheapest setting."""
-    settings.say(f'choosing steps and tolerances at T = {duration:g}')
-    found = {method: _loosest(ours(method), duration, _STEPS) for method in _METHODS}
-    method = min(found, key=lambda name: found[name][1])
-    step, own = found[method][0], ours(method)
-    chosen = {name: _loosest(peer, duration, _TOLERANCES)[0] for name, peer in peers.items()}
-    settings.say('timing')
-    times = interleave([lambda: lambda: own(duration, step), *(
-        lambda peer=peer, name=name: lambda: peer(duration, chosen[name])
-        for name, peer in peers.items())], settings.repetitions)
-    best = int(np.argmin(np.median(times[:, 1:], axis=0)))
-    yield compare(
-        f'gradient of the pendulum to {_WANTED:g} at T = {duration:g}: time', times[:, 0],
-        times[:, 1 + best], target=0.5, scale=1e3, unit='ms', peer_name=list(peers)[best],
-        note=f'{method}, h = {step:.3g}; ' + '; '.join(
-            f'{name}: tolerance {chosen[name]:.2g}, {1e3 * np.median(column):.3g} ms'
-            for name, column in zip(peers, times[:, 1:].T, strict=True)))
+    settings.say(f'choosing steps and tolerances at T = {duration:g}, and timing')
+    chosen: dict[str, tuple[Gradient, float]] = {}
+    for name, gradient, choices in (
+            *((method, ours(method), _STEPS) for method in GAUSS),
+            *((name, peer, _TOLERANCES) for name, peer in peers.items())):
+        chosen[name] = gradient, _loosest(gradient, duration, choices)
+    contestants = {name: lambda gradient=gradient, setting=setting: lambda: gradient(
+        duration, setting) for name, (gradient, setting) in chosen.items()}
+    yield race(
+        f'gradient of the pendulum to {_WANTED:g} at T = {duration:g}: time',
+        {name: contestants[name] for name in GAUSS}, {name: contestants[name] for name in peers},
+        settings, target=0.5, scale=1e3, unit='ms', note='; '.join(
+            f'{name}: {"h" if name in GAUSS else "tolerance"} = {setting:.2g}'
+            for name, (_, setting) in chosen.items()))
 
 
 def _costs(settings: Settings) -> Iterator[Row]:
@@ -164,28 +161,24 @@ def _costs(settings: Settings) -> Iterator[Row]:
             q.backward()
     for method in _COSTS:
         settings.say(method)
-        times = interleave([lambda follow=follow, method=method: lambda: run(
-            method, _COST_STEPS, follow) for follow in (True, False)], settings.repetitions)
-        yield compare(f'{method}, 10000 steps: value and gradient over the value', times[:, 0],
-                      times[:, 1], target=6.0, scale=1e3, unit='ms', peer_name='value')
+        both, value = (lambda follow=follow, method=method: lambda: run(
+            method, _COST_STEPS, follow) for follow in (True, False))
+        yield race(f'{method}, 10000 steps: value and gradient over the value', {'both': both},
+                   {'value': value}, settings, target=6.0, scale=1e3, unit='ms')
     most = []
     for steps in (_COST_STEPS, 100 * _COST_STEPS // (10 if settings.quick else 1)):
         tracemalloc.start()
         run('generalized_leapfrog', steps, True)
         most.append(tracemalloc.get_traced_memory()[1] / 1e6)
         tracemalloc.stop()
-    ratio = most[1] / most[0]
-    yield Row('memory of a gradient, 1000000 steps over 10000', f'{most[1]:.3g} MB',
-              f'10000 steps {most[0]:.3g} MB', ratio, (ratio, ratio), 10.0, 1)
+    yield summarise('memory of a gradient, 1000000 steps over 10000', f'{most[1]:.3g} MB',
+                    f'10000 steps {most[0]:.3g} MB', most[1] / most[0], 10.0)
 
 
-def _loosest(gradient: Gradient, duration: float, settings: Sequence[float]
-             ) -> tuple[float, float]:
-    """Return the first of some settings that is accurate enough, and the time that it takes."""
+def _loosest(gradient: Gradient, duration: float, settings: Sequence[float]) -> float:
+    """Return the first of some settings that is accurate enough."""
     true = exact(duration)
-    for setting in settings:
-        if error(gradient(duration, setting), true) <= _WANTED:
-            start = time.perf_counter()
-            gradient(duration, setting)
-            return setting, time.perf_counter() - start
-    raise RuntimeError(f'no setting gives a gradient to {_WANTED:g} at T = {duration:g}')
+    found = first_good(settings, lambda setting: error(gradient(duration, setting), true), _WANTED)
+    if found is None:
+        raise RuntimeError(f'no setting gives a gradient to {_WANTED:g} at T = {duration:g}')
+    return found

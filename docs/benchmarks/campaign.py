@@ -13,9 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 import json
 import math
+from operator import itemgetter
 from pathlib import Path
 import time
 
+from benchmarks.choosing import path_run
+from benchmarks.measurement import interleave
 from benchmarks.systems import System, systems
 from hnn_vi_ros.accuracy.automatic_choice import calibrate
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
@@ -134,19 +137,20 @@ def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, me
     return worst, work(simulation) / simulation.time
 
 
-def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0
-          ) -> tuple[str, float, float]:
+def swept(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0
+          ) -> list[tuple[Method, float, float]]:
     """
-    Return the cheapest of all methods and of at least so many steps, its gradients and its time.
+    Return methods, the cheapest step of each [s] and its work, of at least so many steps.
 
-    One step from next to an equilibrium to the horizon may end at the same energy by accident.
+    One step from next to an equilibrium to the horizon may end at the same energy by accident. A
+    method is given up where it costs more than the best so far, and a tenth.
     """
-    found: tuple[float, Method | None, int] = (math.nan, None, 0)
+    found: dict[int, tuple[Method, float, float]] = {}
     limit = _GRADIENTS
-    for method in _METHODS:
-        counts = sorted(n for n in {round(_RATIO ** k) for k in range(100)} if n >= least)
+    counts = sorted(n for n in {round(_RATIO ** k) for k in range(100)} if least <= n <= _MOST)
+    for place, method in enumerate(_METHODS):
         held = 0
-        for steps in (n for n in counts if n <= _MOST):
+        for steps in counts:
             try:
                 error, cost = measure(problem, truth, tolerance, method, steps, limit)
             except StepFailure:
@@ -155,35 +159,34 @@ def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, leas
                 break
             if error <= tolerance.error:
                 held += 1
-                if not cost >= found[0]:
-                    found, limit = (cost, method, steps), _DEARER * cost * tolerance.horizon
+                if place not in found or cost < found[place][2]:
+                    found[place] = method, tolerance.horizon / steps, cost
+                limit = min(limit, _DEARER * cost * tolerance.horizon)
             # More steps cost more: one gradient each at least.
             if held == 3 or steps > limit:
                 break
-    cost, method, steps = found
-    if method is None:
-        return 'none', math.nan, math.nan
-    h = tolerance.horizon / steps
-    return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, tolerance.horizon)
+    return sorted(found.values(), key=itemgetter(2))
+
+
+def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0
+          ) -> tuple[str, float, float]:
+    """Return the cheapest of all methods and steps, its gradients and its time."""
+    for method, h, cost in swept(problem, truth, tolerance, least):
+        return f'{method}, h = {h:.3g}', cost, seconds(problem, method, h, tolerance.horizon)
+    return 'none', math.nan, math.nan
 
 
 def seconds(problem: InitialValueProblem, method: Method, h: float, horizon: float) -> float:
-    """Return the wall time of a simulated second [s/s], the least of five runs."""
-    times = []
+    """Return the wall time of a simulated second [s/s], the median of five runs."""
     steps = max(1, round(min(horizon, 0.2 * horizon + 20.0 * h) / h))
-    for _ in range(5):
-        simulation = problem.simulation(method, h)
-        simulation.compile()
-        begin = time.perf_counter()
-        simulation.advance(steps)
-        times.append((time.perf_counter() - begin) / simulation.time)
-    return min(times)
+    simulation = problem.simulation(method, h)
+    times = interleave([path_run(problem, simulation, 1, steps)], 5, one_thread=False)
+    return float(np.median(times)) / (steps * h)
 
 
 def row(name: str, system: System, kind: str, error: float, periods: float) -> Row:
     """Measure one system with one tolerance."""
     problem, tolerance = system.problem, Tolerance(kind, error, periods * system.period)
-    begin = time.perf_counter()
     text = f'{kind} {error:g} up to {tolerance.horizon:.4g} s'
     truth = Truth(problem, tolerance.horizon)
     begin = time.perf_counter()
@@ -191,16 +194,17 @@ def row(name: str, system: System, kind: str, error: float, periods: float) -> R
         choice = calibrate(problem, tolerance)
     except CalibrationError as refusal:
         taken = time.perf_counter() - begin
-        return Row(name, text, error, f'refused: {refusal}', math.nan, math.nan, math.nan,
-                   *sweep(problem, truth, tolerance, 2.0 * periods), taken, commit())
-    taken = time.perf_counter() - begin
-    method = Method(choice.method, choice.arguments)
-    steps = math.ceil(tolerance.horizon / choice.step_size * (1.0 - 1e-12))
-    wide = Tolerance(kind, math.inf, steps * choice.step_size)
-    found, cost = measure(problem, truth, wide, method, steps, math.inf)
-    return Row(name, text, error, f'{method}, h = {choice.step_size:.3g}', found, cost,
-               seconds(problem, method, choice.step_size, tolerance.horizon),
-               *sweep(problem, truth, tolerance, 2.0 * periods), taken, commit())
+        chosen = f'refused: {refusal}', math.nan, math.nan, math.nan
+    else:
+        taken = time.perf_counter() - begin
+        method = Method(choice.method, choice.arguments)
+        steps = math.ceil(tolerance.horizon / choice.step_size * (1.0 - 1e-12))
+        wide = Tolerance(kind, math.inf, steps * choice.step_size)
+        chosen = (f'{method}, h = {choice.step_size:.3g}',
+                  *measure(problem, truth, wide, method, steps, math.inf),
+                  seconds(problem, method, choice.step_size, tolerance.horizon))
+    return Row(name, text, error, *chosen, *sweep(problem, truth, tolerance, 2.0 * periods),
+               taken, commit())
 
 
 def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:

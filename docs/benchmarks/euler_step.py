@@ -4,8 +4,7 @@
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
-from benchmarks.networks import jax_gradient
+from benchmarks.measurement import assert_close, race, Row, Settings, summarise
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -14,6 +13,7 @@ from hnn_vi_ros.simulation import Simulation
 import jax
 import jax.numpy as jnp
 import numpy as np
+from studies.peers import jax_energy
 
 _H = 0.01
 _STEPS = 1000
@@ -49,24 +49,20 @@ def _rows_of(name: str, settings: Settings) -> Iterator[Row]:
     simulation.advance(_STEPS)
     peers = {label: jax_euler(hamiltonian, *start, extrapolate) for label, extrapolate in (
         ("JAX from the paper's start", False), ('JAX from an extrapolated start', True))}
-    counts = []
-    for peer in peers.values():
+    counts = {}
+    for label, peer in peers.items():
         z, count = peer()
         assert_close(f'{name}: trajectory', np.concatenate([simulation.q, simulation.p]), z,
                      _AGREEMENT)
-        counts.append(int(count) / _STEPS)
-    times = interleave([prepare, *[lambda peer=peer: peer for peer in peers.values()]],
-                       settings.repetitions)
-    best = int(np.argmin(np.median(times[:, 1:], axis=0)))
+        counts[label] = int(count) / _STEPS
     gradients = simulation.gradients / _STEPS
-    note = ('JAX: ' + ', '.join(
-        f'{count:.2f} gradients a step {label[4:]} ({1e6 * np.median(column) / _STEPS:.3g} us)'
-        for label, count, column in zip(peers, counts, times[:, 1:].T, strict=True)))
-    yield Row(f'variational_euler on {name}: gradients a step', f'{gradients:.2f}',
-              f'JAX {counts[best]:.2f}', gradients, (gradients, gradients), 5.0, 1,
-              unit='gradients')
-    yield compare(f'variational_euler on {name}: time a step', times[:, 0], times[:, 1 + best],
-                  target=0.7, scale=1e6 / _STEPS, peer_name=list(peers)[best], note=note)
+    yield summarise(f'variational_euler on {name}: gradients a step', f'{gradients:.2f}',
+                    f'JAX {min(counts.values()):.2f}', gradients, 5.0, unit='gradients')
+    yield race(
+        f'variational_euler on {name}: time a step', {'ours': prepare},
+        {label: lambda peer=peer: peer for label, peer in peers.items()}, settings, target=0.7,
+        scale=1e6 / _STEPS, note='; '.join(
+            f'{label}: {count:.2f} gradients a step' for label, count in counts.items()))
 
 
 def jax_euler(hamiltonian: NeuralHamiltonian, q: np.ndarray, p: np.ndarray,
@@ -78,7 +74,7 @@ def jax_euler(hamiltonian: NeuralHamiltonian, q: np.ndarray, p: np.ndarray,
     its last iterate is the first of the next step. It starts from p - h H_q(q, p), or from
     three earlier increments.
     """
-    gradient, d = jax_gradient(hamiltonian.checkpoint), q.size
+    gradient, d = jax.grad(jax_energy(hamiltonian)), q.size
     rounding = hamiltonian.kernel.gradient_scale[0]
 
     def step(carry: tuple, _: None) -> tuple[tuple, None]:

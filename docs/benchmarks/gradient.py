@@ -4,8 +4,7 @@
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
-from benchmarks.networks import jax_gradient
+from benchmarks.measurement import assert_close, race, Row, Settings
 from benchmarks.systems import random_checkpoint
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -13,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
+from studies.peers import jax_energy
 
 SEED = 1
 # Width of the two hidden layers, target, gradients in a run.
@@ -30,20 +30,17 @@ def rows(settings: Settings) -> Iterator[Row]:
         n = n // 10 if settings.quick else n
         checkpoint = random_checkpoint([2, width, width, 1], SEED)
         ours, check = _our_loop(NeuralHamiltonian(checkpoint).kernel, n)
-        theirs = {unroll: _jax_loop(jax_gradient(checkpoint), n, unroll) for unroll in _UNROLL}
+        gradient = jax.grad(jax_energy(NeuralHamiltonian(checkpoint)))
+        theirs = {f'jax.lax.scan of jax.grad, unroll={unroll}': _jax_loop(gradient, n, unroll)
+                  for unroll in _UNROLL}
         # Descent does not amplify the rounding errors: 1e-12 a gradient, and n small steps.
-        assert_close('gradient', check(), jax_gradient(checkpoint)(jnp.array(_START)), 1e-12)
+        assert_close('gradient', check(), gradient(jnp.array(_START)), 1e-12)
         for run in theirs.values():
             assert_close('descent', ours(), run(), 1e-12 * max(1.0, n * _RATE))
-        times = interleave([lambda: ours, *[lambda run=run: run for run in theirs.values()]],
-                           settings.repetitions)
-        medians = np.median(times[:, 1:], axis=0)
-        best = int(np.argmin(medians))
-        yield compare(
-            f'gradient of 2-{width}-{width}-1', times[:, 0], times[:, 1 + best], target=target,
-            scale=1e6 / n, peer_name='jax.lax.scan of jax.grad', note='JAX: ' + ', '.join(
-                f'unroll={unroll}: {1e6 * median / n:.3g} us'
-                for unroll, median in zip(_UNROLL, medians, strict=True)))
+        yield race(
+            f'gradient of 2-{width}-{width}-1', {'ours': lambda run=ours: run},
+            {name: lambda run=run: run for name, run in theirs.items()}, settings,
+            target=target, scale=1e6 / n)
 
 
 def _our_loop(kernel: Kernel, n: int) -> tuple[Callable, Callable]:

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """One row of the benchmark: interleaved timing, and a ratio with its quartiles."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import gc
 import time
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 # Longer runs than this are repeated less often [s].
 LONG_RUN = 5.0
@@ -125,6 +127,14 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
     return wall
 
 
+def summarise(name: str, ours: str, peer: str, ratios: npt.ArrayLike, target: float | None,
+              **more: str) -> Row:
+    """Return the row of the median of some ratios, or of a single one; for the rest see Row."""
+    low, median, high = np.quantile(ratios, [0.25, 0.5, 0.75])
+    return Row(name, ours, peer, float(median), (float(low), float(high)), target,
+               np.size(ratios), **more)
+
+
 def compare(name: str, ours: np.ndarray, peer: np.ndarray, *, target: float | None,
             scale: float = 1.0, unit: str = 'us', peer_name: str = '', note: str = '',
             miss: str = '') -> Row:
@@ -145,12 +155,42 @@ def compare(name: str, ours: np.ndarray, peer: np.ndarray, *, target: float | No
         Who the peer is.
 
     """
-    ratios = ours / peer
-    low, median, high = np.quantile(ratios, [0.25, 0.5, 0.75])
-    return Row(
+    return summarise(
         name, f'{scale * np.median(ours):.3g} {unit}',
-        f'{peer_name} {scale * np.median(peer):.3g} {unit}'.strip(), float(median),
-        (float(low), float(high)), target, len(ratios), note=note, miss=miss)
+        f'{peer_name} {scale * np.median(peer):.3g} {unit}'.strip(), ours / peer, target,
+        note=note, miss=miss)
+
+
+def race(name: str, ours: Mapping[str, Contestant], peers: Mapping[str, Contestant],
+         settings: Settings, *, scale: float, unit: str = 'us', copies: int = 1, note: str = '',
+         **row: Any) -> Row:
+    """
+    Time several ways of each side in turns; return the row of the fastest of each.
+
+    The fastest has the least median: a single least time is as much the machine's as the method's.
+
+    Parameters
+    ----------
+    name, scale, unit, note, row
+        See ``compare``.
+    ours, peers : mapping
+        Contestants by name, at least one each.
+    settings : Settings
+        How often they are timed.
+    copies : int, optional
+        Results of a peer's run, by which its time is divided.
+
+    """
+    names = [*ours, *peers]
+    times = interleave([*ours.values(), *peers.values()], settings.repetitions)
+    times[:, len(ours):] /= copies
+    medians = np.median(times, axis=0)
+    mine, other = int(np.argmin(medians[:len(ours)])), len(ours) + int(
+        np.argmin(medians[len(ours):]))
+    told = [f'{label}: {scale * median:.3g} {unit}'
+            for label, median in zip(names, medians, strict=True)]
+    return compare(name, times[:, mine], times[:, other], scale=scale, unit=unit,
+                   peer_name=names[other], note='; '.join([*told, *filter(None, [note])]), **row)
 
 
 def assert_close(what: str, ours: np.ndarray, theirs: np.ndarray, tolerance: float) -> None:

@@ -11,96 +11,57 @@ lateness counts as the node's.
 from collections.abc import Iterator
 from contextlib import contextmanager
 import os
-from pathlib import Path
-import subprocess
 import sys
-import tempfile
 import time
 
 from benchmarks import bare_node
-from benchmarks.cold_start import OURS_ALONE, simulator
-from benchmarks.measurement import Row, Settings
+from benchmarks.measurement import compare, Row, Settings
+from benchmarks.processes import heard, simulator
 import numpy as np
-import rclpy
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Float64
 
 # Wall time before and while a process is looked at [s].
 _SETTLED, _WATCHED, _QUICK = 2.0, 8.0, 2.0
 _FEW = 5
-_TICKS = os.sysconf('SC_CLK_TCK')
-_COMMON = ('scene:=harmonic_oscillator', 'publish_rate:=1000.0', 'step_size:=0.001')
-_OFF = ('record:=false', 'rerun_sink:=none')
+_COMMON = {'scene': 'harmonic_oscillator', 'publish_rate': 1000.0, 'step_size': 0.001}
 
 
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure processor time and the period of the messages."""
-    os.environ.setdefault('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
     commands = {
-        'off': [str(simulator()), *_parameters(*_COMMON, *_OFF)],
+        'off': simulator(**_COMMON, record='false', rerun_sink='none'),
         'bare': [sys.executable, bare_node.__file__],
-        'on': [str(simulator()), *_parameters(*_COMMON)],
+        'on': simulator(**_COMMON),
     }
     turns = min(_FEW, settings.repetitions)
     seen = {name: np.empty((turns, 2)) for name in commands}
     for turn in range(turns):
         for name, command in commands.items():
             settings.say(f'turn {turn + 1} of {turns}: {name}')
-            watched = _QUICK if settings.quick else _WATCHED
             # Threads of the middleware stay where the one was that made them.
             with _apart() as processor:
-                seen[name][turn] = _measure(name, command, watched, processor)
-    yield _row('simulator at 1 kHz: processor time', 'bare node', seen['off'][:, 0],
-               seen['bare'][:, 0], 1.5, 's/s')
-    yield _row('simulator at 1 kHz: period error, 99th percentile', 'bare node',
-               1e6 * seen['off'][:, 1], 1e6 * seen['bare'][:, 1], 1.2, 'us')
-    yield _row('recording and picture at 1 kHz: processor time', 'without', seen['on'][:, 0],
-               seen['off'][:, 0], 1.5, 's/s')
+                seen[name][turn] = _measure(
+                    command, '/bare/energy' if name == 'bare' else '/hnn_simulator/energy',
+                    _QUICK if settings.quick else _WATCHED, processor)
+    off, bare, on = (seen[name].T for name in ('off', 'bare', 'on'))
+    yield compare('simulator at 1 kHz: processor time', off[0], bare[0], target=1.5, unit='s/s',
+                  peer_name='bare node')
+    yield compare('simulator at 1 kHz: period error, 99th percentile', off[1], bare[1],
+                  target=1.2, scale=1e6, peer_name='bare node')
+    yield compare('recording and picture at 1 kHz: processor time', on[0], off[0], target=1.5,
+                  unit='s/s', peer_name='without')
 
 
-def _row(name: str, peer: str, ours: np.ndarray, theirs: np.ndarray, target: float, unit: str
-         ) -> Row:
-    low, median, high = np.quantile(ours / theirs, [0.25, 0.5, 0.75])
-    return Row(name, f'{np.median(ours):.3g} {unit}', f'{peer} {np.median(theirs):.3g} {unit}',
-               float(median), (float(low), float(high)), target, ours.size)
-
-
-def _parameters(*parameters: str) -> list[str]:
-    return ['--ros-args', *[word for parameter in parameters for word in ('-p', parameter)]]
-
-
-def _measure(name: str, command: list[str], watched: float, processor: set[int]
+def _measure(command: list[str], topic: str, watched: float, processor: set[int]
              ) -> tuple[float, float]:
     """Return the processors that a process keeps busy [s/s], and the error of its period [s]."""
-    topic = '/bare/energy' if name == 'bare' else '/hnn_simulator/energy'
-    heard: list[float] = []
-    context = Context()
-    rclpy.init(context=context)
-    node = rclpy.create_node('bench_listener', context=context)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    # Raw: what arrives is not looked at.
-    node.create_subscription(
-        Float64, topic, lambda _: heard.append(time.perf_counter()), 1000, raw=True)
-    environment = {key: value for key, value in os.environ.items() if key not in OURS_ALONE}
-    with tempfile.TemporaryDirectory() as folder:
-        process = subprocess.Popen(command, cwd=folder, env=environment,
-                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        os.sched_setaffinity(process.pid, processor)
-        try:
-            _spin(executor, process, lambda: bool(heard), 120.0)
-            _spin_for(executor, _SETTLED)
-            heard.clear()
-            start, used = time.perf_counter(), processor_time(process.pid)
-            _spin_for(executor, watched)
-            busy = (processor_time(process.pid) - used) / (time.perf_counter() - start)
-        finally:
-            process.terminate()
-            process.wait()
-            node.destroy_node()
-            rclpy.try_shutdown(context=context)
-    errors = np.abs(np.diff(heard) - bare_node.PERIOD)
+    with heard(command, Float64, topic, raw=True, processor=processor) as process:
+        process.listen(_SETTLED)
+        process.arrivals.clear()
+        start, used = time.perf_counter(), process.processor_time
+        process.listen(watched)
+        busy = (process.processor_time - used) / (time.perf_counter() - start)
+        errors = np.abs(np.diff(process.arrivals) - bare_node.PERIOD)
     return busy, float(np.quantile(errors, 0.99))
 
 
@@ -113,24 +74,3 @@ def _apart() -> Iterator[set[int]]:
         yield {min(allowed)}
     finally:
         os.sched_setaffinity(0, allowed)
-
-
-def _spin(executor: SingleThreadedExecutor, process: subprocess.Popen, done, limit: float
-          ) -> None:
-    deadline = time.perf_counter() + limit
-    while not done():
-        if process.poll() is not None or time.perf_counter() > deadline:
-            raise RuntimeError(f'no message from {" ".join(map(str, process.args))}')
-        executor.spin_once(timeout_sec=0.1)
-
-
-def _spin_for(executor: SingleThreadedExecutor, seconds: float) -> None:
-    deadline = time.perf_counter() + seconds
-    while time.perf_counter() < deadline:
-        executor.spin_once(timeout_sec=0.1)
-
-
-def processor_time(pid: int) -> float:
-    """Return the processor time that a process has used so far [s]."""
-    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS

@@ -33,7 +33,7 @@ import yaml
 PLANT = {'I1': 0.031887199591513114, 'I2': 0.05086984812807257, 'm1': 0.5234602302310271,
          'm2': 0.6255677234174437, 'l1': 0.2, 'r1': 0.2, 'r2': 0.25569305436052964, 'g': 9.81}
 LENGTHS, TORQUE = (0.2, 0.3), 6.0
-DRIVEN = {'acrobot': 'elbow', 'pendubot': 'shoulder'}
+DRIVEN = {'acrobot': ['elbow'], 'pendubot': ['shoulder'], 'both': ['shoulder', 'elbow']}
 STEP, DURATION, PERIOD = 0.002, 60.0, 0.02
 # Of five numbers: M = [[a + b + 2 c cos e, b + c cos e], [b + c cos e, b]].
 FORMULA = ('(b*p_shoulder^2 - 2*(b + c*cos(elbow))*p_shoulder*p_elbow'
@@ -57,12 +57,13 @@ def scene_of(robot: str, h: float, method: str, numbers: dict[str, float] | None
             'kind': 'formula', 'coordinates': angles, 'H': FORMULA, 'parameters': numbers},
         'integrator': {'kind': method}, 'step_size': h,
         'initial_state': {'q': [0.0, 0.0], 'p': [0.0, 0.0]},
-        'effects': [{'kind': 'external_force', 'coordinates': [DRIVEN[robot]]}]})
+        'effects': [{'kind': 'external_force', 'coordinates': DRIVEN[robot]}]})
 
 
 def identified(robot: str, seed: int) -> dict[str, float]:
     """Return numbers identified from 8 runs of 5 s at 100 Hz, with noise, by our ``identify``."""
     rng, axis, arrays = np.random.default_rng(1000 + seed), int(robot == 'acrobot'), {}
+    step = plant()
     for k in range(8):
         x, rows = np.zeros(4), []
         for _ in range(500):
@@ -72,7 +73,7 @@ def identified(robot: str, seed: int) -> dict[str, float]:
             torque[axis] = held
             rows.append(np.concatenate([x, torque]))
             for _ in range(5):
-                x = rk4(x, torque)
+                x = step(x, torque)
         table = np.array(rows)
         table[:, :2] += rng.normal(scale=0.5e-3, size=(500, 2))
         table[:, 2:4] += rng.normal(scale=10e-3, size=(500, 2))
@@ -91,34 +92,15 @@ def identified(robot: str, seed: int) -> dict[str, float]:
     return {name: found[full]['value'] for name, full in zip(NUMBERS, names, strict=True)}
 
 
-def gravity(q1: float, q2: float) -> tuple[float, float]:
+def gravity(x: np.ndarray) -> np.ndarray:
     """Return the torques that hold the arm."""
-    of = PLANT
-    second = of['m2'] * of['r2'] * of['g'] * math.sin(q1 + q2)
-    return (of['m1'] * of['r1'] + of['m2'] * of['l1']) * of['g'] * math.sin(q1) + second, second
+    second = NUMBERS['g2'] * math.sin(x[0] + x[1])
+    return np.array([NUMBERS['g1'] * math.sin(x[0]) + second, second])
 
 
-def acceleration(x: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Return x' for x = (q1, q2, v1, v2)."""
-    q1, q2, v1, v2 = x.tolist()
-    of = PLANT
-    k = of['m2'] * of['l1'] * of['r2']
-    c, s = k * math.cos(q2), k * math.sin(q2)
-    m11, m12, m22 = of['I1'] + of['I2'] + of['m2'] * of['l1']**2 + 2.0 * c, of['I2'] + c, of['I2']
-    g1, g2 = gravity(q1, q2)
-    f1 = torque[0] + s * (2.0 * v1 * v2 + v2 * v2) - g1
-    f2 = torque[1] - s * v1 * v1 - g2
-    det = m11 * m22 - m12 * m12
-    return np.array([v1, v2, (m22 * f1 - m12 * f2) / det, (m11 * f2 - m12 * f1) / det])
-
-
-def rk4(x: np.ndarray, torque: np.ndarray) -> np.ndarray:
-    """Return the state a step later."""
-    k1 = acceleration(x, torque)
-    k2 = acceleration(x + 0.5 * STEP * k1, torque)
-    k3 = acceleration(x + 0.5 * STEP * k2, torque)
-    k4 = acceleration(x + STEP * k3, torque)
-    return x + STEP / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+def plant() -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return a step of the arm, of (q, v) under torques at both joints."""
+    return predictor(scene_of('both', STEP, 'rk4', NUMBERS), 1)
 
 
 class Run(NamedTuple):
@@ -132,6 +114,7 @@ def run(robot: str, seed: int, controller: Callable[..., np.ndarray],
         predict: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Run:
     """Return the result of 60 s."""
     rng, x, axis = np.random.default_rng(seed), np.zeros(4), int(robot == 'acrobot')
+    step = plant()
     starts = np.arange(1, 16) * DURATION / 16.0 + rng.uniform(-1.0, 1.0, 15)
     goals = rng.uniform(-np.pi, np.pi, (15, 2))
     above, count, spent = 0, round(DURATION / STEP), []
@@ -145,7 +128,7 @@ def run(robot: str, seed: int, controller: Callable[..., np.ndarray],
         if pushed.size:
             error = goals[pushed[-1]] - x[:2]
             integral += error * STEP
-            torque = np.clip(10.0 * error + 0.1 * integral - x[2:] + gravity(*x[:2]),
+            torque = np.clip(10.0 * error + 0.1 * integral - x[2:] + gravity(x),
                              -TORQUE, TORQUE)
             now, coming, free = np.zeros(1), (math.inf, now), t
         else:
@@ -161,7 +144,7 @@ def run(robot: str, seed: int, controller: Callable[..., np.ndarray],
                     now = command
             torque = np.zeros(2)
             torque[axis] = np.clip(now[0], -TORQUE, TORQUE)
-        x = rk4(x, torque)
+        x = step(x, torque)
         height = -0.2 * math.cos(x[0]) - 0.3 * math.cos(x[0] + x[1])
         above += height > 0.9 * sum(LENGTHS)
     return Run(above / count, np.array(spent))
@@ -197,7 +180,7 @@ def ilqr(scene: Scene, hold: int, horizon: int, budget: float, kinetic: float = 
 def main(argv: list[str] | None = None) -> None:
     """Print a line of JSON for each seed, and the mean."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('robot', choices=sorted(DRIVEN))
+    parser.add_argument('robot', choices=('acrobot', 'pendubot'))
     parser.add_argument('--seeds', type=int, default=10)
     parser.add_argument('--first', type=int, default=0)
     parser.add_argument('--model', choices=('exact', 'identified', 'network'), default='exact')
@@ -209,8 +192,8 @@ def main(argv: list[str] | None = None) -> None:
     chosen = parser.parse_args(argv)
     scores = []
     for seed in range(chosen.first, chosen.first + chosen.seeds):
-        numbers = {'exact': lambda: NUMBERS, 'network': lambda: None,
-                   'identified': lambda: identified(chosen.robot, seed)}[chosen.model]()
+        numbers = {'exact': NUMBERS, 'network': None}[chosen.model] if (
+            chosen.model != 'identified') else identified(chosen.robot, seed)
         scene = scene_of(chosen.robot, PERIOD / chosen.hold, chosen.method, numbers)
         controller = ilqr(scene, chosen.hold, chosen.horizon, chosen.budget, chosen.kinetic,
                           seed=seed)

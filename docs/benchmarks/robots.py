@@ -3,15 +3,18 @@
 """Rows 13: arms that swing freely, over MuJoCo; forward dynamics, over Pinocchio."""
 
 from collections.abc import Callable, Iterator
-import time
+from contextlib import suppress
+from dataclasses import replace
+from itertools import compress
 
-from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
+from benchmarks.choosing import (
+    accurate_ways, cheapest, GAUSS, largest_error, path_run, problem_of)
+from benchmarks.measurement import (
+    assert_close, compare, interleave, race, Row, Settings, summarise)
 from benchmarks.mujoco_arm import INTEGRATORS as PEERS, MujocoArm
 from benchmarks.real_time import real_time_row
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pinocchio
@@ -21,13 +24,13 @@ SEED = 1
 # forgets six digits in 10 s: nothing could be wanted of a path there.
 _ARMS = {'six_joint_arm': [0.3, 2.0, 0.6, 0.4, 0.4, 0.2], 'seven_joint_arm': None}
 _DURATION, _WANTED, _SAMPLES = 10.0, 1e-6, 10
-_METHODS = ('gauss8', 'gauss10', 'gauss12', 'gauss14', 'gauss16')
+_STEPS = 0.1 / np.array([1.0, 1.2, 1.5, 2.0, 2.7, 3.5, 5.0])
 # Of the reference, which is checked by one of half as many.
 _REFERENCE_STEPS = 1000
 # MuJoCo's own step [s], and how long the energy is watched, at each of so many seconds.
 _MUJOCO_STEP, _LONG, _EVERY = 0.002, 1000.0, 0.1
-# Of a choice [s], and samples of what is timed.
-_SHORT, _TIMED = 50.0, 30
+# Of a choice and of what is timed [s], in so many turns.
+_SHORT, _TIMED, _TURNS = 50.0, 3.0, 9
 _STATES = 1000
 
 
@@ -43,31 +46,26 @@ class Arm:
     """
 
     def __init__(self, name: str):
-        scene = load_scene(name)
-        robot = scene.create_hamiltonian()
+        problem = problem_of(name)
+        robot = problem.hamiltonian
         assert isinstance(robot, RigidBodyTree)
         self.name, self.robot = name, robot
-        self.q0 = np.array(_ARMS[name] or scene.initial_state.q)
+        self.q0 = np.array(_ARMS[name] or problem.q)
+        self.problem = replace(problem, q=self.q0, p=np.zeros(self.q0.size))
         self.mujoco = MujocoArm(robot, self.q0)
         self._simulations: dict[str, Simulation] = {}
 
-    def prepare(self, method: str, h: float, samples: int, every: int
+    def prepare(self, method: str, parts: int, seconds: float
                 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
-        """Return a run from the start that returns q and p, of shape (samples, d)."""
+        """Return a run of so many steps between samples; of q and p, of shape (samples, d)."""
+        h = _EVERY / parts
         if method not in self._simulations:
-            self._simulations[method] = Simulation(
-                self.robot, INTEGRATORS[method](), h, self.q0, np.zeros(self.q0.size),
-                on_failure='stop')
+            self._simulations[method] = self.problem.simulation(method, h)
             self._simulations[method].compile()
         simulation = self._simulations[method]
         simulation.step_size = h
-        simulation.restart(self.q0, np.zeros(self.q0.size))
-        return lambda: simulation.record(samples, every)
-
-    def path(self, method: str, steps: int) -> Callable[[], np.ndarray]:
-        """Return a run of ours that returns q along 10 s, of shape (samples, d)."""
-        run = self.prepare(method, _DURATION / steps, _SAMPLES, steps // _SAMPLES)
-        return lambda: run()[0]
+        simulation.restart(self.problem.q, self.problem.p)
+        return lambda: simulation.record(round(seconds / _EVERY), parts)
 
     def mujoco_path(self, integrator: str, steps: int) -> Callable[[], np.ndarray]:
         """Return a run of MuJoCo's that returns q along 10 s, of shape (samples, d)."""
@@ -134,42 +132,23 @@ def _dynamics_rows(arm: Arm, settings: Settings) -> Iterator[Row]:
 
 
 def _path_row(arm: Arm, settings: Settings) -> Row:
-    coarse, reference = (arm.path('gauss16', steps)()
-                         for steps in (_REFERENCE_STEPS // 2, _REFERENCE_STEPS))
+    coarse, reference = (path_run(
+        arm.problem, arm.problem.simulation('gauss16', _DURATION / count), _SAMPLES,
+        count // _SAMPLES)()() for count in (_REFERENCE_STEPS // 2, _REFERENCE_STEPS))
     assert_close('reference', coarse, reference, 0.1 * _WANTED)
-    method, steps = _fastest(arm, reference)
+    # By the joints alone: MuJoCo has no momenta.
+    reference = reference[:, :arm.q0.size]
+    ways = accurate_ways(arm.problem, dict.fromkeys(GAUSS, _STEPS), reference, _DURATION, _WANTED)
     peers = {name: _fewest_steps(arm, name, reference) for name in PEERS}
     told = [f'{name}: h = {_DURATION / count:.3g}, error {error:.2g}'
             for name, (count, error) in peers.items()]
-    able = [name for name, (_, error) in peers.items() if error <= _WANTED]
-    times = interleave(
-        [lambda: arm.path(method, steps),
-         *(lambda name=name: arm.mujoco_path(name, peers[name][0]) for name in able)],
-        settings.repetitions)
-    best = able[int(np.argmin(np.median(times[:, 1:], axis=0)))]
-    return compare(
-        f'{arm.name}: time to a path error of {_WANTED:g} at T = {_DURATION:g}', times[:, 0],
-        times[:, 1:].min(axis=1), target=0.5, scale=1e3, unit='ms', peer_name=f'MuJoCo {best}',
-        note='; '.join([f'ours: {method}, h = {_DURATION / steps:.3g}', *told,
-                        'errors are the largest of all joints at each second [rad]; methods of '
-                        'first order are tried down to 10 us']))
-
-
-def _fastest(arm: Arm, reference: np.ndarray) -> tuple[str, int]:
-    """Return the method of ours and the steps that are accurate enough in the least time."""
-    found = []
-    for method in _METHODS:
-        for steps in (100, 120, 150, 200, 270, 350, 500):
-            try:
-                run = arm.path(method, steps)
-                error = np.max(np.abs(run() - reference))
-            except StepFailure:
-                continue
-            if error <= _WANTED:
-                found.append((min(_seconds(arm.path(method, steps)) for _ in range(5)),
-                              method, steps))
-                break
-    return min(found)[1:]
+    return race(
+        f'{arm.name}: time to a path error of {_WANTED:g} at T = {_DURATION:g}', cheapest(ways), {
+            f'MuJoCo {name}': lambda name=name, steps=steps: arm.mujoco_path(name, steps)
+            for name, (steps, error) in peers.items() if error <= _WANTED},
+        settings, target=0.5, scale=1e3, unit='ms', note='; '.join([
+            *told, 'errors are the largest of all joints at each second [rad]; methods of first '
+            'order are tried down to 10 us']))
 
 
 def _fewest_steps(arm: Arm, integrator: str, reference: np.ndarray) -> tuple[int, float]:
@@ -177,8 +156,7 @@ def _fewest_steps(arm: Arm, integrator: str, reference: np.ndarray) -> tuple[int
     order = 4 if integrator == 'RK4' else 1
     steps, most = 10_000, (200_000 if order == 4 else 1_000_000)
     while True:
-        path = arm.mujoco_path(integrator, steps)()
-        error = float(np.max(np.abs(path - reference))) if len(path) == _SAMPLES else np.inf
+        error = largest_error(arm.mujoco_path(integrator, steps)(), reference)
         if 0.7 * _WANTED <= error <= _WANTED or steps == most:
             return steps, error
         if order == 1 and error > _WANTED and steps == 10_000:
@@ -192,40 +170,27 @@ def _fewest_steps(arm: Arm, integrator: str, reference: np.ndarray) -> tuple[int
 def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
     """Compare energies where a simulated second takes ours as long as MuJoCo's, or less."""
     seconds = _SHORT if settings.quick else _LONG
-    samples, every = round(seconds / _EVERY), round(_EVERY / _MUJOCO_STEP)
-    peer_time = _cost(lambda: arm.mujoco.prepare(integrator, _MUJOCO_STEP, _TIMED, every))
-    q, v = arm.mujoco.prepare(integrator, _MUJOCO_STEP, samples, every)()
+    every = round(_EVERY / _MUJOCO_STEP)
+    q, v = arm.mujoco.prepare(integrator, _MUJOCO_STEP, round(seconds / _EVERY), every)()
     theirs = arm.band(q, np.einsum('mij,mj->mi', arm.robot.masses(q), v))
-    ended = '' if len(q) == samples else f', and is unstable after {len(q) * _EVERY:g} s'
-    found = []
-    for method in _METHODS[::2]:
-        for parts in (1, 2, 3, 4, 6):
-            h = _EVERY / parts
-            try:
-                if _cost(lambda: arm.prepare(method, h, _TIMED, parts)) > peer_time:
-                    break
-                # What is best over some seconds is over more, too: none of these drifts.
-                short = arm.band(*arm.prepare(method, h, round(_SHORT / _EVERY), parts)())
-            except StepFailure:
-                continue
-            found.append((short, method, parts))
-    _, method, parts = min(found)
-    band = arm.band(*arm.prepare(method, _EVERY / parts, samples, parts)())
-    run = _cost(lambda: arm.prepare(method, _EVERY / parts, _TIMED, parts))
-    return Row(
+    ended = '' if len(q) == round(seconds / _EVERY) else (
+        f', and is unstable after {len(q) * _EVERY:g} s')
+    bands: dict[tuple[str, int], float] = {}
+    for key in ((method, parts) for method in GAUSS[::2] for parts in (1, 2, 3, 4, 6)):
+        # What is best over some seconds is over more, too: none of these drifts.
+        with suppress(StepFailure):
+            bands[key] = arm.band(*arm.prepare(*key, _SHORT)())
+    # In turns: all are as late as MuJoCo where the machine is.
+    times = interleave([
+        lambda: arm.mujoco.prepare(integrator, _MUJOCO_STEP, round(_TIMED / _EVERY), every),
+        *(lambda key=key: arm.prepare(*key, _TIMED) for key in bands)], _TURNS)
+    costs = 1e3 * np.median(times, axis=0) / _TIMED
+    able = np.median(times[:, 1:] / times[:, :1], axis=0) <= 1.0
+    key, cost = min(compress(zip(bands, costs[1:], strict=True), able), key=lambda one: bands[
+        one[0]])
+    band = arm.band(*arm.prepare(*key, seconds)())
+    return summarise(
         f'{arm.name}: energy band over {seconds:g} s in the time of {integrator}',
-        f'{band:.2g} J', f'MuJoCo {integrator} {theirs:.2g} J', band / theirs,
-        (band / theirs, band / theirs), 1.0, 1,
-        note=f'MuJoCo at its own step of {_MUJOCO_STEP:g} s takes {1e3 * peer_time:.3g} ms for '
-             f'a simulated second{ended}; {method} at h = {_EVERY / parts:.3g} {1e3 * run:.3g} ms')
-
-
-def _cost(prepare: Callable[[], Callable[[], object]]) -> float:
-    """Return the processor time of a simulated second, the least of a few runs [s/s]."""
-    return min(_seconds(prepare()) for _ in range(5)) / (_TIMED * _EVERY)
-
-
-def _seconds(run: Callable[[], object]) -> float:
-    start = time.process_time()
-    run()
-    return time.process_time() - start
+        f'{band:.2g} J', f'MuJoCo {integrator} {theirs:.2g} J', band / theirs, 1.0,
+        note=f'MuJoCo at its own step of {_MUJOCO_STEP:g} s takes {costs[0]:.3g} ms for '
+             f'a simulated second{ended}; {key[0]} at h = {_EVERY / key[1]:.3g} {cost:.3g} ms')

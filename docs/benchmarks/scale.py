@@ -12,11 +12,8 @@ import tempfile
 import time
 from typing import Any
 
-from benchmarks.measurement import compare, interleave, Row, Settings
-from benchmarks.memory import resident
-from benchmarks.networks import jax_gradient
-import diffrax
-from hnn_vi_ros.errors import StepFailure
+from benchmarks.choosing import first_good, GAUSS, largest_error
+from benchmarks.measurement import compare, interleave, race, Row, Settings, summarise
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
@@ -25,21 +22,20 @@ from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.trajectory.simulate import simulate_many
-import jax
 import numpy as np
+from studies.peers import jax_energy, load_jax
 
 SEED = 3
 _TRAJECTORIES, _QUICK = 100_000, 4_000
 # Simulated time of the shipped scenes [s], so that each sweep takes some minutes of one core; and
 # how often each is run.
 _DURATIONS, _TURNS = {'pendulum': 2.0, 'double_pendulum': 0.25}, 1
-# Of two cores over one, of writing, of memory [MB].
-_EFFICIENCY, _WRITING, _GROWTH = 0.9, 0.1, 5.0
-# Shards whose writing is timed; before memory is looked at, and when it is looked at again.
-_TIMED, _WARM, _LAST = 4, 8, 40
+# Of two cores over one, and of writing.
+_EFFICIENCY, _WRITING = 0.9, 0.1
+# Shards whose writing is timed.
+_TIMED = 4
 # Trajectories beside diffrax, their time [s], and the largest error at its end.
 _BATCH, _TIME, _WANTED = 1000, 10.0, 1e-6
-_METHODS = ('gauss6', 'gauss8', 'gauss10', 'gauss12', 'gauss14')
 _ADAPTIVE = ('Tsit5', 'Dopri8')
 _COMMAND = 'from hnn_vi_ros.cli import sweep; sweep()'
 _MISS = ('our methods of order 4 and more are implicit for a network that is not separable: each '
@@ -50,23 +46,15 @@ _MISS = ('our methods of order 4 and more are implicit for a network that is not
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure sweeps of two shipped networks, and their kernels against diffrax."""
     for scene in _DURATIONS:
-        definition = _definition(scene, _QUICK if settings.quick else _TRAJECTORIES)
-        plan = make_plan(definition)
+        sweep = definition(scene, _QUICK if settings.quick else _TRAJECTORIES)
+        plan = make_plan(sweep)
         with tempfile.TemporaryDirectory() as folder:
-            yield from _efficiency(definition, Path(folder), settings)
+            yield from _efficiency(sweep, Path(folder), settings)
             yield _writing(plan, Path(folder))
-    settings.say('memory of a sweep')
-    last = _WARM + 4 if settings.quick else _LAST
-    told = subprocess.run([sys.executable, '-m', 'benchmarks.scale', str(last)], check=True,
-                          capture_output=True, text=True)
-    growth = float(told.stdout)
-    yield Row(f'sweep of {last} shards: memory', f'{growth:.2f} MB', 'none', growth,
-              (growth, growth), _GROWTH, 1, unit='MB',
-              note=f'in one process, from the end of shard {_WARM} on')
     yield _against_diffrax(settings)
 
 
-def _definition(scene: str, trajectories: int) -> dict[str, Any]:
+def definition(scene: str, trajectories: int) -> dict[str, Any]:
     """Return a sweep of a shipped scene, from states in the box that its model was trained in."""
     hamiltonian = load_scene(scene).create_hamiltonian()
     assert hamiltonian.box is not None, 'it is learned'
@@ -125,10 +113,9 @@ def _writing(plan: SweepPlan, folder: Path) -> Row:
         out.put(shard, write_shard(plan, shard, blocks))
         end = time.perf_counter()
         shares.append((end - made) / (end - start))
-    low, median, high = np.quantile(shares, [0.25, 0.5, 0.75])
-    return Row(f'sweep of {plan.scene.name}: share of writing', f'{100.0 * median:.2g} %', 'all',
-               float(median), (float(low), float(high)), _WRITING, len(shares),
-               note='to Parquet, compressed, and to the disk')
+    return summarise(f'sweep of {plan.scene.name}: share of writing',
+                     f'{100.0 * np.median(shares):.2g} %', 'all', shares, _WRITING,
+                     note='to Parquet, compressed, and to the disk')
 
 
 def _against_diffrax(settings: Settings) -> Row:
@@ -149,40 +136,29 @@ def _against_diffrax(settings: Settings) -> Row:
     if agreed > 0.01 * _WANTED:
         raise RuntimeError(f'the references differ by {agreed:.3g}')
 
-    def good(run: Callable[[], np.ndarray]) -> bool:
-        try:
-            return bool(np.abs(run() - reference).max() <= _WANTED)
-        except StepFailure:
-            return False
+    def error(run: Callable[[], np.ndarray]) -> float:
+        return largest_error(run(), reference)
 
-    found = {}
-    for method in _METHODS:
-        # The largest step that will do, in ratios of 2^(1/4).
-        for h in _TIME / np.round(_TIME / (0.8 * 2.0 ** (-0.25 * np.arange(20)))):
-            if good(run := ours(method, float(h))):
-                found[f'{method}, h = {h:.3g} s'] = run
-                break
-    peers = {}
+    # The largest step that will do, in ratios of 2^(1/4).
+    step_sizes = _TIME / np.round(_TIME / (0.8 * 2.0 ** (-0.25 * np.arange(20))))
+    mine = {method: first_good(step_sizes, lambda h, method=method: error(ours(method, h)),
+                               _WANTED) for method in ('gauss6', *GAUSS[:-1])}
+    found = {f'{method}, h = {h:.3g} s': lambda method=method, h=h: ours(method, h)
+             for method, h in mine.items() if h is not None}
+    peers, states = {}, np.hstack([q, p])
     for method in _ADAPTIVE:
         solve = _diffrax(hamiltonian, method)
-        for tolerance in 10.0 ** (-0.25 * np.arange(16, 48)):
-            for batch in (m // 10, m):
-                if good(run := _in_batches(solve, np.hstack([q, p]), tolerance, batch)):
-                    peers[f'{method}, tolerance {tolerance:.2g}, {batch} at a time'] = run
-            if any(name.startswith(method) for name in peers):
-                break
-    times = interleave([lambda run=run: run for run in (*found.values(), *peers.values())],
-                       settings.repetitions)
-    medians = np.median(times, axis=0)
-    best = int(np.argmin(medians[:len(found)]))
-    other = len(found) + int(np.argmin(medians[len(found):]))
-    names = [*found, *peers]
-    return compare(
-        f'{m} trajectories of the pendulum to an error of {_WANTED:g} at T = {_TIME:g}',
-        times[:, best], times[:, other], target=0.6, scale=1e6 / m, unit='us a trajectory',
-        peer_name="diffrax's vmap", note='; '.join(
-            f'{name}: {1e6 * seconds / m:.3g} us' for name, seconds in zip(
-                names, medians, strict=True)), miss=_MISS)
+        for batch in (m // 10, m):
+            tolerance = first_good(
+                10.0 ** (-0.25 * np.arange(16, 48)), lambda one, solve=solve, batch=batch: error(
+                    _in_batches(solve, states, one, batch)), _WANTED)
+            if tolerance is not None:
+                run = _in_batches(solve, states, tolerance, batch)
+                peers[f"diffrax's vmap of {method}, tolerance {tolerance:.2g}, {batch} at a time"
+                      ] = lambda run=run: run
+    return race(
+        f'{m} trajectories of the pendulum to an error of {_WANTED:g} at T = {_TIME:g}', found,
+        peers, settings, target=0.6, scale=1e6 / m, unit='us a trajectory', miss=_MISS)
 
 
 def _ends(trajectory: Any) -> np.ndarray:
@@ -191,7 +167,8 @@ def _ends(trajectory: Any) -> np.ndarray:
 
 def _diffrax(hamiltonian: NeuralHamiltonian, method: str) -> Callable[..., Any]:
     """Return an adaptive method of diffrax over many states, shape (m, 2 d), jitted."""
-    gradient, d = jax_gradient(hamiltonian.checkpoint), hamiltonian.dimension
+    jax, diffrax = load_jax()
+    gradient, d = jax.grad(jax_energy(hamiltonian)), hamiltonian.dimension
     solver = getattr(diffrax, method)()
 
     def field(t: Any, z: Any, _: None) -> Any:
@@ -213,21 +190,3 @@ def _in_batches(solve: Callable[..., Any], z: np.ndarray, tolerance: float, batc
     """Return a run that takes so many states at a time, and waits for each."""
     return lambda: np.vstack([np.asarray(solve(z[first:first + batch], tolerance))
                               for first in range(0, len(z), batch)])
-
-
-def main(last: int) -> None:
-    """Print by how much memory grows until so many shards are made [MB]."""
-    plan = make_plan(_definition('pendulum', 1024 * last))
-    runner = Runner(plan)
-    with tempfile.TemporaryDirectory() as folder:
-        out = SweepFolder(Path(folder) / 'out')
-        out.begin(plan)
-        for shard in range(last):
-            if shard == _WARM:
-                before = resident('self')
-            out.put(shard, write_shard(plan, shard, runner.shard(shard)))
-        print(resident('self') - before)
-
-
-if __name__ == '__main__':
-    main(int(sys.argv[1]))

@@ -12,7 +12,7 @@ DOCS = Path(__file__).parents[2] / 'docs'
 
 def test_benchmark_of_memory_runs_and_tells_a_growth():
     paths = os.pathsep.join([str(DOCS), *filter(None, [os.environ.get('PYTHONPATH')])])
-    told = subprocess.run([sys.executable, '-m', 'benchmarks.memory', '2000'],
+    told = subprocess.run([sys.executable, '-m', 'benchmarks.memory', 'samples', '2000'],
                           env={**os.environ, 'PYTHONPATH': paths},
                           capture_output=True, text=True, timeout=300)
     assert told.returncode == 0, told.stderr

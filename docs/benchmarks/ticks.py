@@ -1,0 +1,62 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the simulator's node does for each sample, without the executor."""
+
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.watch import SampledScale
+from hnn_vi_ros.ros import settings as parameters
+from hnn_vi_ros.ros.recording import Recording
+from hnn_vi_ros.ros.topics.outputs import Material
+from hnn_vi_ros.ros.topics.topics import Topics
+from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation import Sample, Simulation
+from rclpy.node import Node
+
+_LIMITS = 0.05, 0.02
+
+
+class Ticks:
+    """
+    Ticks of a node that publishes and records every step.
+
+    Parameters
+    ----------
+    node : Node
+        What publishes.
+    scene : Scene
+        Of the simulation.
+    simulation : Simulation
+        That of the scene.
+    sampler : Sampler
+        Of every step.
+    recording : mapping
+        Parameters of the files.
+    watched : bool
+        Whether there are guards.
+
+    """
+
+    def __init__(self, node: Node, scene: Scene, simulation: Simulation, sampler: Sampler,
+                 recording: dict[str, str], watched: bool):
+        box, scale = look_ahead(simulation, 1.0), SampledScale(simulation.hamiltonian)
+        self.sampler, self.topics = sampler, Topics(node, parameters.Settings())
+        guards = make_guards(simulation, scale, *_LIMITS, simulation.hamiltonian.barrier)
+        self.monitor = Monitor(simulation, sampler.every, sampler.tick, None,
+                               lambda text, first: None, guards if watched else (), scale)
+        self.topics.open(Material(simulation, self.monitor, box, scene.mechanism), lambda: 0,
+                         lambda topic, stamp, payload: None)
+        self.recording = Recording(
+            node.get_logger(), scene, simulation, parameters.Settings(**recording),
+            self.topics.descriptions, box, scene_report(scene, simulation), sampler)
+
+    def tick(self) -> tuple[Sample, bool]:
+        """Take a step, publish and record it; return the sample, and whether figures are due."""
+        self.monitor.advance(self.sampler.every)
+        sample = self.sampler.sample()
+        self.monitor.add(sample)
+        self.recording.write(sample, self.topics.publish(sample))
+        return sample, self.monitor.evaluate()
