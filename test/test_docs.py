@@ -108,19 +108,13 @@ def test_every_error_and_alarm_has_a_remedy_on_the_page_on_troubleshooting(gener
     assert defined <= {error.__name__ for error in generate.errors()}
 
 
-def test_parameters_of_all_nodes_are_listed(generate):
+def test_written_pages_list_parameters_commands_and_keys(generate):
     page = generate.parameter_page()
     for table in (parameters.PARAMETERS, parameters.REPLAY_PARAMETERS,
                   parameters.BRIDGE_PARAMETERS):
         assert generate.markdown_table(table) in page
-
-
-def test_every_command_is_listed(generate):
     page = generate.command_page()
     assert all(parser_of(name).format_help().strip() in page for name in COMMANDS)
-
-
-def test_every_key_of_a_scene_is_listed(generate):
     schema = json.loads((ROOT / 'config' / 'scene.schema.json').read_text(encoding='utf-8'))
     page = generate.scene_page(schema)
     keys = {key for one in (schema, *schema['$defs'].values())
@@ -128,41 +122,27 @@ def test_every_key_of_a_scene_is_listed(generate):
     assert not {key for key in keys if f'`{key}`' not in page}
 
 
-def test_every_topic_is_listed_with_its_type():
+def test_reference_lists_topics_effects_integrators_and_public_names():
     page = text('reference/topics.md')
     assert not {one.topic for one in ENDPOINTS if f'`{one.topic}`' not in page}
     for one in (*OUTPUTS, *INPUTS):
         kind = one.message_type
         shown = f'{kind.__module__.partition(".")[0]}/{kind.__name__}'
         assert re.search(rf'^\|.*`{one.topic}`.*\| `{shown}` \|', page, re.MULTILINE), one.topic
-
-
-def test_effects_table_is_that_of_the_package():
     rows = re.findall(r'^\| `(\w+)` \| .* \| (kept|changes) \| .* \|$',
                       text('reference/effects.md'), re.MULTILINE)
     assert rows == [(kind, 'kept' if effect.conservative else 'changes')
                     for kind, effect in EFFECTS.items()]
-
-
-def test_every_integrator_is_in_the_table():
     page = text('reference/integrators.md')
     # Those of Gauss between the first two and the last are not named one by one.
     left_out = {f'{kind}{order}' for kind in ('gauss', 'lie_gauss') for order in range(8, 16, 2)}
     assert not {name for name in INTEGRATORS if f'`{name}`' not in page} - left_out
-
-
-def test_every_public_name_is_in_the_python_api():
-    page = text('reference/api.md')
-    listed = set(re.findall(r'\.\. auto(?:function|class):: ([\w.]+)', page))
-    public = {name for name in hnn_vi_ros.__all__ if not name.startswith('__')}
-    assert public <= listed
-    assert {'hnn_vi_ros.torch.simulate', 'hnn_vi_ros.envs.SceneEnv'} <= listed
-
-
-def test_first_pages_count_the_integrators():
-    for page in (DOCS / 'index.md', ROOT / 'README.md'):
-        words = ' '.join(page.read_text(encoding='utf-8').split())
+    for first in (DOCS / 'index.md', ROOT / 'README.md'):
+        words = ' '.join(first.read_text(encoding='utf-8').split())
         assert f'by one of {len(INTEGRATORS) - 1} others' in words
+    listed = re.findall(r'\.\. auto(?:function|class):: ([\w.]+)', text('reference/api.md'))
+    public = {name for name in hnn_vi_ros.__all__ if not name.startswith('__')}
+    assert public | {'hnn_vi_ros.torch.simulate', 'hnn_vi_ros.envs.SceneEnv'} <= {*listed}
 
 
 def test_gallery_has_a_card_for_each_scene(generate, tmp_path, monkeypatch):

@@ -81,16 +81,13 @@ def test_executables_run_the_python_of_an_activated_environment(run_setup, monke
     interpreter = tmp_path / 'bin' / 'python3'
     interpreter.parent.mkdir()
     interpreter.touch()
-    monkeypatch.setenv('VIRTUAL_ENV', str(tmp_path))
-    assert run_setup()['options']['build_scripts'] == {'executable': str(interpreter)}
-    assert os.environ['__PYVENV_LAUNCHER__'] == str(interpreter)
-
-
-def test_executables_run_the_building_python_where_no_environment_is_active(
-        run_setup, monkeypatch):
+    # Without one, the Python that builds.
     monkeypatch.delenv('VIRTUAL_ENV', raising=False)
     assert 'build_scripts' not in run_setup()['options']
     assert '__PYVENV_LAUNCHER__' not in os.environ
+    monkeypatch.setenv('VIRTUAL_ENV', str(tmp_path))
+    assert run_setup()['options']['build_scripts'] == {'executable': str(interpreter)}
+    assert os.environ['__PYVENV_LAUNCHER__'] == str(interpreter)
 
 
 def test_setup_names_the_packages_of_the_requirements(run_setup):
