@@ -107,7 +107,8 @@ def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_agai
         yield from ()
         raise RuntimeError('interrupted')
 
-    row, again = Row('row', '1', '2', 0.5, (0.4, 0.6), 1.0, 3, note='Kept.'), []
+    row, keep = Row('row', '1', '2', 0.5, (0.4, 0.6), 1.0, 3, note='Kept.'), tmp_path / 'kept'
+    again = []
 
     def once(settings: Settings) -> Iterator[Row]:
         again.append(1)
@@ -115,10 +116,10 @@ def test_rows_of_groups_that_were_measured_before_an_interruption_are_found_agai
 
     groups = {'once': (once, 1.0), 'broken': (broken, 1.0)}
     with pytest.raises(RuntimeError, match='interrupted'):
-        run(groups, 1, quick=False, keep=tmp_path)
-    assert run({'once': (once, 1.0)}, 1, quick=False, keep=tmp_path) == {'once': [row]}
+        run(groups, 1, quick=False, keep=keep)
+    assert run({'once': (once, 1.0)}, 1, quick=False, keep=keep) == {'once': [row]}
     assert again == [1]
-    assert [path.name for path in tmp_path.iterdir()] == ['once.json']
+    assert [*read_groups(keep)] == ['once']
 
 
 def test_ratio_is_the_median_of_those_of_each_turn():

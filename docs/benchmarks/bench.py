@@ -12,8 +12,7 @@ import time
 
 from benchmarks.measurement import Row, Settings
 from benchmarks.report import (
-    as_json, as_markdown, as_table, draw, Group, measured_here, read_groups, read_rows,
-    write_rows)
+    as_markdown, as_table, draw, Group, measured_here, read_groups, write_groups)
 from studies.results import commit
 
 # A group of rows: its module, and about how long it takes [s].
@@ -51,7 +50,7 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
     repetitions, quick
         See Settings.
     keep : Path, optional
-        Folder in which the rows of each group are kept, and found again.
+        File in which the rows of finished groups are kept, and found again.
 
     Raises
     ------
@@ -59,22 +58,17 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
         Two rows have the same name.
 
     """
-    rows: dict[str, list[Row]] = {}
-    known: set[str] = set()
-    start, expected = time.monotonic(), sum(seconds for _, seconds in groups.values())
-    for name, (measure, seconds) in groups.items():
-        kept = None if keep is None else keep / f'{name}.json'
-        if kept is not None and (found := read_rows(kept)) is not None:
-            print(f'{name}: measured before, in {kept}', flush=True)
-            rows[name] = found
-            known |= {row.name for row in found}
-            expected -= seconds
+    kept = {} if keep is None else read_groups(keep)
+    rows = {name: kept[name].rows for name in groups if name in kept}
+    known = {row.name for found in rows.values() for row in found}
+    start, left = time.monotonic(), {name: groups[name][1] for name in groups if name not in rows}
+    settings = Settings(repetitions, quick, lambda text: print(f'  {text} ...', flush=True))
+    for name, (measure, _) in groups.items():
+        if name not in left:
+            print(f'{name}: measured before, in {keep}', flush=True)
             continue
-        elapsed = time.monotonic() - start
-        left = '' if quick else f', about {max(expected, 0.0) / 60.0:.0f} min left'
-        print(f'{name}: {elapsed:.0f} s gone{left}', flush=True)
-        settings = Settings(
-            repetitions, quick, lambda text: print(f'  {text} ...', flush=True))
+        print(f'{name}: {time.monotonic() - start:.0f} s gone'
+              + ('' if quick else f', about {sum(left.values()) / 60.0:.0f} min left'), flush=True)
         rows[name] = []
         for row in measure(settings):
             if row.name in known:
@@ -82,21 +76,19 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
             known.add(row.name)
             rows[name].append(row)
             print(f'  = {row.name}: {row.ratio:.2f} {row.unit}'.rstrip(), flush=True)
-        if kept is not None:
-            write_rows(kept, rows[name])
-        expected -= seconds
-    return rows
+        del left[name]
+        if keep is not None:
+            kept[name] = measured_here(rows[name])
+            write_groups(keep, kept)
+    return {name: rows[name] for name in groups}
 
 
 def write(groups: Mapping[str, Group], folder: Path) -> None:
     """Write benchmarks.md, .json and .png into a folder; other groups stay as they are."""
-    folder.mkdir(parents=True, exist_ok=True)
     known = read_groups(folder / 'benchmarks.json') | groups
-    order = [*(name for name in GROUPS if name in known),
-             *(name for name in groups if name not in GROUPS)]
-    known = {name: known[name] for name in order}
+    known = {name: known[name] for name in dict.fromkeys([*GROUPS, *groups]) if name in known}
+    write_groups(folder / 'benchmarks.json', known)
     (folder / 'benchmarks.md').write_text(as_markdown(known))
-    (folder / 'benchmarks.json').write_text(as_json(known))
     draw(known, folder / 'benchmarks.png')
 
 
@@ -109,8 +101,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument('--out', type=Path, default=Path('docs'),
                         help='folder for benchmarks.md and benchmarks.json')
     parser.add_argument('--keep', type=Path, default=Path('bench'),
-                        help='where groups of rows are kept, by commit, so that an interruption '
-                        'loses none')
+                        help='folder where groups of rows are kept, by commit, so that an '
+                        'interruption loses none')
     arguments = parser.parse_args(argv)
     if missing := [name for name in _SINGLE_THREAD if name not in os.environ]:
         parser.error(f'{", ".join(missing)} must be set to keep the peers to one thread; '
@@ -120,7 +112,7 @@ def main(argv: list[str]) -> int:
     modules = {name: import_module(GROUPS[name][0]) for name in arguments.rows}
     rows = run({name: (module.rows, GROUPS[name][1]) for name, module in modules.items()},
                3 if arguments.quick else 21, arguments.quick,
-               None if arguments.quick or ' ' in state else arguments.keep / state)
+               None if arguments.quick or ' ' in state else arguments.keep / f'{state}.json')
     print(as_table([row for group in rows.values() for row in group]))
     if arguments.quick:
         print('Not written: only what is measured without --quick is.')

@@ -39,6 +39,27 @@ _METHODS = [*(Method('time_transformed', {'base': base, 'force': force})
 # gradients, or some times those of the best so far.
 _RATIO, _MOST, _GRADIENTS, _DEARER = 1.19, 4_000_000, 20_000_000, 1.1
 _SAMPLES = 20_000
+_PAGE = """\
+# The automatic choice on systems that are not shipped
+
+`integrator: auto` met its tolerance at no more than 1.5 times the best cost in {good} of
+{measured} rows ({planned} planned). No system here shaped its rules.
+
+The best is the cheapest of a sweep over {methods} methods and steps up to half a period, a factor
+{ratio} apart. We measure the error of each choice again at every step, against an exact orbit or
+DOP853 of scipy at 3e-14. Energies are relative to the mean of abs(p . H_p). Each cell names the
+method that auto chose, and its work per simulated second over the best, in gradients. Energies are
+held for 30 periods and paths for 6. Ratios of times, the median of five runs each, are
+{least:.2g} to {most:.2g}, the median {median:.2g}.
+[automatic-choice.json](automatic-choice.json) holds steps, errors, times and the best of each
+sweep.
+
+{table}
+
+Machine: {machine}; commits {commits}.
+Run in `docs/`, this continues with missing rows:
+`python -m benchmarks.campaign --out automatic-choice.json --table automatic-choice.md`
+"""
 
 
 @dataclass(frozen=True)
@@ -223,48 +244,29 @@ def run(out: Path, names: list[str], say: Callable[[str], None]) -> list[Row]:
     return rows
 
 
-def page(rows: list[Row]) -> Iterator[str]:
-    """Yield the lines of the page."""
-    good = sum(entry.good for entry in rows)
+def page(rows: list[Row]) -> str:
+    """Return the page."""
     times = sorted(entry.seconds / entry.best_seconds for entry in rows)
-    yield from (
-        '# The automatic choice on systems that are not shipped', '',
-        f'`integrator: auto` met its tolerance at no more than 1.5 times the best cost in {good} '
-        f'of {len(rows)} rows', f'({len(systems()) * len(TOLERANCES)} planned). No system here '
-        'shaped its rules.', '',
-        f'The best is the cheapest of a sweep over {len(_METHODS)} methods and steps up to half a '
-        'period, a factor', f'{_RATIO} apart. We measure the error of each choice again at every '
-        'step, against an exact orbit or', 'DOP853 of scipy at 3e-14. Energies are relative to '
-        'the mean of abs(p . H_p). Each cell names the method', 'that auto chose, and its '
-        'work per simulated second over the best, in gradients. Energies are held for 30',
-        f'periods and paths for 6. Ratios of times, from one run each, are {times[0]:.2g} to '
-        f'{times[-1]:.2g}, the median {times[len(times) // 2]:.2g}.',
-        '[automatic-choice.json](automatic-choice.json) holds steps, errors, times and the best '
-        'of each sweep.', '')
-    yield from table(rows)
-    yield from (
-        '', f'Machine: {machine()}; commits {", ".join(sorted({row.commit for row in rows}))}.',
-        'Run in `docs/`, this continues with missing rows:',
-        '`python -m benchmarks.campaign --out automatic-choice.json '
-        '--table automatic-choice.md`')
+    return _PAGE.format(
+        good=sum(entry.good for entry in rows), measured=len(rows),
+        planned=len(systems()) * len(TOLERANCES), methods=len(_METHODS), ratio=_RATIO,
+        least=times[0], most=times[-1], median=times[len(times) // 2],
+        table='\n'.join(table(rows)), machine=machine(),
+        commits=', '.join(sorted({row.commit for row in rows})))
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the lines of the table."""
+    """Yield the lines of the table: each method chosen, and its gradients over the best's."""
     yield f'| system | {" | ".join(f"{kind} {error:g}" for kind, error, _ in TOLERANCES)} |'
     yield f'|---|{"---|" * len(TOLERANCES)}'
-    found = {(row.system, row.tolerance.split()[0], row.allowed): row for row in rows}
     for name in dict.fromkeys(row.system for row in rows):
-        entries = (found.get((name, kind, error)) for kind, error, _ in TOLERANCES)
-        yield f'| {name} | {" | ".join(map(_cell, entries))} |'
-
-
-def _cell(entry: Row | None) -> str:
-    """Return the method that was chosen, and its gradients over those of the best."""
-    if entry is None:
-        return ''
-    text = f'{entry.chosen.split(" ")[0].strip(",")} {entry.gradients / entry.best_gradients:.2f}'
-    return text if entry.good else f'{text} **missed**'
+        cells = dict.fromkeys(((kind, error) for kind, error, _ in TOLERANCES), '')
+        for entry in (row for row in rows if row.system == name):
+            cells[entry.tolerance.split()[0], entry.allowed] = (
+                f'{entry.chosen.split(" ")[0].strip(",")} '
+                f'{entry.gradients / entry.best_gradients:.2f}'
+                + ('' if entry.good else ' **missed**'))
+        yield f'| {name} | {" | ".join(cells.values())} |'
 
 
 def main() -> None:
@@ -276,7 +278,7 @@ def main() -> None:
     options = parser.parse_args()
     rows = run(options.out, options.systems, lambda text: print(text, flush=True))
     if options.table:
-        options.table.write_text('\n'.join(page(rows)) + '\n')
+        options.table.write_text(page(rows))
 
 
 if __name__ == '__main__':

@@ -15,19 +15,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import json
 from pathlib import Path
-import signal
-import subprocess
 import sys
 import tempfile
 import time
 
+from benchmarks.processes import given, own_node, running
 from hnn_vi_ros.control.task import load_task
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 import numpy as np
-import rclpy
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
+import numpy.typing as npt
 from sensor_msgs.msg import JointState
 
 # Upright [rad], through the end of a run [s].
@@ -35,24 +32,15 @@ _CLOSE, _END = 0.1, 2.0
 
 
 @contextmanager
-def running(name: str, folder: Path, **parameters: object) -> Iterator[subprocess.Popen]:
-    """Start an executable of the package; interrupt it at the end."""
-    words = [word for key, value in parameters.items() for word in ('-p', f'{key}:={value}')]
+def logged(name: str, folder: Path, **parameters: object) -> Iterator[Path]:
+    """Run an executable of the package; return its log once it is active."""
     code = f'from hnn_vi_ros.cli import {name}; {name}()'
-    with (folder / f'{name}.log').open('w') as log:
-        process = subprocess.Popen([sys.executable, '-c', code, '--ros-args', *words],
-                                   cwd=folder, stdout=log, stderr=log)
-        try:
-            yield process
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait()
-
-
-def wait_for(text: str, log: Path) -> None:
-    """Wait until a line is logged."""
-    while text not in log.read_text():
-        time.sleep(0.1)
+    path = folder / f'{name}.log'
+    with path.open('w') as log, running(
+            [sys.executable, '-c', code, *given(**parameters)], folder, log):
+        while '-> active' not in path.read_text():
+            time.sleep(0.1)
+        yield path
 
 
 def evaluate(bag: Path, names: list[str]) -> dict[str, object]:
@@ -73,21 +61,15 @@ def evaluate(bag: Path, names: list[str]) -> dict[str, object]:
 
 
 def starts(task: str, count: int, duration: float, seed: int, folder: Path
-           ) -> Iterator[dict[str, object]]:
-    """Yield the result of each start."""
+           ) -> tuple[list[dict[str, object]], list[str]]:
+    """Return the result of each start, and what the controller complained of."""
     read, _, _ = load_task(task)
     names = ['angle'] if read.scene == 'motor_pendulum' else ['shoulder', 'elbow']
     rng = np.random.default_rng(seed)
-    rclpy.init()
-    node = Node('starts')
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    publisher = node.create_publisher(JointState, '/hnn_simulator/initial_state', 10)
-    with running('controller', folder, task=task), \
-            running('simulator', folder, scene=read.scene, record_path='bag', rerun_sink='none',
-                    reset_on_initial_state='true'):
-        wait_for('-> active', folder / 'controller.log')
-        wait_for('-> active', folder / 'simulator.log')
+    with own_node('starts') as (node, _), logged('controller', folder, task=task) as log, \
+            logged('simulator', folder, scene=read.scene, record_path='bag', rerun_sink='none',
+                   reset_on_initial_state='true'):
+        publisher = node.create_publisher(JointState, '/hnn_simulator/initial_state', 10)
         while not publisher.get_subscription_count():
             time.sleep(0.1)
         for _ in range(count):
@@ -95,10 +77,8 @@ def starts(task: str, count: int, duration: float, seed: int, folder: Path
                 name=names, position=rng.uniform(-np.pi, np.pi, len(names)),
                 velocity=rng.uniform(-1.0, 1.0, len(names))))
             time.sleep(duration)
-    node.destroy_node()
-    rclpy.shutdown()
-    for k in range(2, count + 2):
-        yield evaluate(folder / f'bag-{k}', names)
+    return ([evaluate(folder / f'bag-{k}', names) for k in range(2, count + 2)],
+            [line for line in log.read_text().splitlines() if 'WARN' in line or 'ERROR' in line])
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -110,21 +90,19 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--seed', type=int, default=0)
     chosen = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as folder:
-        found = list(starts(chosen.task, chosen.starts, chosen.duration, chosen.seed,
-                            Path(folder)))
-        late = [line for line in (Path(folder) / 'controller.log').read_text().splitlines()
-                if 'WARN' in line or 'ERROR' in line]
-    for one in found:
-        latencies = one.pop('latencies')
-        print(json.dumps(one | {'latency ms, 50 99 %': np.percentile(
-            latencies, [50, 99]).round(1).tolist()}), flush=True)
-        one['latencies'] = latencies
-    together = np.concatenate([one['latencies'] for one in found])
+        found, late = starts(chosen.task, chosen.starts, chosen.duration, chosen.seed,
+                             Path(folder))
+    latencies = [one.pop('latencies') for one in found]
+    for one, its in zip(found, latencies, strict=True):
+        print(json.dumps(one | _percentiles(its)))
     print(json.dumps({
         'successes': sum(one['success'] for one in found), 'of': len(found),
         'verified': sum(one['verified'] for one in found),
-        'latency ms, 50 99 %': np.percentile(together, [50, 99]).round(1).tolist(),
-        'complaints': late[:5]}))
+        **_percentiles(np.concatenate(latencies)), 'complaints': late[:5]}))
+
+
+def _percentiles(latencies: npt.ArrayLike) -> dict[str, list[float]]:
+    return {'latency ms, 50 99 %': np.percentile(latencies, [50, 99]).round(1).tolist()}
 
 
 if __name__ == '__main__':

@@ -67,12 +67,12 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         gradients += block.gradients * block.q.size
     many = simulate_many(scene, q, p, duration, threads=1)
     _check(scene, many.q[-1], q, p, steps)
-    product = _Product(hamiltonian.checkpoint.card.widths, gradients)
+    product = _product(hamiltonian.checkpoint.card.widths, gradients)
     times = interleave([
         lambda: lambda: simulate_many(scene, q, p, duration, threads=1),
         lambda: lambda: simulate_many(scene, q, p, duration, threads=cores),
         alone,
-        lambda: product.run], settings.repetitions, one_thread=False)
+        lambda: product], settings.repetitions, one_thread=False)
     single = times[:, 2] / (_ALONE * steps)
     note = (f'{gradients / (m * steps):.2f} gradients a step; {steps} steps; "one" is the mean of '
             f'the first {_ALONE}, one after another, without their set-up')
@@ -90,32 +90,18 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         'gradients evaluated, by numpy')
 
 
-class _Product:
-    """
-    A matrix product of as many operations as gradients of a network take.
+def _product(widths: list[int], gradients: int) -> Callable[[], None]:
+    """Return a matrix product of as many operations as so many gradients of a network take."""
+    # Each passes every weight forward and back: 4 operations a weight.
+    operations = 4 * gradients * sum(n_in * n_out for n_in, n_out in pairwise(widths))
+    n, rng = max(widths), np.random.default_rng(SEED)
+    weight, batch = rng.normal(size=(n, n)), rng.normal(size=(n, 2000))
+    result = np.empty_like(batch)
 
-    Parameters
-    ----------
-    widths : list of int
-        Of the network's layers.
-    gradients : int
-        How many gradients: each passes every weight forward and back, 4 operations a weight.
-
-    """
-
-    def __init__(self, widths: list[int], gradients: int):
-        operations = 4 * gradients * sum(
-            n_in * n_out for n_in, n_out in pairwise(widths))
-        n = max(widths)
-        rng = np.random.default_rng(SEED)
-        self._weight, self._batch = rng.normal(size=(n, n)), rng.normal(size=(n, 2000))
-        self._result = np.empty_like(self._batch)
-        self._times = max(1, round(operations / (2 * n * n * self._batch.shape[1])))
-
-    def run(self) -> None:
-        """Multiply."""
-        for _ in range(self._times):
-            np.matmul(self._weight, self._batch, out=self._result)
+    def run() -> None:
+        for _ in range(max(1, round(operations / (2 * n * n * batch.shape[1])))):
+            np.matmul(weight, batch, out=result)
+    return run
 
 
 def _check(scene: Scene, q_many: np.ndarray, q: np.ndarray, p: np.ndarray, steps: int) -> None:

@@ -52,35 +52,26 @@ class Group:
 def measured_here(rows: list[Row], seed: int | None = None) -> Group:
     """Return rows with what they were measured on: this machine, commit, versions, and now."""
     return Group('; '.join([
-        machine(), f'commit {commit()}', f'Python {platform.python_version()}', _versions(),
+        machine(), f'commit {commit()}', f'Python {platform.python_version()}',
+        ', '.join(map(_version, _PACKAGES)),
         f'{datetime.now(UTC):%Y-%m-%d %H:%M} UTC', *([] if seed is None else [f'seed {seed}'])]),
         rows)
 
 
-def as_json(groups: Mapping[str, Group]) -> str:
-    """Return all that is known of the rows, by group."""
-    return json.dumps({name: asdict(group) for name, group in groups.items()}, indent=2) + '\n'
+def write_groups(path: Path, groups: Mapping[str, Group]) -> None:
+    """Write all that is known of the rows, by group."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({name: asdict(group) for name, group in groups.items()}, indent=2)
+                    + '\n')
 
 
 def read_groups(path: Path) -> dict[str, Group]:
-    """Return the groups of a file of ``as_json``; none where there is no file."""
+    """Return the groups of a file of ``write_groups``; none where there is no file."""
     if not path.is_file():
         return {}
-    return {name: Group(group['where'], [_row(row) for row in group['rows']])
-            for name, group in json.loads(path.read_text()).items()}
-
-
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Keep the rows of a group."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps([asdict(row) for row in rows], indent=2) + '\n')
-
-
-def read_rows(path: Path) -> list[Row] | None:
-    """Return the rows of a group that were kept, None where there are none."""
-    if not path.is_file():
-        return None
-    return [_row(row) for row in json.loads(path.read_text())]
+    return {name: Group(group['where'], [
+        Row(**row | {'quartiles': tuple(row['quartiles'])}) for row in group['rows']])
+        for name, group in json.loads(path.read_text()).items()}
 
 
 def as_table(rows: Sequence[Row]) -> str:
@@ -141,15 +132,8 @@ def _number(value: float) -> str:
     return f'{value:.2f}' if not 0.0 < abs(value) < 0.01 else f'{value:.2g}'
 
 
-def _row(values: dict) -> Row:
-    return Row(**{**values, 'quartiles': tuple(values['quartiles'])})
-
-
-def _versions() -> str:
-    versions = []
-    for name in _PACKAGES:
-        try:
-            versions.append(f'{name} {version(name)}')
-        except PackageNotFoundError:
-            versions.append(f'no {name}')
-    return ', '.join(versions)
+def _version(name: str) -> str:
+    try:
+        return f'{name} {version(name)}'
+    except PackageNotFoundError:
+        return f'no {name}'

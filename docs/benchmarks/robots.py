@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import compress
 
 from benchmarks.choosing import (
-    accurate_ways, cheapest, GAUSS, largest_error, path_run, problem_of)
+    accurate_ways, cheapest, first_good, GAUSS, largest_error, path_run, problem_of)
 from benchmarks.measurement import (
     assert_close, compare, interleave, race, Row, Settings, summarise)
 from benchmarks.mujoco_arm import INTEGRATORS as PEERS, MujocoArm
@@ -24,6 +24,9 @@ SEED = 1
 # forgets six digits in 10 s: nothing could be wanted of a path there.
 _ARMS = {'six_joint_arm': [0.3, 2.0, 0.6, 0.4, 0.4, 0.2], 'seven_joint_arm': None}
 _DURATION, _WANTED, _SAMPLES = 10.0, 1e-6, 10
+# Steps of MuJoCo: of RK4 in ratios of 2^(1/8), of its methods of first order of 1 ms to 10 us.
+_COUNTS = {'RK4': [_SAMPLES * round(1000 * 2 ** (k / 8)) for k in range(35)]}
+_FIRST_ORDER = [10_000, 100_000, 1_000_000]
 _STEPS = 0.1 / np.array([1.0, 1.2, 1.5, 2.0, 2.7, 3.5, 5.0])
 # Of the reference, which is checked by one of half as many.
 _REFERENCE_STEPS = 1000
@@ -139,32 +142,16 @@ def _path_row(arm: Arm, settings: Settings) -> Row:
     # By the joints alone: MuJoCo has no momenta.
     reference = reference[:, :arm.q0.size]
     ways = accurate_ways(arm.problem, dict.fromkeys(GAUSS, _STEPS), reference, _DURATION, _WANTED)
-    peers = {name: _fewest_steps(arm, name, reference) for name in PEERS}
-    told = [f'{name}: h = {_DURATION / count:.3g}, error {error:.2g}'
-            for name, (count, error) in peers.items()]
+    peers = {name: first_good(_COUNTS.get(name, _FIRST_ORDER), lambda steps, name=name: (
+        largest_error(arm.mujoco_path(name, steps)(), reference)), _WANTED) for name in PEERS}
     return race(
         f'{arm.name}: time to a path error of {_WANTED:g} at T = {_DURATION:g}', cheapest(ways), {
             f'MuJoCo {name}': lambda name=name, steps=steps: arm.mujoco_path(name, steps)
-            for name, (steps, error) in peers.items() if error <= _WANTED},
+            for name, steps in peers.items() if steps is not None},
         settings, target=0.5, scale=1e3, unit='ms', note='; '.join([
-            *told, 'errors are the largest of all joints at each second [rad]; methods of first '
-            'order are tried down to 10 us']))
-
-
-def _fewest_steps(arm: Arm, integrator: str, reference: np.ndarray) -> tuple[int, float]:
-    """Return about the fewest steps of MuJoCo that are accurate enough, and their error."""
-    order = 4 if integrator == 'RK4' else 1
-    steps, most = 10_000, (200_000 if order == 4 else 1_000_000)
-    while True:
-        error = largest_error(arm.mujoco_path(integrator, steps)(), reference)
-        if 0.7 * _WANTED <= error <= _WANTED or steps == most:
-            return steps, error
-        if order == 1 and error > _WANTED and steps == 10_000:
-            steps = most
-            continue
-        # A little more than what the order asks for, so that the search ends below.
-        factor = (error / (0.85 * _WANTED))**(1.0 / order)
-        steps = int(min(most, _SAMPLES * np.ceil(steps * factor / _SAMPLES)))
+            *(f'{name}: h = {_DURATION / steps:.3g}' if steps else f'{name}: no step does'
+              for name, steps in peers.items()), 'errors are the largest of all joints at each '
+            'second [rad]; methods of first order are tried down to 10 us']))
 
 
 def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
