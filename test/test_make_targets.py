@@ -9,7 +9,8 @@ import subprocess
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-# Arguments of each target in its smallest form, and a file that it writes; those that need least come first.
+# Arguments of each target in its smallest form, and a file that it writes; those that need least
+# come first.
 TARGETS = {
     'study': (['NAME=paper_figures', 'ARGS=--out out'], 'out/paper_figures.csv'),
     'hard-cases': (['ARGS=--quick --case 1 --out cases', 'OUT=out'], 'cases'),

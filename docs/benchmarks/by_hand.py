@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of the paper's method on formulas, over the same steps with gradients written by hand."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
-from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
+from benchmarks.choosing import path_run
+from benchmarks.measurement import assert_close, race, Row, Settings
+from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 _STEPS = 20_000
@@ -103,21 +103,11 @@ def rows(settings: Settings) -> Iterator[Row]:
         vars(hand)['kernel'] = compiled_kernel(
             (energy, gradient, hessian_vector), parameters, formula.dimension,
             formula.kernel.gradient_scale)
-        runs = [_run(hamiltonian, h, q, p) for hamiltonian in (formula, hand)]
-        ends = [run() for run in runs]
+        problems = [InitialValueProblem(hamiltonian, (), np.array(q), np.array(p))
+                    for hamiltonian in (formula, hand)]
+        ours, peer = (path_run(problem, problem.simulation('variational_euler', h), 1, _STEPS)
+                      for problem in problems)
         # Roundings of 20,000 steps, apart by as much again where paths part.
-        assert_close(f'{name} by hand', ends[0], ends[1], 1e-8)
-        times = interleave([lambda run=run: run for run in runs], settings.repetitions)
-        yield compare(f'variational_euler on {name}: a formula', times[:, 0], times[:, 1],
-                      target=1.05, scale=1e6 / _STEPS, peer_name='gradient by hand')
-
-
-def _run(hamiltonian, h: float, q: list[float], p: list[float]) -> Callable[[], np.ndarray]:
-    simulation = Simulation(hamiltonian, INTEGRATORS['variational_euler'](), h, q, p)
-    begin = simulation.snapshot()
-
-    def run() -> np.ndarray:
-        simulation.restore(begin)
-        simulation.advance(_STEPS)
-        return np.concatenate([simulation.q, simulation.p])
-    return run
+        assert_close(f'{name} by hand', ours()(), peer()(), 1e-8)
+        yield race(f'variational_euler on {name}: a formula', {'formula': ours},
+                   {'gradient by hand': peer}, settings, target=1.05, scale=1e6 / _STEPS)

@@ -4,7 +4,7 @@
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.measurement import assert_close, compare, interleave, Row, Settings
+from benchmarks.measurement import assert_close, race, Row, Settings
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.files.resources import shipped_file
@@ -71,12 +71,11 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
     step_bare()
     assert_close(name, np.concatenate([simulation.q, simulation.p]), np.concatenate([z.q, z.p]),
                  0.0)
-    times = interleave([lambda: lambda: simulation.advance(steps), lambda: step_bare],
-                       settings.repetitions)
-    return compare(f'{name}, no effect listed: time a step', times[:, 0], times[:, 1],
-                   target=1.02, scale=1e6 / steps, peer_name='the method alone',
-                   note='bit-identical steps; the peer is the loop over the method and H, without '
-                        'scene, system or effects')
+    return race(f'{name}, no effect listed: time a step', {
+        'ours': lambda: lambda: simulation.advance(steps)}, {
+        'the method alone': lambda: step_bare}, settings, target=1.02, scale=1e6 / steps,
+        note='bit-identical steps; the peer is the loop over the method and H, without scene, '
+             'system or effects')
 
 
 def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, p: np.ndarray,
@@ -107,7 +106,6 @@ def _added(kind: str, settings: Settings) -> Row:
         simulation.compile()
         return lambda: lambda: simulation.advance(_ADDED_STEPS)
 
-    times = interleave([contestant([EFFECTS[kind](**arguments)]), contestant([])],
-                       settings.repetitions)
-    return compare(f'{method} on {name} with {kind}: time a step', times[:, 0], times[:, 1],
-                   target=None, scale=1e6 / _ADDED_STEPS, peer_name='without')
+    return race(f'{method} on {name} with {kind}: time a step', {
+        'with': contestant([EFFECTS[kind](**arguments)])}, {'without': contestant([])}, settings,
+        target=None, scale=1e6 / _ADDED_STEPS)

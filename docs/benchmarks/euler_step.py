@@ -4,12 +4,9 @@
 
 from collections.abc import Callable, Iterator
 
+from benchmarks.choosing import path_run, problem_of
 from benchmarks.measurement import assert_close, race, Row, Settings, summarise
-from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -27,33 +24,22 @@ _AGREEMENT = 1e-10
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure two rows a shipped model: gradients per step, and time."""
     for name in _SCENES:
-        if name not in shipped_names('model'):
-            settings.say(f'{name} is not shipped: left out')
-            continue
         settings.say(name)
         yield from _rows_of(name, settings)
 
 
 def _rows_of(name: str, settings: Settings) -> Iterator[Row]:
-    scene = load_scene(name)
-    hamiltonian = scene.create_hamiltonian()
-    start = np.array(scene.initial_state.q), np.array(scene.initial_state.p)
-
-    def prepare() -> Callable:
-        simulation = Simulation(hamiltonian, INTEGRATORS['variational_euler'](), _H, *start)
-        # The first call of a simulation looks its compiled loop up; steps are what is measured.
-        simulation.compile()
-        return lambda: simulation.advance(_STEPS)
-
-    simulation = Simulation(hamiltonian, INTEGRATORS['variational_euler'](), _H, *start)
-    simulation.advance(_STEPS)
+    problem = problem_of(name)
+    hamiltonian, start = problem.hamiltonian, (problem.q, problem.p)
+    simulation = problem.simulation('variational_euler', _H)
+    prepare = path_run(problem, simulation, 1, _STEPS)
+    (end,) = prepare()()
     peers = {label: jax_euler(hamiltonian, *start, extrapolate) for label, extrapolate in (
         ("JAX from the paper's start", False), ('JAX from an extrapolated start', True))}
     counts = {}
     for label, peer in peers.items():
         z, count = peer()
-        assert_close(f'{name}: trajectory', np.concatenate([simulation.q, simulation.p]), z,
-                     _AGREEMENT)
+        assert_close(f'{name}: trajectory', end, z, _AGREEMENT)
         counts[label] = int(count) / _STEPS
     gradients = simulation.gradients / _STEPS
     yield summarise(f'variational_euler on {name}: gradients a step', f'{gradients:.2f}',

@@ -85,11 +85,11 @@ class Heard:
     """
 
     def __init__(self, node: Node, executor: SingleThreadedExecutor, kind: type, topic: str,
-                 raw: bool):
+                 depth: int, raw: bool):
         self.node, self.executor = node, executor
         self.arrivals: list[float] = []
         self.newest: Any = None
-        node.create_subscription(kind, topic, self._hear, 1000, raw=raw)
+        node.create_subscription(kind, topic, self._hear, depth, raw=raw)
 
     def begin(self, process: subprocess.Popen, start: float) -> None:
         """Wait for the first message."""
@@ -122,27 +122,11 @@ class Heard:
 
 
 @contextmanager
-def heard(command: list[str], kind: type, topic: str, *, raw: bool = False,
+def heard(command: list[str], kind: type, topic: str, *, depth: int = 1000, raw: bool = False,
           processor: set[int] | None = None, **environment: str) -> Iterator[Heard]:
-    """
-    Start a command and wait for its first message.
-
-    Parameters
-    ----------
-    command : list of str
-        Run in a temporary folder.
-    kind, topic
-        Of the messages.
-    raw : bool, optional
-        Whether messages are left as they come.
-    processor : set of int, optional
-        Processors that the process keeps to.
-    environment : str
-        Variables besides those of this process.
-
-    """
+    """Start a command in a temporary folder, on some processors; wait for its first message."""
     with own_node('bench_listener') as (node, executor), tempfile.TemporaryDirectory() as folder:
-        hearing = Heard(node, executor, kind, topic, raw)
+        hearing = Heard(node, executor, kind, topic, depth, raw)
         start = time.perf_counter()
         with running(command, folder, environment=environment) as process:
             if processor is not None:

@@ -21,7 +21,8 @@ def real_time_row(settings: Settings) -> Row:
                         record='false', rerun_sink='none')
     watched = _QUICK if settings.quick else _WATCHED
     seen = []
-    with heard(command, JointState, '/joint_states') as process:
+    # Of messages that wait, the newest alone tells how far the simulation is.
+    with heard(command, JointState, '/joint_states', depth=1) as process:
         for seconds in (_SETTLED, *[watched] * min(_TURNS, settings.repetitions)):
             process.listen(seconds)
             stamp = process.newest.header.stamp
