@@ -19,6 +19,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
 from hnn_vi_ros.trajectory.simulate import BLOCK
 from mechanical_models import random_mechanical, saved, SHAPES
+from messages import refused
 import numpy as np
 import pytest
 import torch
@@ -298,15 +299,14 @@ def test_derivatives_by_numbers_of_links_of_a_urdf(tmp_path, joints, measured):
 
 
 def test_number_that_no_link_of_a_urdf_has_is_refused_by_name(tmp_path, pendulum):
-    with pytest.raises(ValueError, match='urdf.... are numbers of the links of a URDF, which '
-                       'exact_pendulum does not have'):
+    with refused(ValueError):
         DifferentiableSimulation(pendulum, ['urdf.bob.mass'])
     arm = DifferentiableSimulation('two_joint_arm', ['urdf.forearm.mass'])
     q = torch.zeros(2, dtype=torch.float64)
-    with pytest.raises(SceneError, match='mass = -1 kg must not be negative'):
+    with refused(SceneError):
         arm(q, q, duration=0.1, parameters={'urdf.forearm.mass': -torch.ones(
             (), dtype=torch.float64)})
-    with pytest.raises(ValueError, match="no number 'urdf.forearn.mass'; it has: .*forearm.mass"):
+    with refused(ValueError):
         DifferentiableSimulation('two_joint_arm', ['urdf.forearn.mass'])
 
 
@@ -413,32 +413,25 @@ def test_gradient_without_commands_is_that_under_the_initial_command(pendulum):
     assert torch.allclose(*found, rtol=1e-12)
 
 
-@pytest.mark.parametrize('changes, error, message', [
-    ({'duration': 1.003}, ValueError, 'duration = 1.003 s is 100.3 samples, one every 0.01 s: '),
-    ({'duration': 1e30}, ValueError, 'duration = 1e\\+30 s would make 1e\\+32 samples, '),
-    ({'parameters': ['hamiltonian.mass']}, TypeError, 'parameters is a list: give a mapping of '),
-    ({'every': 3}, ValueError, 'duration = 1 s is 33.3333 samples, one every 0.03 s: '),
-    ({'q0': torch.zeros(1)}, TypeError, 'q0 is of torch.float32 on cpu: give one of float64'),
-    ({'q0': [0.0]}, TypeError, 'q0 is a list: give a tensor of float64'),
-    ({'q0': torch.zeros(2, dtype=torch.float64)}, ValueError,
-     'q0 and p0 have shapes \\(2,\\) and \\(1,\\), expected \\(1,\\) or \\(m, 1\\) twice'),
-    ({'q0': torch.zeros(0, 1, dtype=torch.float64), 'p0': torch.zeros(0, 1, dtype=torch.float64)},
-     ValueError, 'q0 and p0 have shapes \\(0, 1\\) and'),
-    ({'scene': 'free_rigid_body'}, UnsupportedSystem, 'lie_leapfrog is not differentiable yet; '),
-    ({'parameters': {'mass': torch.ones((), dtype=torch.float64)}}, ValueError,
-     "exact_pendulum has no number 'mass'; it has: hamiltonian.mass, hamiltonian.length, "),
-    ({'parameters': {'hamiltonian.mass': torch.ones(1, dtype=torch.float64)}}, ValueError,
-     'hamiltonian.mass has shape \\(1,\\), expected \\(\\): one number'),
+@pytest.mark.parametrize('changes, error', [
+    ({'duration': 1.003}, ValueError), ({'duration': 1e30}, ValueError),
+    ({'parameters': ['hamiltonian.mass']}, TypeError), ({'every': 3}, ValueError),
+    ({'q0': torch.zeros(1)}, TypeError), ({'q0': [0.0]}, TypeError),
+    ({'q0': torch.zeros(2, dtype=torch.float64)}, ValueError),
+    ({'q0': torch.zeros(0, 1, dtype=torch.float64),
+      'p0': torch.zeros(0, 1, dtype=torch.float64)}, ValueError),
+    ({'scene': 'free_rigid_body'}, UnsupportedSystem),
+    ({'parameters': {'mass': torch.ones((), dtype=torch.float64)}}, ValueError),
+    ({'parameters': {'hamiltonian.mass': torch.ones(1, dtype=torch.float64)}}, ValueError),
     ({'scene': 'pendulum', 'parameters': {
-        'hamiltonian.linear9.bias': torch.ones(1, dtype=torch.float64)}}, ValueError,
-     "the model has no tensor 'linear9.bias'; it has: linear1.weight, linear1.bias, "),
+        'hamiltonian.linear9.bias': torch.ones(1, dtype=torch.float64)}}, ValueError),
     ({'parameters': {'hamiltonian.linear1.bias': torch.ones(1, dtype=torch.float64)}},
-     UnsupportedSystem, 'weights of Pendulum are not differentiable yet: it is not H of a '),
-    ({'scene': 'bouncing_mass'}, UnsupportedSystem, 'the effect impact is not differentiable')])
-def test_what_cannot_be_differentiated_is_refused_by_name(pendulum, changes, error, message):
+     UnsupportedSystem),
+    ({'scene': 'bouncing_mass'}, UnsupportedSystem)])
+def test_what_cannot_be_differentiated_is_refused_by_name(pendulum, changes, error):
     zero = torch.zeros(1, dtype=torch.float64)
     arguments = {'scene': pendulum, 'q0': zero, 'p0': zero, 'duration': 1.0} | changes
-    with pytest.raises(error, match=message):
+    with refused(error):
         simulate(**arguments)
 
 
@@ -457,7 +450,7 @@ def test_events_are_refused_by_name(tmp_path, pendulum):
     path = tmp_path / 'watched.yaml'
     path.write_text(Path(pendulum.source).read_text() + 'events: [{when: angle = 0}]\n')
     zero = torch.zeros(1, dtype=torch.float64)
-    with pytest.raises(ValueError, match='events are not differentiable yet: leave those of '):
+    with refused(ValueError):
         simulate(path, zero, zero, duration=1.0)
 
 
@@ -525,7 +518,7 @@ def test_states_with_commands_are_those_of_simulate():
 
 def test_step_size_with_forces_is_refused():
     state = torch.zeros(1, 2, dtype=torch.float64)
-    with pytest.raises(UnsupportedSystem, match='the step size is not differentiable yet togeth'):
+    with refused(UnsupportedSystem):
         simulate(forced('gauss4'), state, state, duration=0.2,
                  step_size=torch.tensor(0.02, dtype=torch.float64))
 
@@ -588,7 +581,7 @@ def test_threads_and_prepared_simulations_share_nothing(pendulum):
 def test_failed_call_of_a_prepared_simulation_leaves_nothing_behind(pendulum):
     simulation = DifferentiableSimulation(pendulum, [MASS])
     expected = gradients(simulation, 1.1)
-    with pytest.raises(SceneError, match='mass'):
+    with refused(SceneError):
         gradients(simulation, -1.0)
     with pytest.raises(StateError):
         gradients(simulation, 2.0, float('nan'))
@@ -598,10 +591,9 @@ def test_failed_call_of_a_prepared_simulation_leaves_nothing_behind(pendulum):
 def test_prepared_simulation_takes_the_names_that_it_was_made_for(pendulum):
     simulation, one = DifferentiableSimulation(pendulum, [MASS]), torch.ones(1).double()
     for given in ({}, {'hamiltonian.length': one[0]}):
-        with pytest.raises(ValueError, match='^parameters are .*; expected those that the '
-                                             'simulation was made for: hamiltonian.mass$'):
+        with refused(ValueError):
             simulation(one, one, duration=1.0, parameters=given)
-    with pytest.raises(ValueError, match="exact_pendulum has no number 'mass'; it has: "):
+    with refused(ValueError):
         DifferentiableSimulation(pendulum, ['mass'])
 
 

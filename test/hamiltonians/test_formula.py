@@ -16,6 +16,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 from mpmath import mp, mpf
 import numpy as np
 import pytest
@@ -51,11 +52,12 @@ MP = {name: getattr(mp, name) for name in (
     'sin', 'cos', 'tan', 'tanh', 'exp', 'log', 'sqrt', 'sinh', 'cosh', 'atan', 'asin', 'acos')}
 
 
-def test_derivatives_of_1000_random_formulas_are_those_of_mpmath():
+@pytest.mark.parametrize('number', [100, pytest.param(1000, marks=pytest.mark.long)])
+def test_derivatives_of_random_formulas_are_those_of_mpmath(number):
     chance = random.Random(7)
     names, tried = ('x', 'y', 'p_x', 'p_y'), 0
     with mp.workdps(60):
-        while tried < 1000:
+        while tried < number:
             text = f'(p_x^2 + p_y^2)/2 + a*b + {random_formula(chance, 3)}'
             z, v = ([chance.uniform(0.3, 1.0) for _ in names] for _ in range(2))
             parameters = {'a': chance.uniform(0.5, 2.0), 'b': chance.uniform(0.5, 2.0)}
@@ -117,36 +119,21 @@ def test_500_hostile_texts_are_one_line_each_within_a_second_and_nothing_is_exec
         assert time.process_time() - begin < 1.0, text
 
 
-@pytest.mark.parametrize('text, said', [
-    (KINETIC + ' + k*x*y', r"H column 27: no name 'k'; there are: "),
-    (KINETIC + ' + p_xx*y', r"H column 27: no name 'p_xx'; did you mean p_x\?"),
-    ('p_x^2 + p_x*m', 'H does not depend on p_y, the momentum of y, which would never move'),
-    (KINETIC + ' + 2x', r"H column 28: found 'x', expected an operator"),
-    (KINETIC + ' + sen(x)', r"H column 27: no function 'sen'"),
-    (KINETIC + ' + x(1 + x)', r'write a product as x\*\(\.\.\.\)'),
-    (KINETIC + ' + (x', 'H column 29: the formula ends, expected an operator, or a bracket that '
-                        'closes that in column 27'),
-    (KINETIC + ' + log(1 - 2)', r"H column 27: 'log\(1 - 2\)': this is nan, no finite number"),
-    (KINETIC + ' + x/(m - m)', r"H column 27: 'x/\(m - m\)': a division by zero"),
-    (KINETIC.replace('m', '1'), 'parameters m: not in H; leave it out'),
-    ('(' * (DEEPEST + 1) + 'x', f'more than {DEEPEST} brackets'),
-    ('x +' * LONGEST, f'{3 * LONGEST} characters, of which at most {LONGEST} are read')])
-def test_error_names_the_column_and_what_is_expected(text, said):
-    with pytest.raises(ValueError, match=said):
+@pytest.mark.parametrize('text', [
+    KINETIC + ' + k*x*y', KINETIC + ' + p_xx*y', 'p_x^2 + p_x*m', KINETIC + ' + 2x',
+    KINETIC + ' + sen(x)', KINETIC + ' + x(1 + x)', KINETIC + ' + (x', KINETIC + ' + log(1 - 2)',
+    KINETIC + ' + x/(m - m)', KINETIC.replace('m', '1'), '(' * (DEEPEST + 1) + 'x',
+    'x +' * LONGEST])
+def test_error_names_the_column_and_what_is_expected(text):
+    with refused(ValueError):
         Formula(['x', 'y'], text, {'m': 2.0})
 
 
-@pytest.mark.parametrize('names, parameters, said', [
-    (['x', 'x'], {}, 'coordinates x has another meaning'),
-    (['x', 'p_x'], {}, 'coordinates p_x has another meaning'),
-    (['sin'], {}, 'coordinates sin has another meaning'),
-    ([], {}, 'coordinates must name at least'),
-    (['x y'], {}, "coordinates 'x y' must be a letter"),
-    (['x\n'], {}, r"coordinates 'x\\n' must be a letter"),
-    (['x'], {'p_x': 1.0}, 'parameters p_x has another meaning'),
-    (['x'], {'m': math.inf}, 'parameters m = inf must be a finite number')])
-def test_names_that_cannot_be_used_are_refused(names, parameters, said):
-    with pytest.raises(ValueError, match=said):
+@pytest.mark.parametrize('names, parameters', [
+    (['x', 'x'], {}), (['x', 'p_x'], {}), (['sin'], {}), ([], {}), (['x y'], {}), (['x\n'], {}),
+    (['x'], {'p_x': 1.0}), (['x'], {'m': math.inf})])
+def test_names_that_cannot_be_used_are_refused(names, parameters):
+    with refused(ValueError):
         Formula(names, 'p_x^2', parameters)
 
 
@@ -159,7 +146,7 @@ def test_height_of_a_small_swing_keeps_its_digits():
 
 def test_derivatives_that_outgrow_memory_are_refused():
     wide = '*'.join(f'atan(x^{i}+y)' for i in range(2, 280))
-    with pytest.raises(ValueError, match='more than 10000 parts'):
+    with refused(ValueError):
         Formula(['x', 'y'], f'p_x^2 + p_y^2 + {wide}').kernel  # noqa: B018
 
 
@@ -177,9 +164,7 @@ def test_scene_of_a_formula_runs_and_its_numbers_have_names(tmp_path):
 def test_scene_says_where_its_formula_has_no_value(tmp_path):
     file = tmp_path / 'mine.yaml'
     file.write_text(TREE.replace('- y^3/3', '- 1/(x - 0.1)'))
-    with pytest.raises(SceneError, match=(
-            r'mine.yaml:\d+: hamiltonian.H: formula: H column 47: '
-            r'.1/\(x - 0.1\). is .*inf at the initial state')):
+    with refused(SceneError):
         load_scene(file).create_hamiltonian()
 
 
@@ -206,11 +191,10 @@ def test_potential_of_a_formula_is_the_part_of_h_that_it_says(integrator):
     assert abs(one.energy - two.energy) < 2000 * 2.0**-53
 
 
-@pytest.mark.parametrize('formula, parameters, said', [
-    ('k*z', {'k': 1.0}, 'no name .z.; there are: x, k'), ('k', {'k': 1.0}, 'depends on no coord'),
-    ('x', {'x': 1.0}, 'parameters x is a coordinate'), ('p_x*x', {}, 'no name .p_x.')])
-def test_potential_that_fits_no_system_is_refused(formula, parameters, said):
-    with pytest.raises(ValueError, match=said):
+@pytest.mark.parametrize('formula, parameters', [
+    ('k*z', {'k': 1.0}), ('k', {'k': 1.0}), ('x', {'x': 1.0}), ('p_x*x', {})])
+def test_potential_that_fits_no_system_is_refused(formula, parameters):
+    with refused(ValueError):
         Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['gauss8'](), 0.1, [1.0], [0.0],
                    [EFFECTS['potential'](formula, parameters)])
 

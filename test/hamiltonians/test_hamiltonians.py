@@ -15,6 +15,7 @@ from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.scene import load_scene
+from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -110,9 +111,8 @@ def test_hamiltonian_names_each_coordinate_once(name: str):
 @pytest.mark.parametrize('value', [0.0, -1.0, float('nan'), float('inf')])
 def test_hamiltonian_refuses_parameter_out_of_range_in_one_line(
         name: str, parameter: str, value: float):
-    with pytest.raises(ValueError, match=f'^{parameter} = .* must be a .* number.*$') as caught:
+    with refused(ValueError):
         HAMILTONIANS[name](**{**UNEVEN[name], parameter: value})
-    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize('name', [
@@ -141,9 +141,8 @@ def test_free_particle_has_kinetic_energy_alone_and_moves_straight_on():
 
 @pytest.mark.parametrize('names', [[], ['x', 'x'], [''], ['1x'], ['a b'], ['a\n']])
 def test_free_particle_refuses_names_that_cannot_be_used(names: list[str]):
-    with pytest.raises(ValueError, match='^names') as caught:
+    with refused(ValueError):
         FreeParticle(names=names)
-    assert '\n' not in str(caught.value)
 
 
 def test_pendulum_energy_is_its_kinetic_and_potential_energy():
@@ -313,5 +312,5 @@ def test_fput_chain_exchanges_its_stiff_energies_and_keeps_their_sum():
 def test_fput_chain_has_two_coordinates_a_pair():
     assert [c.name for c in FputChain(pairs=2).coordinates] == [
         'centre1', 'centre2', 'stretch1', 'stretch2']
-    with pytest.raises(ValueError, match='whole number from 1 to 1000'):
+    with refused(ValueError):
         FputChain(pairs=2.5)

@@ -6,6 +6,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.momenta import momentum
+from messages import refused
 import numpy as np
 import pytest
 
@@ -32,6 +33,5 @@ def test_momenta_where_h_is_quadratic_in_p_are_mass_times_velocity():
 def test_momenta_that_do_not_exist_are_refused_in_one_line(velocity):
     # The velocities of a tanh network are bounded.
     hamiltonian = load_scene('pendulum').create_hamiltonian()
-    with pytest.raises(StateError, match='no momentum') as caught:
+    with refused(StateError):
         momentum(hamiltonian, np.zeros(1), np.array([velocity]), np.zeros(1))
-    assert '\n' not in str(caught.value)

@@ -6,6 +6,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.phase_space import angle_columns, columns, Coordinate, rotations
 from hnn_vi_ros.scene.choices import Condition
+from messages import refused
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -66,29 +67,25 @@ def test_body_has_the_derivatives_of_its_energy(name: str):
         assert np.allclose(product, plus - minus, rtol=0.0, atol=1e-14)
 
 
-@pytest.mark.parametrize('arguments, expected', [
-    ({'inertia': [1.0, 1.0]}, 'inertia has 2 values, expected 3'),
-    ({'inertia': [1.0, 0.0, 1.0]}, r'inertia\[1\] = 0.0 must be a positive number'),
-    ({'inertia': [1.0, 1.0, 2.5]}, 'no body has a moment of inertia larger than the sum')])
+@pytest.mark.parametrize('arguments', [
+    {'inertia': [1.0, 1.0]}, {'inertia': [1.0, 0.0, 1.0]}, {'inertia': [1.0, 1.0, 2.5]}])
 @pytest.mark.parametrize('name', [name for name in BODIES if name != 'ball_joint_pendulum'])
-def test_body_refuses_what_is_no_inertia(name: str, arguments: dict, expected: str):
-    with pytest.raises(ValueError, match=expected):
+def test_body_refuses_what_is_no_inertia(name: str, arguments: dict):
+    with refused(ValueError):
         HAMILTONIANS[name](**arguments)
 
 
 @pytest.mark.parametrize('name', ['mass', 'length', 'gravity'])
 def test_heavy_top_refuses_a_constant_out_of_range(name: str):
-    with pytest.raises(ValueError, match=f'{name} = nan must be a .*number'):
+    with refused(ValueError):
         HAMILTONIANS['heavy_top'](**{name: float('nan')})
 
 
-@pytest.mark.parametrize('name, arguments, expected', [
-    ('quadrotor', {'mass': 0.0}, 'mass = 0.0 must be a positive number'),
-    ('quadrotor', {'gravity': -9.81}, 'gravity = -9.81 must be at least 0 and finite'),
-    ('quadrotor', {'gravity': float('inf')}, 'gravity = inf must be'),
-    ('ball_joint_pendulum', {'radius': 0.0}, 'radius = 0.0 must be a positive number')])
-def test_body_refuses_a_constant_out_of_range(name: str, arguments: dict, expected: str):
-    with pytest.raises(ValueError, match=expected):
+@pytest.mark.parametrize('name, arguments', [
+    ('quadrotor', {'mass': 0.0}), ('quadrotor', {'gravity': -9.81}),
+    ('quadrotor', {'gravity': float('inf')}), ('ball_joint_pendulum', {'radius': 0.0})])
+def test_body_refuses_a_constant_out_of_range(name: str, arguments: dict):
+    with refused(ValueError):
         HAMILTONIANS[name](**arguments)
 
 
@@ -129,5 +126,5 @@ def test_condition_names_the_columns_of_a_rotation():
     condition = Condition('attitude_qw + p_attitude_rz = v_attitude_rx')
     condition.check(top)
     np.testing.assert_array_equal(condition.values(top, q, p), q[:, 3] + p[:, 2] - p[:, 0])
-    with pytest.raises(ValueError, match='.p_attitude_qx.; did you mean p_attitude_rx'):
+    with refused(ValueError):
         Condition('p_attitude_qx = 0').check(top)

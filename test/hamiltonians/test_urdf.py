@@ -5,10 +5,11 @@
 import re
 import warnings
 
-from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
+from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.scene import load_scene
+from messages import assert_message, refused
 import numpy as np
 import pytest
 from urdf_robots import chain, TREE, TREE_ARGUMENTS, with_quaternions
@@ -62,90 +63,67 @@ def test_quaternions_turn_as_the_angles_that_they_stand_for(version):
 LIMIT = 'lower="-0.5" upper="0.5" velocity="1" effort="90"'
 
 
-def assert_read_or_refused(folder, text: str, expected: str | None) -> None:
-    if expected is None:
-        assert build(folder, text).dimension == 5
-        return
-    with pytest.raises(ModelError, match=expected) as caught:
-        build(folder, text)
-    assert '\n' not in str(caught.value) and 'robot.urdf:' in str(caught.value)
+def outcome(folder, text: str) -> str:
+    """Return the error that a file is refused with, or how many joints move."""
+    try:
+        return f'{build(folder, text).dimension} joints move'
+    except ModelError as problem:
+        return f'ModelError: {problem}'
 
 
-@pytest.mark.parametrize('version, old, new, expected', [
-    ('2.0', '', '', r"robot.urdf:1: robot version='2.0' cannot be read; valid: 1.0, 1.1, 1.2"),
-    ('1', '', '', "robot version='1' cannot be read"),
-    ('1.3', '', '', "robot version='1.3' cannot be read"),
-    ('', '', '', "robot version='' cannot be read"),
-    ('1.0', '', '', None), ('1.1', '', '', None), ('1.2', '', '', None),
-    ('1.0', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"',
-     "robot.urdf:8: joint 'hip': origin: quat_xyzw is of version 1.1, and this file of 1.0"),
-    (None, 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"', r'write <robot version="1.1">, or rpy'),
-    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"', None),
-    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1e-200"', None),
-    ('1.2', 'rpy="0.3 0.5 -0.7"', 'rpy="0 0 0" quat_xyzw="0 0 0 1"',
-     "robot.urdf:7: joint 'hip': origin has rpy and quat_xyzw; leave one of them out"),
-    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 0"', 'quat_xyzw = 0 0 0 0 is no rotation'),
-    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 1"', 'quat_xyzw has 3 numbers, expected 4'),
-    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1 0"', 'has more than 4 numbers, expected 4'),
-    ('1.2', 'rpy="0.5 0.1 -0.3"', 'quat_xyzw="0 0 0 nan"', "link 'trunk': origin quat_xyzw = 'na"),
-    # What is limited beside these acts on no robot here; version 1.2 asks for both or none.
-    ('1.2', LIMIT, f'{LIMIT} acceleration="2" deceleration="3" jerk="40"', None),
-    ('1.2', LIMIT, f'{LIMIT} jerk="-40"', "joint 'rail': limit jerk = -40 must not be negative"),
-    ('1.2', LIMIT, f'{LIMIT} acceleration="fast"', "limit acceleration = 'fast' must be a finite"),
-    ('1.2', LIMIT, 'lower="-0.5"', "joint 'rail': limit without upper; version 1.2 has both"),
-    ('1.2', LIMIT, 'effort="90"', "joint 'rail': limit without lower; version 1.2 has both"),
-    ('1.1', LIMIT, 'lower="-0.5"', None),
-    ('1.2', f'<limit {LIMIT}/>', '', None)])
-def test_each_version_of_the_format_is_read_as_urdfdom_reads_it(
-        tmp_path, version, old, new, expected):
+@pytest.mark.parametrize('version, old, new', [
+    ('2.0', '', ''), ('1', '', ''), ('1.3', '', ''), ('', '', ''), ('1.0', '', ''),
+    ('1.1', '', ''), ('1.2', '', ''), ('1.0', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"'),
+    (None, 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"'),
+    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1"'),
+    ('1.1', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1e-200"'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'rpy="0 0 0" quat_xyzw="0 0 0 1"'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 0"'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 1"'),
+    ('1.2', 'rpy="0.3 0.5 -0.7"', 'quat_xyzw="0 0 0 1 0"'),
+    ('1.2', 'rpy="0.5 0.1 -0.3"', 'quat_xyzw="0 0 0 nan"'),
+    ('1.2', LIMIT, f'{LIMIT} acceleration="2" deceleration="3" jerk="40"'),
+    ('1.2', LIMIT, f'{LIMIT} jerk="-40"'), ('1.2', LIMIT, f'{LIMIT} acceleration="fast"'),
+    ('1.2', LIMIT, 'lower="-0.5"'), ('1.2', LIMIT, 'effort="90"'), ('1.1', LIMIT, 'lower="-0.5"'),
+    ('1.2', f'<limit {LIMIT}/>', '')])
+def test_each_version_of_the_format_is_read_as_urdfdom_reads_it(tmp_path, version, old, new):
     assert old in TREE
     text = TREE.replace(old, new, 1) if old else TREE
     if version is not None:
         text = text.replace('<robot ', f'<robot version="{version}" ', 1)
-    assert_read_or_refused(tmp_path, text, expected)
+    assert_message(outcome(tmp_path, text))
 
 
-@pytest.mark.parametrize('old, new, expected', [
-    ('rpy="0.3 0.5', 'ryp="0.3 0.5', "robot.urdf:8: joint 'hip': origin: unknown attribute 'ryp'; "
-     r'did you mean rpy\?; valid: xyz, rpy, quat_xyzw'),
-    ('damping="2.5"', 'dampnig="2.5"', "joint 'rail': dynamics: .*'dampnig'; did .* damping"),
-    ('rpy="0.5 0.1', 'Rpy="0.5 0.1', "robot.urdf:9: link 'trunk': inertial: origin: .*'Rpy'"),
-    ('ixz="-0.02"', 'ixz="-0.02" Ixx="1"', "urdf:10: link 'trunk': inertial: inertia: .*Ixx"),
-    ('value="3.5"', 'value="3.5" unit="g"', "inertial: mass: unknown attribute 'unit'; valid: v"),
-    ('xyz="1 2 -2"', 'xyz="1 2 -2" frame="world"', "axis: unknown attribute 'frame'; valid: xyz"),
-    ('effort="90"', 'efort="90"', "joint 'rail': limit: .* 'efort'; did you mean effort"),
-    ('<child link="hand"/>', '<child link="hand" joint="x"/>', "child: .* 'joint'; valid: link"),
-    ('type="continuous"', 'type="continuous" axis="0 0 1"', "joint 'hip': .* 'axis'; valid: name"),
-    ('<link name="base"/>', '<link name="base" mass="1"/>', "link 'base': .*'mass'; valid: name"),
-    ('<robot ', '<robot verison="1.0" ', "robot.urdf:1: robot: .*'verison'; did you mean ver"),
-    ('<mimic joint="finger"/>', '<mimic joint="finger" offest="1"/>', 'mimic: .* mean offset'),
-    ('<mimic joint="finger"/>', '<mimic/>', "joint 'follower': mimic without joint; expected"),
-    ('<axis xyz="1 2 -2"/>', '<axis/>', "joint 'hip': axis without xyz; expected <axis xyz="),
-    ('<axis xyz="1 2 -2"/>', '<axs xyz="1 2 -2"/>',
-     "robot.urdf:8: joint 'hip': <axs> means nothing there; did you mean axis"),
-    ('<axis xyz="1 2 -2"/>', '<Axis xyz="1 2 -2"/>', '<Axis> means .* did you mean axis'),
-    ('<dynamics ', '<dynamic ', 'did you mean dynamics'),
-    ('<mass value="3.5"/>', '<mas value="3.5"/>', "link 'trunk': inertial: <mas> means nothing"),
-    ('<link name="base"/>', '<link name="base"/><lnik name="more"/>', '<lnik> .* mean link'),
-    ('<link name="base"/>', '<link name="base"><mass value="1"/></link>',
-     "link 'base': <mass> means nothing there; valid: inertial"),
-    ('<link name="base"/>', '<link name="base"><joint name="x" type="fixed"/></link>', '<joint>'),
-    # Extensions are those of others, and so are attributes that published robots have.
+@pytest.mark.parametrize('old, new', [
+    ('rpy="0.3 0.5', 'ryp="0.3 0.5'), ('damping="2.5"', 'dampnig="2.5"'),
+    ('rpy="0.5 0.1', 'Rpy="0.5 0.1'), ('ixz="-0.02"', 'ixz="-0.02" Ixx="1"'),
+    ('value="3.5"', 'value="3.5" unit="g"'), ('xyz="1 2 -2"', 'xyz="1 2 -2" frame="world"'),
+    ('effort="90"', 'efort="90"'), ('<child link="hand"/>', '<child link="hand" joint="x"/>'),
+    ('type="continuous"', 'type="continuous" axis="0 0 1"'),
+    ('<link name="base"/>', '<link name="base" mass="1"/>'), ('<robot ', '<robot verison="1.0" '),
+    ('<mimic joint="finger"/>', '<mimic joint="finger" offest="1"/>'),
+    ('<mimic joint="finger"/>', '<mimic/>'), ('<axis xyz="1 2 -2"/>', '<axis/>'),
+    ('<axis xyz="1 2 -2"/>', '<axs xyz="1 2 -2"/>'),
+    ('<axis xyz="1 2 -2"/>', '<Axis xyz="1 2 -2"/>'), ('<dynamics ', '<dynamic '),
+    ('<mass value="3.5"/>', '<mas value="3.5"/>'),
+    ('<link name="base"/>', '<link name="base"/><lnik name="more"/>'),
+    ('<link name="base"/>', '<link name="base"><mass value="1"/></link>'),
+    ('<link name="base"/>', '<link name="base"><joint name="x" type="fixed"/></link>'),
     ('<axis xyz="1 2 -2"/>', '<axis xyz="1 2 -2" rpy="0 0 0"/><drake:rotor_inertia value="1"/>'
-     '<joint_properties damping="1"/><actuator name="a"/>', None),
-    ('<dynamics ', '<dynamics drake:b="1" spring_stiffness="0" mu_coulomb="0" ', None),
+     '<joint_properties damping="1"/><actuator name="a"/>'),
+    ('<dynamics ', '<dynamics drake:b="1" spring_stiffness="0" mu_coulomb="0" '),
     ('<link name="base"/>', '<link name="base" type="x"><visual><orgin/></visual><contact/>'
      '<origin xyz="0 0 0"/><sensor><mas/></sensor></link><gazebo reference="base"><mass/></gazebo>'
      '<transmission><joint name="x"/></transmission><ros2_control><joint name="hip"><limit x="1"/>'
-     '</joint></ros2_control><material/><mujoco/><loop_joint/>', None),
-    ('<robot ', '<robot xmlns="http://www.ros.org" xmlns:drake="http://drake.mit.edu" ', None)])
+     '</joint></ros2_control><material/><mujoco/><loop_joint/>'),
+    ('<robot ', '<robot xmlns="http://www.ros.org" xmlns:drake="http://drake.mit.edu" ')])
 def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest(
-        tmp_path, old, new, expected):
+        tmp_path, old, new):
     assert old in TREE
     text = TREE.replace(old, new, 1)
     if 'drake:' in new and 'xmlns' not in new:
         text = text.replace('<robot ', '<robot xmlns:drake="http://drake.mit.edu" ', 1)
-    assert_read_or_refused(tmp_path, text, expected)
+    assert_message(outcome(tmp_path, text))
 
 
 def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
@@ -154,69 +132,36 @@ def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
         assert text != TREE and build(tmp_path, text).dimension == 5
 
 
-@pytest.mark.parametrize('old, new, expected', [
-    ('<robot name="tree">', '<robot>', None),
-    ('<robot name="tree">', '<sdf>', 'no XML: mismatched tag'),
-    ('</robot>', '', 'no XML: no element found'),
-    (TREE, '<sdf/>', r'robot.urdf:1: <sdf>, expected <robot>: no URDF'),
-    (TREE, '<robot/>', 'a robot without links'),
-    (TREE, '', 'no XML: no element found'),
-    (TREE, '\0', 'no XML: '),
-    (TREE, '<?xml version="1.0" encoding="utf-7"?><robot/>', 'robot.urdf:1: '),
-    (TREE, '<?xml version="1.0" encoding="no-such"?><robot/>', 'robot.urdf:1: '),
-    (TREE, '<a>' * 65, 'elements nested more than 64 deep'),
-    (TREE, '<robot>' + '<a/>' * 100_000, 'more than 100000 elements'),
-    (TREE, ' ' * (8 << 20) + '<robot/>', 'more than 8 MiB of XML'),
-    (TREE, '<!DOCTYPE r [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><robot name="&c;"/>',
-     'robot.urdf:1: a document type declaration'),
-    (TREE, '<!DOCTYPE r SYSTEM "file:///etc/passwd"><robot/>', 'a document type declaration'),
-    ('  <link name="base"/>', '  <xacro:link name="base"/>', r'<xacro:link>: a xacro'),
-    ('<link name="base"/>', '<link/>', r"robot.urdf:6: link name='' must be 1 to 200 printable"),
-    ('<link name="base"/>', '<link name="hand"/>', "2 links are named 'hand'"),
-    ('name="rail"', 'name="wrist"', "2 joints are named 'wrist'"),
-    ('<child link="hand"/>', '<child link="hadn"/>',
-     r"robot.urdf:17: joint 'wrist': no link 'hadn'; links: ground, base"),
-    ('<child link="hand"/>', '', "joint 'wrist': no child; expected"),
-    ('<child link="hand"/>', '<child link="hand"/><child link="tip"/>', '2 times <child>'),
-    ('<parent link="slider"/><child link="hand"/>', '<parent link="slider"/><child link="tool"/>',
-     "joint 'grip': link 'tool' hangs on joint 'wrist' already"),
-    ('<link name="base"/>', '<link name="base"/><link name="loose"/>',
-     'several links hang on nothing: ground, loose'),
-    ('<parent link="base"/><child link="trunk"/>', '<parent link="hand"/><child link="trunk"/>',
-     'several links|joints in a circle'),
-    ('<parent link="ground"/><child link="base"/>', '<parent link="hand"/><child link="base"/>',
-     'joints in a circle|several links'),
-    ('type="continuous"', '', "joint 'hip': no type; valid: revolute"),
-    ('type="continuous"', 'type="floating"',
-     "joint 'hip': type 'floating' cannot be simulated; valid: revolute, .* base: trunk"),
-    ('xyz="1 2 -2"', 'xyz="0 0 0"', "joint 'hip': axis xyz = 0 0 0 has no direction"),
-    ('xyz="1 2 -2"', 'xyz="1 2"', 'axis xyz has 2 numbers, expected 3'),
-    ('xyz="1 2 -2"', 'xyz="1 2 nan"', "axis xyz = 'nan' must be a finite number"),
-    ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 inf -0.7"', "origin rpy = 'inf' must be a finite number"),
-    ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 1e13 -0.7"', "'1e13' must be a finite number of at most"),
-    ('value="3.5"', 'value="3,5"', "link 'trunk': mass value = '3,5' must be a finite number"),
-    ('value="3.5"', 'value="1_0"', "mass value = '1_0' must be"),
-    ('value="3.5"', 'value="٣"', 'mass value = .* must be'),
-    ('value="3.5"', 'value="-3.5"', "link 'trunk': mass = -3.5 kg must not be negative"),
-    ('<mass value="3.5"/>', '', "link 'trunk': inertial without mass"),
-    (INERTIA, '', "link 'trunk': inertial without inertia"),
-    (INERTIA, INERTIA.replace('izz="0.1"', ''), "link 'trunk': inertia without izz"),
-    (INERTIA, INERTIA.replace('0.25', '-0.25'), 'moments of inertia .*: none may be negative'),
-    (INERTIA, INERTIA.replace('izz="0.1"', 'izz="10"'), 'triangle inequality'),
-    ('<mass value="3.5"/>', '<mass value="0"/>', 'kg m2 without mass'),
-    ('lower="-0.5" upper="0.5"', 'lower="0.5" upper="-0.5"', 'limits 0.5 to -0.5 leave nothing'),
-    ('damping="2.5"', 'damping="-2.5"', "joint 'rail': damping = -2.5 must not be negative"),
-    ('effort="90"', 'effort="-90"', 'limit effort = -90 must not be negative'),
-    ('effort="90"', 'effort="1e308"', None),
-])
-def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, new, expected):
+@pytest.mark.parametrize('old, new', [
+    ('<robot name="tree">', '<robot>'), ('<robot name="tree">', '<sdf>'), ('</robot>', ''),
+    (TREE, '<sdf/>'), (TREE, '<robot/>'), (TREE, ''), (TREE, '\0'),
+    (TREE, '<?xml version="1.0" encoding="utf-7"?><robot/>'),
+    (TREE, '<?xml version="1.0" encoding="no-such"?><robot/>'), (TREE, '<a>' * 65),
+    (TREE, '<robot>' + '<a/>' * 100_000), (TREE, ' ' * (8 << 20) + '<robot/>'),
+    (TREE, '<!DOCTYPE r [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><robot name="&c;"/>'),
+    (TREE, '<!DOCTYPE r SYSTEM "file:///etc/passwd"><robot/>'),
+    ('  <link name="base"/>', '  <xacro:link name="base"/>'), ('<link name="base"/>', '<link/>'),
+    ('<link name="base"/>', '<link name="hand"/>'), ('name="rail"', 'name="wrist"'),
+    ('<child link="hand"/>', '<child link="hadn"/>'), ('<child link="hand"/>', ''),
+    ('<child link="hand"/>', '<child link="hand"/><child link="tip"/>'),
+    ('<parent link="slider"/><child link="hand"/>', '<parent link="slider"/><child link="tool"/>'),
+    ('<link name="base"/>', '<link name="base"/><link name="loose"/>'),
+    ('<parent link="base"/><child link="trunk"/>', '<parent link="hand"/><child link="trunk"/>'),
+    ('<parent link="ground"/><child link="base"/>', '<parent link="hand"/><child link="base"/>'),
+    ('type="continuous"', ''), ('type="continuous"', 'type="floating"'),
+    ('xyz="1 2 -2"', 'xyz="0 0 0"'), ('xyz="1 2 -2"', 'xyz="1 2"'),
+    ('xyz="1 2 -2"', 'xyz="1 2 nan"'), ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 inf -0.7"'),
+    ('rpy="0.3 0.5 -0.7"', 'rpy="0.3 1e13 -0.7"'), ('value="3.5"', 'value="3,5"'),
+    ('value="3.5"', 'value="1_0"'), ('value="3.5"', 'value="٣"'), ('value="3.5"', 'value="-3.5"'),
+    ('<mass value="3.5"/>', ''), (INERTIA, ''), (INERTIA, INERTIA.replace('izz="0.1"', '')),
+    (INERTIA, INERTIA.replace('0.25', '-0.25')),
+    (INERTIA, INERTIA.replace('izz="0.1"', 'izz="10"')),
+    ('<mass value="3.5"/>', '<mass value="0"/>'),
+    ('lower="-0.5" upper="0.5"', 'lower="0.5" upper="-0.5"'), ('damping="2.5"', 'damping="-2.5"'),
+    ('effort="90"', 'effort="-90"'), ('effort="90"', 'effort="1e308"')])
+def test_mistake_in_a_urdf_is_answered_with_file_line_and_remedy(tmp_path, old, new):
     assert old in TREE
-    if expected is None:
-        assert build(tmp_path, TREE.replace(old, new, 1)).dimension == 5
-        return
-    with pytest.raises(ModelError, match=expected) as caught:
-        build(tmp_path, TREE.replace(old, new, 1))
-    assert '\n' not in str(caught.value) and 'robot.urdf' in str(caught.value)
+    assert_message(outcome(tmp_path, TREE.replace(old, new, 1)))
 
 
 # No body has these; that of a tip, whose motion is that of its joints, is refused.
@@ -265,7 +210,7 @@ def test_slide_on_what_rests_turns_no_moments_of_inertia(tmp_path):
     with pytest.warns(UserWarning, match="'l1': .* none may be negative; .* it does not turn"):
         robot = build(tmp_path, text, **arguments)
     assert robot.masses(np.zeros((1, 1))).item() == 1.0
-    with pytest.raises(ModelError, match="'l1': mass = -1 kg must not be negative"):
+    with refused(ModelError):
         build(tmp_path, text.replace('value="1.0"', 'value="-1"'), **arguments)
 
 
@@ -279,29 +224,18 @@ def test_many_links_that_no_body_could_be_are_one_warning(tmp_path):
     assert told.startswith(str(tmp_path)) and told.endswith(', odd20, ... (979 more)')
 
 
-@pytest.mark.parametrize('arguments, expected', [
-    ({'base': 'floor'}, "base = 'floor' is no link; links: ground, base"),
-    ({'joints': ['hip']}, 'joints leaves out rail, wrist, finger, tail; .* locked: {rail: 0.0}'),
-    ({'joints': ['hip', 'hip', 'rail', 'wrist', 'finger', 'tail']}, 'joints .* each joint once'),
-    ({'joints': ['hpi']}, "joints names 'hpi': no such joint moves; moving joints: hip, rail"),
-    ({'joints': ['follower']}, "joints names 'follower': it is locked"),
-    ({'joints': ['grip']}, "joints names 'grip': no such joint moves"),
-    ({'locked': {}}, r"joint 'follower': joints that mimic .*: follower \(of finger\); .* locked"),
-    ({'locked': {'follower': 0.0, 'grip': 1.0}}, "locked names 'grip', which is no joint that"),
-    ({'locked': {'follower': float('nan')}}, 'locked at follower = nan must be a finite number'),
-    ({'joints': [], 'locked': dict.fromkeys(
+@pytest.mark.parametrize('arguments', [
+    {'base': 'floor'}, {'joints': ['hip']},
+    {'joints': ['hip', 'hip', 'rail', 'wrist', 'finger', 'tail']}, {'joints': ['hpi']},
+    {'joints': ['follower']}, {'joints': ['grip']}, {'locked': {}},
+    {'locked': {'follower': 0.0, 'grip': 1.0}}, {'locked': {'follower': float('nan')}},
+    {'joints': [], 'locked': dict.fromkeys(
         ['follower', 'hip', 'rail', 'wrist', 'finger', 'tail'], 0.0), 'rotor_inertia': {}},
-     'joints has none that moves'),
-    ({'gravity': [0.0, 9.81]}, 'gravity = .* must be three numbers'),
-    ({'gravity': [0.0, 0.0, float('inf')]}, 'gravity = .* must be three numbers'),
-    ({'rotor_inertia': {'hip': -1.0}}, 'rotor_inertia of hip = -1.0 must be a number from 0'),
-    ({'rotor_inertia': {'follower': 1.0}}, "rotor_inertia names 'follower', which is no joint"),
-])
-def test_argument_that_does_not_fit_the_robot_is_answered_with_the_valid_ones(
-        tmp_path, arguments, expected):
-    with pytest.raises((ModelError, ValueError), match=expected) as caught:
+    {'gravity': [0.0, 9.81]}, {'gravity': [0.0, 0.0, float('inf')]},
+    {'rotor_inertia': {'hip': -1.0}}, {'rotor_inertia': {'follower': 1.0}}])
+def test_argument_that_does_not_fit_the_robot_is_answered_with_the_valid_ones(tmp_path, arguments):
+    with refused(ModelError, ValueError):
         build(tmp_path, **arguments)
-    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize('mass, inertia, rotor, singular', [
@@ -318,20 +252,15 @@ def test_joint_that_moves_no_inertia_is_named(tmp_path, mass, inertia, rotor, si
     if not singular:
         assert build(tmp_path, text, **arguments).dimension == 3
         return
-    with pytest.raises(ModelError, match=r"robot.urdf:2: joint 'spin': spin can move without "
-                                         "moving any mass .* link 'disc'"):
+    with refused(ModelError):
         build(tmp_path, text, **arguments)
 
 
-@pytest.mark.parametrize('number, refused', [(12, False), (13, True)])
-def test_robot_moves_up_to_twelve_joints(tmp_path, number, refused):
-    text, arguments = chain([1.0] * number, [0.5] * number), dict.fromkeys(TREE_ARGUMENTS)
-    arguments['gravity'] = [0.0, 0.0, -9.81]
-    if refused:
-        with pytest.raises(ValueError, match='joints: 13 move, at most 12 can; .*: j1, j2'):
-            build(tmp_path, text, **arguments)
-    else:
-        assert build(tmp_path, text, **arguments).dimension == 12
+def test_robot_moves_up_to_twelve_joints(tmp_path):
+    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
+    assert build(tmp_path, chain([1.0] * 12, [0.5] * 12), **arguments).dimension == 12
+    with refused(ValueError):
+        build(tmp_path, chain([1.0] * 13, [0.5] * 13), **arguments)
 
 
 def ladder(number: int, tail: str = '') -> str:
@@ -345,36 +274,28 @@ def ladder(number: int, tail: str = '') -> str:
 ALL = [f'joint{i}' for i in range(1, 1900)]
 
 
-@pytest.mark.parametrize('number, tail, arguments, expected', [
+@pytest.mark.parametrize('number, tail, arguments', [
     # Before any of its joints is looked at: the mistake in the last line is not found.
-    (14_000, '<joint/>', {}, 'robot.urdf: 14001 links and 14001 joints, at most 2000 of each'),
-    (1900, '', {}, r'joints: 1900 move, at most 12 can; .* joint20, \.\.\. \(1880 more\)'),
-    (1900, '', {'joints': ALL}, r'joints leaves out joint1900; name them too'),
-    (1900, '', {'joints': [*ALL, *ALL]}, r'joints = \[joint1, .*must name each joint once'),
-    (1900, '', {'joints': ['joint5']}, r'leaves out joint1, .* \(1879 more\); name them too'),
-    (1900, '', {'joints': ['none']}, r'no such joint moves; moving joints: .* \(1880 more\)'),
-    (1900, '', {'base': 'none'}, r'is no link; links: link0, .* \(1881 more\)'),
-    (1900, '<link name="loose1"/>', {}, 'several links hang on nothing: link0, loose1'),
-    (50, ''.join(f'<link name="loose{i}"/>' for i in range(1800)), {},
-     r'several links hang on nothing: link0, .* \(1781 more\)'),
-    (1900, '<joint name="j" type="fixed"><parent link="link7"/><child link="none"/></joint>', {},
-     r"joint 'j': no link 'none'; links: link0, .* \(1881 more\)"),
+    (14_000, '<joint/>', {}), (1900, '', {}), (1900, '', {'joints': ALL}),
+    (1900, '', {'joints': [*ALL, *ALL]}), (1900, '', {'joints': ['joint5']}),
+    (1900, '', {'joints': ['none']}), (1900, '', {'base': 'none'}),
+    (1900, '<link name="loose1"/>', {}),
+    (50, ''.join(f'<link name="loose{i}"/>' for i in range(1800)), {}),
+    (1900, '<joint name="j" type="fixed"><parent link="link7"/><child link="none"/></joint>', {}),
     (1900, f'<joint name="j" type="fixed"><parent link="link7"/><child link="{"x" * 10**6}"/>'
-     '</joint>', {}, "joint 'j': no link 'xxx.* more"),
+     '</joint>', {}),
     (1900, f'<joint name="j" type="{"x" * 10**6}"><parent link="link7"/><child link="end"/>'
-     '</joint><link name="end"/>', {}, "joint 'j': type 'xxx.* cannot be simulated")])
-def test_robot_of_very_many_joints_is_refused_in_one_short_line(
-        tmp_path, number, tail, arguments, expected):
+     '</joint><link name="end"/>', {})], ids=range(12))
+def test_robot_of_very_many_joints_is_refused_in_one_short_line(tmp_path, number, tail, arguments):
     arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]} | arguments
-    with pytest.raises((ModelError, ValueError), match=expected) as caught:
+    with refused(ModelError, ValueError):
         build(tmp_path, ladder(number, tail), **arguments)
-    assert len(str(caught.value)) < 2100 and '\n' not in str(caught.value)
 
 
 def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):
     text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2/x"')
     arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
-    with pytest.raises(ModelError, match="joint 'j 2/x': the name of a coordinate must be"):
+    with refused(ModelError):
         build(tmp_path, text, **arguments)
     assert build(tmp_path, text, **arguments | {'locked': {'j 2/x': 0.0}}).dimension == 1
 
@@ -389,29 +310,18 @@ initial_state: {q: [1.0], p: [0]}
 """
 
 
-@pytest.mark.parametrize('line, expected', [
-    ('file: none.urdf', r"mine.yaml:3: hamiltonian.file: no file '.*none.urdf'; give a path"),
-    ('file: package://no_such_package/a.urdf',
-     r"mine.yaml:3: hamiltonian.file: package://.*: no package 'no_such_package' is in what"),
-    ('file: package://x', r'mine.yaml:3: hamiltonian.file: .* must be package://PACKAGE/PATH'),
-    ('file: .', r"mine.yaml:3: hamiltonian.file: '.*' is a folder; give a path"),
-    ('file: robot.urdf\n  base: x', r"mine.yaml:4: hamiltonian.base: urdf: base = 'x' is no link"),
-    ('file: robot.urdf\n  locked: {x: 0}', 'mine.yaml:4: hamiltonian.locked: urdf: locked names'),
-    ('file: robot.urdf\n  gravity: [0]', 'mine.yaml:4: hamiltonian.gravity: urdf: gravity = '),
-    ('file: robot.urdf\n  joints: j1', 'mine.yaml:4: hamiltonian.joints: .*list'),
-    ('file: robot.urdf\n  locked: {j1: .inf}', 'mine.yaml:4: hamiltonian.locked.j1: .*finite'),
-    ('file: robot.urdf\n  joint: [j1]',
-     r'mine.yaml:4: hamiltonian.joint: unknown key; did you mean joints\?; valid keys'),
-    ('file: bad.urdf', 'mine.yaml:1: hamiltonian: urdf: .*bad.urdf:1: no XML'),
-])
-def test_mistake_in_a_scene_of_a_robot_is_answered_with_its_line(tmp_path, line, expected):
+@pytest.mark.parametrize('line', [
+    'file: none.urdf', 'file: package://no_such_package/a.urdf', 'file: package://x', 'file: .',
+    'file: robot.urdf\n  base: x', 'file: robot.urdf\n  locked: {x: 0}',
+    'file: robot.urdf\n  gravity: [0]', 'file: robot.urdf\n  joints: j1',
+    'file: robot.urdf\n  locked: {j1: .inf}', 'file: robot.urdf\n  joint: [j1]', 'file: bad.urdf'])
+def test_mistake_in_a_scene_of_a_robot_is_answered_with_its_line(tmp_path, line):
     (tmp_path / 'robot.urdf').write_text(chain([1.0], [1.0]))
     (tmp_path / 'bad.urdf').write_text('<robot')
     path = tmp_path / 'mine.yaml'
     path.write_text(SCENE.replace('file: robot.urdf', line))
-    with pytest.raises(HnnViRosError, match=expected) as caught:
+    with refused(HnnViRosError):
         load_scene(path).create_hamiltonian()
-    assert isinstance(caught.value, (SceneError, ModelError)) and '\n' not in str(caught.value)
 
 
 def test_robot_of_an_installed_package_is_found(tmp_path, monkeypatch):

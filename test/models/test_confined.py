@@ -18,6 +18,7 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numpy as np
 import pytest
 
@@ -202,7 +203,7 @@ def test_confined_step_outside_the_box_is_symplectic_to_60_digits(method: str):
 
 
 def test_confined_hamiltonian_wants_a_box():
-    with pytest.raises(ValueError, match='Tao has no training box'):
+    with refused(ValueError):
         ConfinedHamiltonian(Tao())
 
 
@@ -212,7 +213,7 @@ def test_confined_hamiltonian_says_so_in_its_provenance():
 
 
 def test_confined_state_too_far_for_a_double_ends_in_a_failure():
-    with pytest.raises(StepFailure, match='not finite'):
+    with refused(StepFailure):
         Simulation(confined('pendulum'), INTEGRATORS['rk4'](), 0.01, [1e200], [0.0])
 
 

@@ -16,6 +16,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
+from messages import refused
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -52,22 +53,22 @@ def test_ensemble_is_saved_and_loaded_to_the_last_bit(model: Path):
 
 
 def test_what_wants_one_model_refuses_an_ensemble(model: Path):
-    with pytest.raises(ModelError, match='an ensemble of 3 models'):
+    with refused(ModelError):
         load_checkpoint(model)
-    with pytest.raises(ModelError, match='an ensemble of 3 models'):
+    with refused(ModelError):
         EFFECTS['learned_dissipation'](str(model))
 
 
 @pytest.mark.parametrize(('number', 'message'), [
     (4, 'member = 4: the members are 1 to 3'), (0, 'member = 0: the members are 1 to 3')])
 def test_member_that_is_not_there_is_refused(model: Path, number: int, message: str):
-    with pytest.raises(ModelError, match=message):
+    with refused(ModelError):
         load_learned(model, member=number)
 
 
 def test_member_of_a_model_that_is_no_ensemble_is_refused(tmp_path: Path):
     save_checkpoint(tmp_path / 'one.safetensors', random_checkpoint([2, 4, 1], 0))
-    with pytest.raises(ModelError, match='one model, no ensemble'):
+    with refused(ModelError):
         load_learned(tmp_path / 'one.safetensors', member=1)
 
 
@@ -77,7 +78,7 @@ def test_file_without_a_tensor_of_a_member_is_refused(model: Path):
         metadata = file.metadata()
     del tensors['member2.linear1.bias']
     model.write_bytes(safetensors.numpy.save(tensors, metadata))
-    with pytest.raises(ModelError, match='member2.linear1.bias is missing'):
+    with refused(ModelError):
         load_checkpoint(model, ensembles=True)
 
 
@@ -123,9 +124,9 @@ def test_what_takes_the_networks_of_one_model_refuses_a_mean_and_names_members(m
     from hnn_vi_ros.lockstep.gradient import make_gradient
     from hnn_vi_ros.torch import with_weights
     mean = load_learned(model)
-    with pytest.raises(UnsupportedSystem, match='member: K in hamiltonian'):
+    with refused(UnsupportedSystem):
         with_weights(mean, {'linear1.weight': np.zeros((6, 2))})
-    with pytest.raises(UnsupportedSystem, match='member: K in hamiltonian'):
+    with refused(UnsupportedSystem):
         make_gradient(mean, torch.device('cpu'))
 
 
@@ -143,5 +144,5 @@ def test_uncertainty_of_one_model_is_refused(tmp_path: Path):
         'hamiltonian: {kind: learned, model: one.safetensors}\n'
         'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
         'initial_state: {q: [0.1], p: [0.0]}\nuncertainty: {limit: 0.2}\n')
-    with pytest.raises(SceneError, match='no mean of an ensemble'):
+    with refused(SceneError):
         Members(load_scene(tmp_path / 'scene.yaml').parts())

@@ -23,6 +23,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
 from mechanical_models import assert_agrees_with_torch, network, random_mechanical
+from messages import refused
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
@@ -175,13 +176,13 @@ def test_stormer_verlet_takes_families_that_separate_and_refuses_the_others(fami
     if family in ('separable_hnn', 'vin'):
         check_method(method, hamiltonian)
     else:
-        with pytest.raises(UnsupportedSystem, match='stormer_verlet needs .* methods that can: '):
+        with refused(UnsupportedSystem):
             check_method(method, hamiltonian)
 
 
 def test_lagrangian_that_is_singular_in_its_box_is_refused_at_load(tmp_path):
     model = saved(tmp_path, 'lagrangian', 1, mass=[[0.01]])
-    with pytest.raises(ModelError, match='singular in its box: at q = .* eigenvalue of L_vv') as e:
+    with refused(ModelError) as e:
         load_learned(Path(model))
     assert model in str(e.value) and '\n' not in str(e.value)
 
@@ -235,12 +236,12 @@ def test_discrete_euler_lagrange_of_a_learned_lagrangian_is_the_midpoint_rule(tm
 
 
 def test_discrete_euler_lagrange_refuses_another_family_and_another_model(tmp_path):
-    with pytest.raises(ModelError, match='family hnn has no Lagrangian'):
+    with refused(ModelError):
         INTEGRATORS['discrete_euler_lagrange'](model=saved(tmp_path, 'hnn', 1))
     method = INTEGRATORS['discrete_euler_lagrange'](model=saved(tmp_path, 'lagrangian', 1))
-    with pytest.raises(UnsupportedSystem, match='name the same'):
+    with refused(UnsupportedSystem):
         check_method(method, learned('hnn', 1))
-    with pytest.raises(ValueError, match='or a model in its place'):
+    with refused(ValueError):
         INTEGRATORS['discrete_euler_lagrange']()
 
 
@@ -250,17 +251,17 @@ def test_dissipation_is_the_second_network_of_a_dissipative_model(tmp_path):
     networks = random_model('dissipative_hnn', 1).networks
     D = network(networks['dissipation'], torch.tensor([0.3, -0.5], dtype=torch.float64))
     assert effect.network.energy(q, p) == pytest.approx(D.item(), abs=ROUND_OFF)
-    with pytest.raises(ModelError, match='family vin holds no network D'):
+    with refused(ModelError):
         EFFECTS['learned_dissipation'](saved(tmp_path, 'vin', 1))
 
 
 def test_damping_takes_the_friction_that_a_model_has_learned(tmp_path):
     effect = EFFECTS['damping'](model=saved(tmp_path, 'dgnet', 2))
     assert effect.rate == [0.2, 0.2]
-    with pytest.raises(ModelError, match='has learned no friction'):
+    with refused(ModelError):
         EFFECTS['damping'](model=saved(tmp_path, 'hnn', 1))
     for arguments in ({}, {'rate': 1.0, 'model': 'm'}):
-        with pytest.raises(ValueError, match='rate is required, or a model in its place'):
+        with refused(ValueError):
             EFFECTS['damping'](**arguments)
 
 
@@ -281,16 +282,16 @@ def test_command_acts_through_the_input_map_of_its_model(tmp_path, commands: int
     simulation.advance(20)
     # The midpoint rule errs by its third derivative times h^2: of the order of 1e-4 here.
     assert simulation.energy_balance == pytest.approx(0.0, abs=1e-3)
-    with pytest.raises(ValueError, match=f'expected {commands} finite numbers'):
+    with refused(ValueError):
         simulation.set_command([1.0] * 3)
-    with pytest.raises(EffectError, match='scalar coordinates, which'):
+    with refused(EffectError):
         System(Uncompiled(HAMILTONIANS['quadrotor']()), [effect], INTEGRATORS['lie_leapfrog']())
 
 
 def test_external_force_refuses_a_model_without_an_input_map(tmp_path):
-    with pytest.raises(ModelError, match='has no input map'):
+    with refused(ModelError):
         EFFECTS['external_force'](model=saved(tmp_path, 'hnn', 1))
-    with pytest.raises(ValueError, match='coordinates is required, or a model in its place'):
+    with refused(ValueError):
         EFFECTS['external_force']()
 
 
@@ -324,5 +325,5 @@ def test_scene_of_a_damaged_family_names_file_and_line(tmp_path):
     model = saved(tmp_path, 'lagrangian', 1, mass=[[0.01]])
     scene = tmp_path / 'scene.yaml'
     scene.write_text(SCENE.format(model=model, integrator='implicit_midpoint', step_size=0.1))
-    with pytest.raises(HnnViRosError, match='scene.yaml:2: hamiltonian: .*singular'):
+    with refused(HnnViRosError):
         build(load_scene(scene))

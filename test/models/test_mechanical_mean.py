@@ -19,6 +19,7 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
+from messages import refused
 import numpy as np
 import pytest
 
@@ -176,9 +177,9 @@ def test_member_that_is_not_there_is_refused(tmp_path: Path):
     file = saved(tmp_path, mechanisms('arm', 2, input_map=MAP))
     for make in (EFFECTS['learned_friction'], lambda model, member: EFFECTS['external_force'](
             model=model, member=member)):
-        with pytest.raises(ModelError, match='member = 3: the members are 1 to 2'):
+        with refused(ModelError):
             make(file, 3)
-    with pytest.raises(ValueError, match='member is of a model'):
+    with refused(ValueError):
         EFFECTS['external_force'](['x0'], member=1)
 
 

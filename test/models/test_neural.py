@@ -11,6 +11,7 @@ from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.torch_module import TorchHamiltonian
 from hnn_vi_ros.networks.perceptron_memory import MAX_STATES
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numba
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def test_neural_hamiltonian_takes_batches_of_any_shape():
     assert hamiltonian.energy(q, p).shape == (3, 5)
     one = hamiltonian.gradient(q[1, 2], p[1, 2])
     assert np.array_equal(one[0], dH_dq[1, 2])
-    with pytest.raises(ValueError, match='expected'):
+    with refused(ValueError):
         hamiltonian.energy(q[..., :1], p[..., :1])
 
 

@@ -23,6 +23,7 @@ from hnn_vi_ros.models.symplectic_form import irregularity, SymplecticFormHamilt
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -220,22 +221,22 @@ def test_canonical_methods_refuse_coordinates_that_are_not(name: str):
 
 def test_variational_midpoint_refuses_canonical_coordinates():
     plain = NeuralHamiltonian(random_checkpoint([4, 12, 1], seed=1))
-    with pytest.raises(UnsupportedSystem, match='symplectic_form.*discrete_gradient'):
+    with refused(UnsupportedSystem):
         Simulation(plain, INTEGRATORS['variational_midpoint'](), 0.1, [0.0, 0.0], [0.0, 0.0])
 
 
 def test_effects_and_the_implicit_rescue_refuse_coordinates_that_are_not_canonical():
     model, method = SymplecticFormHamiltonian(random_form()), INTEGRATORS['variational_midpoint']()
     state = [0.0, 0.0], [0.0, 0.0]
-    with pytest.raises(ValueError, match='periodic_drive acts on canonical momenta'):
+    with refused(ValueError):
         Simulation(model, method, 0.1, *state, [EFFECTS['periodic_drive']('x', 1.0, 1.0)])
-    with pytest.raises(UnsupportedSystem, match='on_failure.*substep or stop'):
+    with refused(UnsupportedSystem):
         Simulation(model, method, 0.1, *state, on_failure='implicit')
 
 
 def test_confining_wall_refuses_coordinates_that_are_not_canonical(tmp_path: Path):
     save_checkpoint(tmp_path / 'form.safetensors', random_form())
-    with pytest.raises(ModelError, match='form.safetensors: confine'):
+    with refused(ModelError):
         load_learned(tmp_path / 'form.safetensors', confine=True)
 
 
@@ -311,7 +312,7 @@ def test_training_learns_the_energy_of_a_pendulum_from_its_angle_and_rate(tmp_pa
 
 def test_training_refuses_to_confine_what_is_not_canonical(tmp_path: Path):
     (tmp_path / 'tiny.yaml').write_text(TINY + 'confine: true\n')
-    with pytest.raises(DataError, match='confine: needs canonical'):
+    with refused(DataError):
         load_config(tmp_path / 'tiny.yaml')
 
 
