@@ -2,45 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hold every Python file to the style rules of ROS 2 and to those of ruff.toml."""
 
-import ast
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import cache, lru_cache
 import gc
 from hashlib import sha256
 from importlib.metadata import distributions
-import inspect
-from io import StringIO
 from pathlib import Path
 import subprocess
 import sys
-import tokenize
 
 import pytest
 from sources import PYTHON_FILES, ROOT
 
 
-@pytest.fixture(scope='module')
-def parsed_once() -> Iterator[None]:
-    """Let the plugins of flake8 and the judge of docstrings share what they read of a file."""
-    tokens, walk = tokenize.generate_tokens, ast.walk
-    tokens_of = lru_cache(1)(lambda text: [*tokens(StringIO(text).readline)])
-    nodes_of = lru_cache(1)(lambda tree: [*walk(tree)])
-    checker = pytest.importorskip('pydocstyle.checker', reason='pydocstyle is not installed')
-    docstrings_of = cache(lambda text, name, parse=checker.parse: parse(StringIO(text), name))
+@pytest.fixture
+def rare_collection() -> Iterator[None]:
+    """Collect garbage seldom: a fifth of the time of flake8 went into looking for it."""
     threshold = gc.get_threshold()
-    with pytest.MonkeyPatch.context() as patch:
-        # flake8 itself counts the lines as it takes the tokens of a file, by a method of its own.
-        patch.setattr(tokenize, 'generate_tokens', lambda readline: tokens(readline)
-                      if inspect.ismethod(readline)
-                      else iter(tokens_of(''.join(iter(readline, '')))))
-        patch.setattr(ast, 'walk', lambda tree: iter(nodes_of(tree))
-                      if isinstance(tree, ast.Module) else walk(tree))
-        patch.setattr(checker, 'parse', lambda file, name: docstrings_of(file.read(), name))
-        # A fifth of the time went into looking for garbage.
-        gc.set_threshold(200_000)
-        yield
-        gc.set_threshold(*threshold)
+    gc.set_threshold(200_000)
+    yield
+    gc.set_threshold(*threshold)
 
 
 @pytest.fixture
@@ -65,7 +46,7 @@ def changed_sources(pytestconfig: pytest.Config
 
 @pytest.mark.flake8
 @pytest.mark.linter
-def test_python_files_satisfy_ament_flake8(changed_sources, parsed_once, monkeypatch, tmp_path):
+def test_python_files_satisfy_ament_flake8(changed_sources, rare_collection, monkeypatch, tmp_path):
     ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
     # It compares each file with every folder below the current one whose name begins with . or _,
     # of which .venv/ has thousands: from a folder without any.
@@ -80,7 +61,7 @@ def test_python_files_satisfy_ament_flake8(changed_sources, parsed_once, monkeyp
 
 @pytest.mark.linter
 @pytest.mark.pep257
-def test_docstrings_satisfy_ament_pep257(changed_sources, parsed_once, capfd):
+def test_docstrings_satisfy_ament_pep257(changed_sources, rare_collection, capfd):
     ament_pep257 = pytest.importorskip('ament_pep257.main', reason='needs ament_pep257')
     with changed_sources('pep257') as files:
         code = ament_pep257.main(argv=files)
