@@ -12,13 +12,12 @@ import pytest
 def end_of_processes() -> Iterator[None]:
     """Kill the simulators that a test has started and not ended."""
     yield
-    for process, outputs in processes.started.items():
+    for process in processes.started:
         if process.poll() is None:
             process.kill()
             process.wait()
-        for file in outputs:
+        for file in process.outputs:
             # Shown by pytest if the test has failed.
-            file.seek(0)
             print(file.read()[-5000:])
             file.close()
     processes.started.clear()

@@ -4,10 +4,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+import signal
 import time
 from typing import Any
 
+from executables import Executable
 from lifecycle_msgs.srv import ChangeState, GetState
+from processes import finish, start
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
 import rclpy
@@ -83,26 +87,27 @@ class Peer:
             self.executor.spin_once(timeout_sec=0.05)
 
     def call_async(self, kind: type, name: str, **fields: Any) -> Any:
-        """Call a service of the simulator; return the future of the response."""
+        """Call a service; return the future of the response."""
         return self.client(kind, name).call_async(kind.Request(**fields))
 
     def client(self, kind: type, name: str) -> Any:
-        """Return the client of a service of the simulator, ready."""
+        """Return the client of a service, of the simulator unless the name is full, ready."""
         if name not in self._clients:
-            self._clients[name] = self.node.create_client(kind, f'{SIMULATOR}/{name}')
+            full = name if name.startswith('/') else f'{SIMULATOR}/{name}'
+            self._clients[name] = self.node.create_client(kind, full)
             self.spin_until(self._clients[name].service_is_ready)
-            wait_for_way_back(self.node, self.spin_until, SIMULATOR)
+            wait_for_way_back(self.node, self.spin_until, full.rpartition('/')[0])
         self.spin_until(self._clients[name].service_is_ready)
         return self._clients[name]
 
     def call(self, kind: type, name: str, **fields: Any) -> Any:
-        """Call a service of the simulator and wait for the response."""
+        """Call a service and wait for the response."""
         future = self.call_async(kind, name, **fields)
         self.spin_until(future.done)
         return future.result()
 
     def trigger(self, name: str) -> Trigger.Response:
-        """Call a Trigger service of the simulator."""
+        """Call a Trigger service."""
         return self.call(Trigger, name)
 
     def pause(self, paused: bool = True) -> SetBool.Response:
@@ -152,6 +157,16 @@ def peer() -> Iterator[Peer]:
         yield found
     finally:
         found.close()
+
+
+@contextmanager
+def simulating(folder: Path, **parameters: object) -> Iterator[tuple[Peer, Executable]]:
+    """Start a simulator, give another node and it, and let SIGINT end it."""
+    process = start(folder, **parameters)
+    with peer() as other:
+        yield other, process
+        process.send_signal(signal.SIGINT)
+        assert finish(process)[0] == 0
 
 
 @contextmanager

@@ -1,28 +1,39 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulators as processes, and what they leave behind."""
+"""Simulators as processes, what they refuse, and what they leave behind."""
 
+from contextlib import redirect_stderr
+import io
 from pathlib import Path
-import subprocess
+import signal
 import sys
-import tempfile
 import time
-from typing import TextIO
+import warnings
 
+from executables import Executable
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.cli import run_module
+from hnn_vi_ros.commands.table import module_of
+from hnn_vi_ros.files.standard_streams import ENDING
 from rosbags.highlevel import AnyReader
 
-# By the present test, with their standard output and error; see conftest.py.
-started: dict[subprocess.Popen, tuple[TextIO, TextIO]] = {}
+# By the present test; see conftest.py.
+started: list[Executable] = []
 
 
-def start(folder: Path, **parameters: object) -> subprocess.Popen:
-    """Start a simulator in a folder."""
-    values = {'scene': 'oscillator.yaml', 'discovery_time': 0} | parameters
+def start(folder: Path, **parameters: object) -> Executable:
+    """Start a simulator in a folder; it writes only those files whose paths are given."""
+    return start_executable('simulator', *simulator_words(**parameters), folder=folder)
+
+
+def simulator_words(**parameters: object) -> list[str]:
+    """Return the arguments of a simulator with these parameters."""
+    values = {'scene': 'exact_harmonic_oscillator', 'discovery_time': 0,
+              'record': 'record_path' in parameters,
+              'rerun_sink': 'file' if 'rerun_path' in parameters else 'none'} | parameters
     # Names like __ns are ROS's own.
-    arguments = [word for name, value in values.items() for word in (
-        '-r' if name.startswith('__') else '-p', f'{name}:={value}')]
-    return start_executable('simulator', '--ros-args', *arguments, folder=folder)
+    return ['--ros-args', *(word for name, value in values.items() for word in (
+        '-r' if name.startswith('__') else '-p', f'{name}:={value}'))]
 
 
 def to_file(path: Path) -> list[str]:
@@ -30,33 +41,43 @@ def to_file(path: Path) -> list[str]:
     return ['--ros-args', '-p', 'rerun_sink:=file', '-p', f'rerun_path:={path}']
 
 
-def start_executable(name: str, *words: object, folder: Path | None = None) -> subprocess.Popen:
+def start_executable(name: str, *words: object, folder: Path | None = None) -> Executable:
     """Start one of the package's executables."""
-    # What started the tests may have made them deaf to a closed terminal, as nohup does.
-    code = ('import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); '
-            f'from hnn_vi_ros.cli import {name}; {name}()')
-    # Files, not pipes: a pipe that nobody empties stops who writes to it.
-    outputs = [tempfile.TemporaryFile('w+') for _ in range(2)]  # noqa: SIM115  see finish
-    process = subprocess.Popen([sys.executable, '-c', code, *map(str, words)], cwd=folder,
-                               stdout=outputs[0], stderr=outputs[1])
-    started[process] = outputs
+    started.append(process := Executable(name, [*map(str, words)], folder))
     return process
 
 
-def finish(process: subprocess.Popen, timeout: float = 60.0) -> tuple[int, str, str]:
+def finish(process: Executable, timeout: float = 300.0) -> tuple[int, str, str]:
     """Wait for the end; return status, standard output and standard error."""
-    process.wait(timeout)
-    outputs = started[process]
-    for file in outputs:
-        file.seek(0)
-    out, error = (file.read() for file in outputs)
+    status = process.wait(timeout)
+    out, error = (Path(file.name).read_text() for file in process.outputs)
     assert 'Traceback' not in error, error
-    return process.returncode, out, error
+    return status, out, error
 
 
-def standard_error(process: subprocess.Popen) -> str:
-    """Return what a process that runs has written to standard error."""
-    return Path(f'/proc/{process.pid}/fd/2').read_text()
+def standard_error(process: Executable) -> str:
+    """Return what a process has written to standard error."""
+    return Path(process.outputs[1].name).read_text()
+
+
+def refusal(name: str, *words: object) -> str:
+    """Return the line by which an executable, run in this process, refuses its arguments."""
+    argv, error = [*map(str, words)], io.StringIO()
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    interval = sys.getswitchinterval()
+    try:
+        with warnings.catch_warnings(), redirect_stderr(error):
+            status = run_module(module_of(name, argv), argv, name)
+    except SystemExit as end:
+        # From argparse.
+        assert end.code == 2
+        status = error.getvalue().removesuffix('\n')
+    finally:
+        sys.setswitchinterval(interval)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert isinstance(status, str) and '\n' not in status, status
+    return status
 
 
 def wait_until(condition, timeout: float = 120.0) -> None:

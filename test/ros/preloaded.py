@@ -1,0 +1,30 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Imports and kernels of the process that executables are forked from; see executables.
+
+Neither rclpy nor rerun is imported: they start threads, which a fork would lose.
+"""
+
+from importlib import import_module
+
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.watch import SampledScale
+from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.build import build
+
+# Each fork runs the main module of the tests again, which imports pytest.
+for name in ('pytest', 'hnn_vi_ros.bags.mcap_sink', 'hnn_vi_ros.control.planning',
+             'hnn_vi_ros.ros.arguments', 'hnn_vi_ros.run.scene_report', 'diagnostic_msgs.msg',
+             'lifecycle_msgs.srv', 'nav_msgs.msg', 'rcl_interfaces.srv', 'sensor_msgs.msg',
+             'std_srvs.srv', 'trajectory_msgs.msg', 'visualization_msgs.msg'):
+    import_module(name)
+simulation = build(load_scene('exact_harmonic_oscillator'))
+simulation.compile_rescue()
+scale = SampledScale(simulation.hamiltonian)
+monitor = Monitor(simulation, 1, 0.01, None, lambda text, first: None,
+                  make_guards(simulation, scale, 0.05, 0.02, None), scale)
+monitor.watch(Sampler(simulation, 100.0).sample())
+monitor.advance(1)
