@@ -15,6 +15,7 @@ from processes import finish, start
 import pytest
 from rosbags.highlevel import AnyReader
 
+pytestmark = pytest.mark.long
 HOUR, STEP, RATE = 3600, 0.001, 10
 SAMPLES = HOUR * RATE
 # The process is warm once this share of the samples is in the bag, and completes it from there on.
@@ -68,7 +69,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, list[tupl
     """Run an hour twice, side by side; return each folder and its (log size, memory) over time."""
     folders = [tmp_path_factory.mktemp('soak') for _ in range(2)]
     processes = [start(folder, scene='pendulum', step_size=STEP, publish_rate=RATE,
-                       duration=HOUR, real_time_factor=0) for folder in folders]
+                       duration=HOUR, real_time_factor=0, record='true', rerun_sink='file')
+                 for folder in folders]
     seen: list[list[tuple[int, float]]] = [[], []]
     try:
         while any(process.poll() is None for process in processes):

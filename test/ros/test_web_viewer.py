@@ -84,6 +84,7 @@ def listens(port: int) -> bool:
 
 @pytest.mark.skipif(BROWSER is None, reason=f'needs a browser: one of {", ".join(BROWSERS)}')
 @pytest.mark.timeout(240)
+@pytest.mark.long
 def test_web_viewer_in_a_browser_receives_the_recording(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 200)
     port, page = free_port(), free_port()
