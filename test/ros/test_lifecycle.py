@@ -6,25 +6,17 @@ from pathlib import Path
 import signal
 import sys
 import threading
-import time
 from types import SimpleNamespace
 
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode
-from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions, GetState
+from lifecycle_msgs.srv import ChangeState, GetAvailableStates, GetAvailableTransitions
 from peer import (
-    ACTIVATE, ACTIVE_SHUTDOWN, CLEANUP, CONFIGURE, DEACTIVATE, INACTIVE_SHUTDOWN, peer, SIMULATOR,
-    stamp, state_of, UNCONFIGURED_SHUTDOWN)
-from processes import finish, read_bag, start, wait_until
+    ACTIVATE, ACTIVE_SHUTDOWN, CLEANUP, CONFIGURE, DEACTIVATE, INACTIVE_SHUTDOWN, peer, simulating,
+    SIMULATOR, stamp, UNCONFIGURED_SHUTDOWN)
+from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
-from sensor_msgs.msg import JointState
 
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
 # A kernel that is compiled anew in each process: nothing of it is on disk.
 SLOW = """\
 hamiltonian: {kind: python, factory: 'slow:create'}
@@ -33,12 +25,11 @@ step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
 SLOW_MODULE = """\
-import time
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 
 
 def create():
-    until = time.monotonic() + 8.0
+    until = time.monotonic() + 6.0
     while time.monotonic() < until:     # keeps the interpreter, as a compilation does
         sum(range(1000))
     return HarmonicOscillator()
@@ -47,15 +38,14 @@ def create():
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Return a working directory with two scenes."""
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
+    """Return a working directory with a scene that is slow to configure."""
     (tmp_path / 'slow.yaml').write_text(SLOW)
     (tmp_path / 'slow.py').write_text(SLOW_MODULE)
     return tmp_path
 
 
 def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
-    process = start(folder, autostart='false', record_path='bag', rerun_sink='none')
+    process = start(folder, autostart='false', record_path='bag')
     with peer() as other:
         assert other.state == 'unconfigured'
         for illegal in (ACTIVATE, DEACTIVATE, CLEANUP, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN,
@@ -69,16 +59,16 @@ def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
             assert other.change_state(CONFIGURE) and other.state == 'inactive'
             assert not other.change_state(CONFIGURE)
             other.states.clear()
-            other.spin(0.3)
+            other.spin(0.1)
             assert not other.states
             assert other.change_state(ACTIVATE) and other.state == 'active'
             assert not other.change_state(CLEANUP)
             other.spin_until(lambda: len(other.states) > 20)
             # The state stands still while it is not active, and goes on from there.
             assert other.change_state(DEACTIVATE) and other.state == 'inactive'
-            other.spin(0.3)
+            other.spin(0.1)
             last = other.states[-1]
-            other.spin(1.0)
+            other.spin(0.3)
             assert other.states[-1] is last
             assert other.change_state(ACTIVATE)
             other.spin_until(lambda: other.states[-1] is not last)
@@ -101,7 +91,7 @@ def test_lifecycle_goes_round_twice_and_refuses_what_is_illegal(folder):
 @pytest.mark.parametrize('transition, first', [
     (INACTIVE_SHUTDOWN, [CONFIGURE]), (ACTIVE_SHUTDOWN, [CONFIGURE, ACTIVATE])])
 def test_shutdown_closes_the_files_and_ends_the_process(folder, transition, first):
-    process = start(folder, autostart='false', record_path='bag', rerun_sink='none')
+    process = start(folder, autostart='false', record_path='bag')
     with peer() as other:
         for step in (*first, transition):
             assert other.change_state(step)
@@ -110,8 +100,7 @@ def test_shutdown_closes_the_files_and_ends_the_process(folder, transition, firs
 
 
 def test_lifecycle_services_by_label_and_lists_answer(folder):
-    process = start(folder, record='false', rerun_sink='none')
-    with peer() as other:
+    with simulating(folder) as (other, _):
         other.wait_for_state('active')
         assert len(other.call(GetAvailableStates, 'get_available_states').available_states) == 11
         names = {found.transition.label for found in other.call(
@@ -126,18 +115,15 @@ def test_lifecycle_services_by_label_and_lists_answer(folder):
             assert other.call(ChangeState, 'change_state',
                               transition=request.transition).success is expected
         assert other.state == 'inactive'
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0
 
 
 def test_configuration_that_fails_is_one_line_and_leaves_the_node_unconfigured(folder):
-    process = start(folder, scene='nothing', autostart='false', record='false',
-                    rerun_sink='none')
+    process = start(folder, scene='nothing', autostart='false')
     with peer() as other:
         assert not other.change_state(CONFIGURE)
         assert other.state == 'unconfigured'
         # Also one that fails late, with topics and a compiled kernel.
-        assert other.set_parameters(scene='oscillator.yaml', duration=0.001).successful
+        assert other.set_parameters(scene='exact_harmonic_oscillator', duration=0.001).successful
         assert not other.change_state(CONFIGURE)
         assert other.state == 'unconfigured'
         assert other.node.count_publishers('/joint_states') == 0
@@ -152,14 +138,13 @@ def test_configuration_that_fails_is_one_line_and_leaves_the_node_unconfigured(f
 
 
 def test_services_answer_while_the_node_configures_and_autostart_says_how_far_it_is(folder):
-    process = start(folder, scene='slow.yaml', record='false', rerun_sink='none')
-    with peer() as other:
+    with simulating(folder, scene='slow.yaml') as (other, process):
         other.wait_for_state('configuring')
         rounds = 0
         while other.state == 'configuring':
             # Neither a transition nor a parameter of the scene can be changed meanwhile.
             assert not other.change_state(CONFIGURE) and not other.change_state(10)
-            assert not other.set_parameters(scene='oscillator.yaml').successful
+            assert not other.set_parameters(scene='kepler').successful
             assert other.set_parameters(step_count=7).successful
             rounds += 1
             refused = [*map(other.trigger, ('start_recording', 'stop_recording', 'step', 'reset')),
@@ -172,52 +157,15 @@ def test_services_answer_while_the_node_configures_and_autostart_says_how_far_it
         assert rounds > 1
         other.wait_for_state('active')
         assert other.get_parameter('step_count') == 7
-        process.send_signal(signal.SIGINT)
-        status, _, error = finish(process)
-    assert status == 0
-    assert 'configuring: ' in error
+    assert 'configuring: ' in standard_error(process)
 
 
 def test_signal_while_the_node_configures_ends_it_before_it_is_configured(folder):
-    (folder / 'slow.py').write_text(SLOW_MODULE.replace('8.0', '600.0'))
-    process = start(folder, scene='slow.yaml', record='false', rerun_sink='none')
-    with peer() as other:
+    (folder / 'slow.py').write_text(SLOW_MODULE.replace('6.0', '600.0'))
+    with simulating(folder, scene='slow.yaml') as (other, process):
         other.wait_for_state('configuring')
-        process.send_signal(signal.SIGINT)
-        status, _, error = finish(process)
-    assert status == 0 and 'stopped by SIGINT' in error
-
-
-def test_get_state_during_all_this_is_answered_by_every_node_of_two_namespaces(folder):
-    """Two simulators in one graph do not disturb each other."""
-    processes = [start(folder, record='false', rerun_sink='none', __ns=name)
-                 for name in ('/one', '/two')]
-    with peer() as other:
-        clients = [other.node.create_client(GetState, f'/{name}/hnn_simulator/get_state')
-                   for name in ('one', 'two')]
-        for client in clients:
-            other.spin_until(client.service_is_ready)
-
-            def is_active(client=client) -> bool:
-                future = client.call_async(GetState.Request())
-                # Asked again where the answer was sent before its way back was there.
-                until = time.monotonic() + 5.0
-                other.spin_until(lambda: future.done() or time.monotonic() > until)
-                return future.done() and future.result().current_state.label == 'active'
-            other.spin_until(is_active)
-        received: dict[str, list] = {'one': [], 'two': []}
-        for name, messages in received.items():
-            other.node.create_subscription(
-                JointState, f'/{name}/joint_states', messages.append, 10)
-        other.spin_until(lambda: all(len(found) > 50 for found in received.values()))
-        for found in received.values():
-            # Each goes its own way: a circle, with an error of second order.
-            assert all(abs(sum(x * x for x in state_of(m)) - 1.0) < 1e-3 for m in found)
-            stamps = [stamp(message) for message in found]
-            assert stamps == sorted(set(stamps))
-    for process in processes:
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0
+    error = standard_error(process)
+    assert 'stopped by SIGINT' in error
 
 
 def test_threads_that_overlap_leave_the_interpreter_as_they_found_it():
