@@ -37,3 +37,13 @@ def motion_by_a_belt(seed: int, seconds: float = 6.0) -> Run:
     u = command(t)
     return smoothed(f'run{seed}', t, z[:, :2], z[:, 2:], u, 40.0,
                     acceleration(z[:, :2], z[:, 2:], u))
+
+
+def motions_by_a_belt() -> dict[str, np.ndarray]:
+    """Return arrays of six motions of 3 s, whose names are their seeds."""
+    arrays = {}
+    for seed in range(1, 7):
+        motion = motion_by_a_belt(seed, 3.0)
+        arrays |= {f'{seed}/t': motion.t, f'{seed}/q': motion.q, f'{seed}/dq': motion.v,
+                   f'{seed}/tau': motion.tau}
+    return arrays
