@@ -1,23 +1,30 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Training: the network, reproducibility, the shipped model, and a model of a real log."""
+"""Training: reproduced, interrupted, resumed, ended early, reported; shipped and real models."""
 
+import math
 import os
 from pathlib import Path
+import signal
 import time
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
-from hnn_vi_ros.learning.families.base import Perceptron, Scales
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.sources import make_dataset
+from hnn_vi_ros.learning.families.base import Scales
 from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
-from hnn_vi_ros.learning.fit.config import find_config, load_config
-from hnn_vi_ros.learning.tasks.field import mean_square, nonlinearity
+from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
+from hnn_vi_ros.learning.fit.loop import (
+    Fit, Interrupted, INTERVAL, Keeper, LossHistory, Problem, Stage)
+from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hypothesis import given, settings, strategies as st
+from messages import refused
 import numpy as np
 import pytest
 import torch
@@ -46,10 +53,10 @@ def unscaled_hnn(d: int) -> HNN:
     return HNN(HNNChoice(kind='hnn'), [5], Scales(*3 * [zero], *5 * [one], zero), seed=3)
 
 
-def tiny_config(folder: Path, more: str = '') -> str:
+def tiny(folder: Path, text: str = TINY) -> Path:
     path = folder / 'tiny.yaml'
-    path.write_text(TINY + more)
-    return str(path)
+    path.write_text(text)
+    return path
 
 
 def grid(box, points: int = 61) -> tuple[np.ndarray, np.ndarray]:
@@ -87,8 +94,10 @@ def test_shipped_model_card_says_how_it_was_made():
     assert card.losses['field_rms'] < 1e-4
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
-def test_harmonic_oscillator_trains_anew_in_two_minutes_of_cpu_time(tmp_path, monkeypatch, capsys):
+def test_harmonic_oscillator_trains_anew_in_two_minutes_of_cpu_time(
+        drawn, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # Of this process alone; others may keep the machine busy.
     start = time.process_time()
@@ -103,7 +112,7 @@ def test_harmonic_oscillator_trains_anew_in_two_minutes_of_cpu_time(tmp_path, mo
 
 
 def test_training_is_bit_reproducible_by_seed(tmp_path):
-    config = tiny_config(tmp_path)
+    config = str(tiny(tmp_path))
     weights = []
     for i, seed in enumerate(('4', '4', '5')):
         out = tmp_path / f'{i}.safetensors'
@@ -116,46 +125,17 @@ def test_training_is_bit_reproducible_by_seed(tmp_path):
     assert weights[0] != weights[2]
 
 
+@pytest.mark.long
 def test_longer_history_brings_lbfgs_further_in_as_many_steps(tmp_path):
     losses = []
     for history in (2, 100):
         folder = tmp_path / str(history)
         folder.mkdir()
-        config = tiny_config(folder, f'lbfgs_history: {history}\n')
-        text = Path(config).read_text().replace('lbfgs_steps: 40', 'lbfgs_steps: 400')
-        Path(config).write_text(text.replace('linearity: 0.01\n', ''))
-        main(['--config', config, '--out', str(folder / 'm.safetensors')])
+        text = TINY.replace('lbfgs_steps: 40', 'lbfgs_steps: 400').replace(
+            'linearity: 0.01\n', f'lbfgs_history: {history}\n')
+        main(['--config', str(tiny(folder, text)), '--out', str(folder / 'm.safetensors')])
         losses.append(load_checkpoint(folder / 'm.safetensors').card.losses['train_loss'])
     assert losses[1] < 0.5 * losses[0]  # a fifth, with this seed
-
-
-def test_exported_layers_are_the_network_with_its_energy_set(tmp_path):
-    network = Perceptron([7, 6], np.array([50.0, 3.0, -2.0, 0.0]),
-                         np.array([9.0, 0.1, 4.0, 1.0]), np.array([250.0]), seed=1)
-    z0, energy0 = np.array([45.0, 3.1, 0.0, 0.5]), -3.0
-    weights, biases = network.layers(z0, energy0)
-    z = network.centre.numpy() + network.scale.numpy() * np.random.default_rng(2).uniform(
-        -1.0, 1.0, (20, 4))
-    a = np.vstack([z, z0])
-    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        a = np.tanh(a @ weight.T + bias)
-    energies = (a @ weights[-1].T + biases[-1])[:, 0]
-    exact = network(torch.tensor(np.vstack([z, z0]))).detach().numpy()[:, 0]
-    # Round-off of terms of size energy_scale, and of inputs that lie 500 scales from zero.
-    assert np.allclose(energies - energies[-1], exact - exact[-1], rtol=0.0, atol=250.0 * 1e-12)
-    assert energies[-1] == pytest.approx(energy0, abs=250.0 * 1e-15)
-
-
-def test_vector_field_is_the_symplectic_gradient_of_the_energy():
-    network = unscaled_hnn(2)
-    z = torch.tensor(np.random.default_rng(4).normal(size=(6, 4)))
-    field = network.vector_field(z).detach()
-    step = 1e-5
-    for i, (row, sign) in enumerate(((2, -1), (3, -1), (0, 1), (1, 1))):
-        shift = step * torch.eye(4, dtype=torch.float64)[i]
-        slope = (network.energy(z + shift) - network.energy(z - shift)).detach() / (2.0 * step)
-        # Central differences: truncation step^2, round-off 1e-16 / step.
-        assert torch.allclose(field[:, row], sign * slope, rtol=0.0, atol=1e-9)
 
 
 def test_losses_vanish_exactly_where_they_should():
@@ -171,9 +151,9 @@ def test_losses_vanish_exactly_where_they_should():
 
 
 def test_reference_sets_the_zero_of_the_energy_and_the_box_is_that_of_the_data(tmp_path):
-    config = tiny_config(tmp_path, 'reference: {q: [1.0], p: [0.5], energy: 0.625}\n')
+    config = tiny(tmp_path, TINY + 'reference: {q: [1.0], p: [0.5], energy: 0.625}\n')
     out = tmp_path / 'm.safetensors'
-    main(['--config', config, '--out', str(out)])
+    main(['--config', str(config), '--out', str(out)])
     hamiltonian = NeuralHamiltonian(load_checkpoint(out))
     assert hamiltonian.energy(np.array([1.0]), np.array([0.5])) == pytest.approx(0.625, abs=1e-12)
     bounds = np.vstack(hamiltonian.box)
@@ -183,51 +163,40 @@ def test_reference_sets_the_zero_of_the_energy_and_the_box_is_that_of_the_data(t
 
 
 def test_existing_files_are_never_overwritten(tmp_path):
-    config = tiny_config(tmp_path)
+    config = str(tiny(tmp_path))
     for name in ('m.safetensors', 'm.loss.png', 'm.loss.rrd', 'm.field.png', 'm.report.md'):
         existing = tmp_path / name
         existing.write_text('precious')
-        with pytest.raises(ParameterError, match=f'--out .*/{name}: exists already'):
+        with refused(ParameterError):
             main(['--config', config, '--out', str(tmp_path / 'm.safetensors')])
         assert existing.read_text() == 'precious'
         existing.unlink()
 
 
-@pytest.mark.parametrize('argv, words', [
-    (['--config', 'none'], '; shipped: '),
-    (['--config', 'none.yaml'], 'none.yaml: no such file; give the path of a training '
-     'configuration, or the name of a shipped one: air_track, '),
-    (['--config', 'air_track'], 'data.path is empty; pass the file with --data FILE, which is '
-     'real_linear_h_1.txt of the supplement of Schmidt and Lipson'),
-    (['--config', 'air_track', '--data', 'none.txt'], 'none.txt: no such data file'),
-    (['--config', 'harmonic_oscillator', '--data', 'log.txt'], 'its data is exact'),
-    (['--config', 'harmonic_oscillator', '--seed', '-1'], '--seed -1: expected'),
-    (['--config', 'harmonic_oscillator', '--out', 'model.pt'], 'must end in .safetensors'),
-    (['--config', 'harmonic_oscillator', '--out', 'file/m.safetensors'], 'cannot be written'),
-])
+@pytest.mark.parametrize('argv', [
+    ['--config', 'none'], ['--config', 'none.yaml'], ['--config', 'air_track'],
+    ['--config', 'air_track', '--data', 'none.txt'],
+    ['--config', 'harmonic_oscillator', '--data', 'log.txt'],
+    ['--config', 'harmonic_oscillator', '--seed', '-1'],
+    ['--config', 'harmonic_oscillator', '--out', 'model.pt'],
+    ['--config', 'harmonic_oscillator', '--out', 'file/m.safetensors']])
 def test_unusable_argument_gives_one_line_that_says_what_to_do(
-        tmp_path, monkeypatch, argv, words):
+        tmp_path, monkeypatch, argv):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'file').write_text('')
-    with pytest.raises(HnnViRosError) as caught:
+    with refused(HnnViRosError):
         main(argv)
-    assert words in str(caught.value)
-    assert '\n' not in str(caught.value)
 
 
 def test_diverging_training_gives_data_error(tmp_path):
-    config = tiny_config(tmp_path)
-    text = TINY.replace('[[-1.0, 3.0]]', '[[-1.0e160, 1.0e160]]')
-    Path(config).write_text(text)
-    with pytest.raises(DataError, match='the loss is'):
-        main(['--config', config, '--out', str(tmp_path / 'm.safetensors')])
+    config = tiny(tmp_path, TINY.replace('[[-1.0, 3.0]]', '[[-1.0e160, 1.0e160]]'))
+    with refused(DataError):
+        main(['--config', str(config), '--out', str(tmp_path / 'm.safetensors')])
     assert not (tmp_path / 'm.safetensors').exists()
 
 
-@pytest.mark.parametrize('name', shipped_names('training'))
-def test_shipped_training_configuration_is_valid(name):
-    path = find_config(name)
-    assert load_config(path).family.kind
+def test_shipped_training_configurations_are_valid():
+    assert all(load_config(find_config(name)).family.kind for name in shipped_names('training'))
 
 
 @given(start=st.integers(0, len(TINY)), length=st.integers(0, 20),
@@ -302,6 +271,7 @@ def air_track(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_air_track_model_oscillates_with_the_measured_period(air_track, monkeypatch):
     monkeypatch.chdir(air_track)
@@ -317,6 +287,7 @@ def test_air_track_model_oscillates_with_the_measured_period(air_track, monkeypa
     assert simulated == pytest.approx(measured, rel=3e-3)
 
 
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_air_track_energy_surface_is_one_bowl_of_closed_orbits(air_track, monkeypatch):
     monkeypatch.chdir(air_track)
@@ -338,3 +309,215 @@ def test_air_track_energy_surface_is_one_bowl_of_closed_orbits(air_track, monkey
         # The orbit comes back on the other side, within the few pixels that the rest position
         # may lie off zero.
         assert run.q.max() == pytest.approx(amplitude, abs=4.0)
+
+
+PENDULUM = """
+coordinates: [{name: x, q_unit: m, p_unit: kg m/s}]
+data:
+  kind: exact
+  hamiltonian: {kind: pendulum}
+  box: {q: [[-2.0, 2.0]], p: [[-4.0, 4.0]]}
+  samples: 60
+  noise: 0.0
+hidden: [8, 5]
+adam_steps: 60
+lbfgs_steps: 80
+"""
+
+
+def prepared(path: Path) -> tuple[FieldConfig, Dataset]:
+    config = load_config(path)
+    return config, make_dataset(config.data, config.seed, path)
+
+
+def keeper_of(path: Path, config: FieldConfig, dataset: Dataset) -> Keeper:
+    arrays = [part for part in vars(dataset).values() if isinstance(part, np.ndarray)]
+    return Keeper(path, config, arrays, 'cpu')
+
+
+def trained(problem: FieldProblem) -> LossHistory:
+    fit = Fit(problem)
+    fit.run()
+    return fit.history
+
+
+def weights_of(problem: FieldProblem) -> bytes:
+    return b''.join(part.detach().numpy().tobytes() for part in problem.module.parameters())
+
+
+# In the first steps of L-BFGS, before any step, in those of Adam, and when L-BFGS has a history.
+@pytest.mark.parametrize('stop, patience', [
+    (60, ''), (60 + 2 * INTERVAL, 'patience: 3\n'),
+    *(pytest.param(stop, patience, marks=pytest.mark.long) for stop, patience in (
+        (0, ''), (INTERVAL, ''), (60 + 2 * INTERVAL, ''), (0, 'patience: 3\n'),
+        (INTERVAL, 'patience: 3\n'), (60, 'patience: 3\n')))])
+def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patience):
+    config, dataset = prepared(tiny(tmp_path, PENDULUM + patience))
+    whole = FieldProblem(config, dataset)
+    history = trained(whole)
+    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
+
+    def pause(fit: Fit) -> None:
+        if fit.step == stop:
+            keeper._stopping = True
+        keeper(fit)
+
+    with refused(Interrupted):
+        Fit(FieldProblem(config, dataset)).run(pause)
+    resumed = FieldProblem(config, dataset)
+    fit = Fit(resumed)
+    keeper_of(tmp_path / 'm.training', config, dataset).load(fit)
+    assert fit.step == stop
+    fit.run()
+    assert fit.history == history
+    assert weights_of(resumed) == weights_of(whole)
+
+
+def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
+        tmp_path, monkeypatch, capsys):
+    arguments = ['--config', str(tiny(tmp_path, PENDULUM)), '--out']
+    main([*arguments, str(tmp_path / 'whole.safetensors')])
+    look, looks = FieldProblem.validation_loss, []
+
+    def interrupted(problem: FieldProblem) -> float:
+        looks.append(problem)
+        if len(looks) == 5:
+            signal.raise_signal(signal.SIGINT)
+        return look(problem)
+
+    out = str(tmp_path / 'm.safetensors')
+    with monkeypatch.context() as context:
+        context.setattr(FieldProblem, 'validation_loss', interrupted)
+        with refused(Interrupted):
+            main([*arguments, out])
+    assert not (tmp_path / 'm.safetensors').exists()
+    with refused(ParameterError):
+        main([*arguments, out])
+    main([*arguments, out, '--resume'])
+    assert not (tmp_path / 'm.training').exists()
+    one, other = (load_checkpoint(tmp_path / f'{name}.safetensors') for name in ('whole', 'm'))
+    for a, b in zip(*(sum(part.networks['energy'], ()) for part in (one, other)), strict=True):
+        assert np.array_equal(a, b)
+    assert '--resume' not in other.card.training_command
+
+
+def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
+    path = tiny(tmp_path, PENDULUM)
+    arguments = ['--config', str(path), '--out', str(tmp_path / 'm.safetensors'), '--resume']
+    with refused(ParameterError):
+        main(arguments)
+    (tmp_path / 'm.training').write_bytes(b'PK\x03\x04 no archive')
+    with refused(ParameterError):
+        main(arguments)
+    config, dataset = prepared(path)
+    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
+    keeper._stopping = True
+    with pytest.raises(Interrupted):
+        keeper(Fit(FieldProblem(config, dataset)))
+    with refused(ParameterError):
+        main([*arguments, '--seed', '7'])
+
+
+def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_path):
+    # Far more weights than data, whose noise a long training would learn.
+    text = PENDULUM.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
+        'lbfgs_steps: 80', 'lbfgs_steps: 800')
+    config, dataset = prepared(tiny(tmp_path, text + 'patience: 3\n'))
+    problem = FieldProblem(config, dataset)
+    history = trained(problem)
+    assert history.train_step[-1] < 860
+    assert problem.validation_loss() == min(history.validation)
+    assert history.validation[history.validation_step.index(history.best_step)] \
+        == min(history.validation)
+    config, _ = prepared(tiny(tmp_path, text))
+    through = FieldProblem(config, dataset)
+    trained(through)
+    assert problem.validation_loss() < through.validation_loss()
+
+
+def test_run_leaves_a_report_with_pictures_and_curves_beside_its_model(drawn, tmp_path):
+    main(['--config', str(tiny(tmp_path, PENDULUM)), '--out', str(tmp_path / 'm.safetensors')])
+    for name in ('m.loss.png', 'm.field.png'):
+        assert (tmp_path / name).read_bytes().startswith(b'\x89PNG')
+    assert (tmp_path / 'm.loss.rrd').read_bytes().startswith(b'RRF')
+    checkpoint = load_checkpoint(tmp_path / 'm.safetensors')
+    page, card = (tmp_path / 'm.report.md').read_text(), checkpoint.card
+    for words in ('# m\n', '| seed | 0 |', 'm.loss.png', 'm.field.png', 'hidden:', 's on cpu',
+                  f'| validation_loss | {card.losses["validation_loss"]:.4g} |',
+                  f'{card.energy_error.rms:.3g} (95 %: '):
+        assert words in page
+    assert len(card.units.centre) == len(card.units.scale) == len(card.units.target) == 2
+    # The energy error in the box.
+    z = np.random.default_rng(9).uniform([-2.0, -4.0], [2.0, 4.0], (4000, 2))
+    true = 0.5 * z[:, 1]**2 + 9.81 * (1.0 - np.cos(z[:, 0]))
+    errors = NeuralHamiltonian(checkpoint).energy(z[:, :1], z[:, 1:]) - true
+    errors -= errors.mean()
+    error = card.energy_error
+    # Of 2000 other states: a statistical error of some per cent of the RMS.
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(error.rms, rel=0.15)
+    assert error.against == 'true energy' and error.states == 2000
+    assert error.rms_interval[0] < error.rms < error.rms_interval[1]
+    assert error.rms < error.sup_interval[0] <= error.sup
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason='there is a CUDA device')
+def test_cuda_is_refused_in_one_line_where_there_is_none(tmp_path):
+    with refused(ParameterError):
+        main(['--config', str(tiny(tmp_path, PENDULUM)), '--out', str(tmp_path / 'm.safetensors'),
+              '--device', 'cuda'])
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason='there is no CUDA device')
+@pytest.mark.parametrize('family', ['hnn', 'symplectic_form', 'separable_hnn'])
+def test_training_on_cuda_gives_a_model_as_good(tmp_path, family):
+    path = tiny(tmp_path, PENDULUM + f'family: {{kind: {family}}}\n')
+    losses = []
+    for device in ('cpu', 'cuda'):
+        out = tmp_path / f'{device}.safetensors'
+        main(['--config', str(path), '--out', str(out), '--device', device])
+        losses.append(load_checkpoint(out).card.losses['train_loss'])
+    # The same steps, summed in another order: apart by no more than that has grown to.
+    assert losses[1] < 3.0 * losses[0]
+
+
+class Valley(torch.nn.Module):
+    """One number x, whose loss x^2 has its least at zero; it is not finite beyond a limit."""
+
+    def __init__(self, start: float, limit: float = math.inf):
+        super().__init__()
+        self.x = torch.nn.Parameter(torch.tensor(start, dtype=torch.float64))
+        self.limit = limit
+
+    def loss(self) -> torch.Tensor:
+        return torch.where(self.x.abs() < self.limit, self.x.square(), math.inf)
+
+    def stage(self, rate: float, retries: int) -> Stage:
+        return Stage('fall', self.loss, 40, rate, lambda: float(self.loss().detach()), 40,
+                     retries=retries)
+
+
+def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
+    """Adam moves by its rate at first: at 1 and .25 it only leaves the valley's ground."""
+    module = Valley(0.01)
+    losses = Problem(module, [module.stage(1.0, 3)]).fit()
+    told = capsys.readouterr().out.splitlines()
+    assert told[:1] == ['fall: no better at a rate of 1']
+    assert abs(module.x.item()) < 0.01 and losses['fall'] <= 1e-4
+
+
+@pytest.mark.parametrize('limit', [math.inf, 0.05])
+def test_stage_never_ends_worse_than_it_began(limit, capsys):
+    module = Valley(1e-9, limit)
+    Problem(module, [module.stage(1.0, 1)]).fit()
+    assert module.x.item() == 1e-9
+    assert capsys.readouterr().out.splitlines() == [
+        'fall: no better at a rate of 1', 'fall: no better at a rate of 0.25']
+
+
+def test_stages_that_are_judged_in_another_way_begin_with_their_own_best():
+    """The second stage is judged by the distance from one, of which the first knows nothing."""
+    module = Valley(0.3)
+    other = Stage('rise', lambda: (module.x - 1.0).square(), 200, 0.1,
+                  lambda: float((module.x - 1.0).square().detach()), 200)
+    Problem(module, [module.stage(0.1, 0), other]).fit()
+    assert module.x.item() == pytest.approx(1.0, abs=1e-2)
