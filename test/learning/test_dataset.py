@@ -7,9 +7,10 @@ from hnn_vi_ros.learning.data.dataset import (
     differentiate, ExactData, sample_exact, SavitzkyGolay, SmoothingSpline)
 from hnn_vi_ros.learning.data.text import MeasuredData, read_measured_log
 from hypothesis import given, settings, strategies as st
+from messages import refused
 import numpy as np
-from pydantic import ValidationError
 import pytest
+from schemas import misfit
 from scipy.signal import savgol_coeffs
 
 LOG = {'kind': 'measured', 'columns': ['t', 'x', 'v'], 'time': 't', 'q': ['x'], 'p': ['v'],
@@ -32,13 +33,9 @@ def write(path, rows, separator=' ', header='', end='\n'):
     return path
 
 
-def assert_refused(path, data, *words):
-    with pytest.raises(DataError) as caught:
+def assert_refused(path, data):
+    with refused(DataError):
         read_measured_log(path, data)
-    message = str(caught.value)
-    assert '\n' not in message
-    for word in words:
-        assert word in message, message
 
 
 EXACT = {'kind': 'exact', 'hamiltonian': {'kind': 'harmonic_oscillator'}, 'samples': 50,
@@ -67,15 +64,6 @@ def test_sample_exact_keeps_to_the_bounds_of_radius_and_energy():
     energy = 0.5 * (sampled.p ** 2).sum(axis=1) - 1.0 / radius
     assert 0.5 <= radius.min() and radius.max() <= 1.5
     assert -0.6 <= energy.min() and energy.max() <= -0.4
-
-
-@pytest.mark.parametrize('bounds, error, expected', [
-    ({'radius': [1.5, 0.5]}, ValidationError, 'low < high'),
-    ({'energy': [50.0, 60.0]}, DataError, 'too little of data.box'),
-])
-def test_bounds_that_cannot_be_kept_are_refused(bounds, error, expected):
-    with pytest.raises(error, match=expected):
-        sample_exact(ExactData.model_validate({**EXACT, **bounds}), 1)
 
 
 def test_sample_exact_puts_the_share_asked_for_on_the_bounds():
@@ -124,16 +112,6 @@ def test_noise_is_on_the_states_and_not_on_their_rates():
     assert 'noise 0.1' in noisy.description
 
 
-@pytest.mark.parametrize('changes, words', [
-    ({'trajectory': {'duration': 1.0, 'spacing': 2.0}}, 'spacing = 2'),
-    ({'trajectory': {'duration': 1.0, 'spacing': 1e-5}}, '5000050 states'),
-    ({'noise': -1.0}, 'noise'),
-])
-def test_unusable_trajectory_or_noise_is_refused(changes, words):
-    with pytest.raises(ValidationError, match=words):
-        ExactData.model_validate({**EXACT, **changes})
-
-
 def test_windows_are_the_evenly_spaced_runs_within_one_trajectory():
     sampled = sample_exact(ExactData.model_validate({**EXACT, 'trajectory': MOTION}), 1)
     runs = sampled.windows(0.2, 4)
@@ -143,7 +121,7 @@ def test_windows_are_the_evenly_spaced_runs_within_one_trajectory():
     # What a split takes out, no run leaps over.
     rest = sampled.rows(np.arange(len(sampled.q)) != 5)
     assert len(rest.windows(0.2, 4)) == len(runs) - 3
-    with pytest.raises(DataError, match='no 2 rows follow one another'):
+    with refused(DataError):
         sample_exact(ExactData.model_validate(EXACT), 1).windows(0.1, 2)
 
 
@@ -156,16 +134,6 @@ def test_exact_accelerations_are_the_rates_of_the_velocities():
     middle = sampled.accelerations.reshape(50, 3)[:, 1]
     # Central differences: spacing^2 / 6 times a third derivative of at most some hundreds.
     assert np.allclose((velocities[:, 2] - velocities[:, 0]) / 0.02, middle, rtol=0.02, atol=0.05)
-
-
-@pytest.mark.parametrize('hamiltonian, words', [
-    ({'kind': 'harmonic_oscillator', 'colour': 1.0}, 'valid keys: mass, stiffness'),
-    ({'kind': 'harmonic_oscillator', 'mass': -1.0}, 'mass'),
-    ({'kind': 'perpetuum_mobile'}, 'harmonic_oscillator'),
-])
-def test_unusable_exact_hamiltonian_is_refused(hamiltonian, words):
-    with pytest.raises(ValidationError, match=words):
-        ExactData.model_validate({**EXACT, 'hamiltonian': hamiltonian})
 
 
 @pytest.mark.parametrize('delimiter, separator, end', [
@@ -276,7 +244,7 @@ def test_smoothing_spline_recovers_a_known_derivative_on_uneven_instants():
 def test_uneven_log_is_refused_by_savitzky_golay_and_read_by_the_spline(tmp_path):
     t = np.delete(T, 50)
     path = write(tmp_path / 'log', oscillation(t))
-    assert_refused(path, measured(), f'{path}:51', 'smoothing_spline')
+    assert_refused(path, measured())
     log = read_measured_log(path, measured(derivatives={'kind': 'smoothing_spline'}))
     assert len(log.q) == len(t)
 
@@ -287,65 +255,64 @@ def test_clock_written_with_few_digits_counts_as_even(tmp_path):
     assert len(read_measured_log(write(tmp_path / 'log', rows), measured()).q) > 80
 
 
-GOOD = [f'{t} {np.sin(t)} {np.cos(t)}' for t in T]
+# Digits that do not depend on the processor: messages tell a digest of the file.
+GOOD = [f'{t:.2f} {np.sin(t):.6f} {np.cos(t):.6f}' for t in T]
 
 
-@pytest.mark.parametrize('line, words', [
-    ('2.5 nan 1.0', ['column 2 (x)', 'finite number', "'nan'"]),
-    ('2.5 1.0 -inf', ['column 3 (v)', 'finite number']),
-    ('2.5 one 1.0', ['column 2 (x)', "'one'"]),
-    ('2.5 1_5 1.0', ['column 2 (x)', "'1_5'"]),
-    ('2.5 1.0', ['2 columns, expected 3: t, x, v']),
-    ('2.5 1.0 3.0' + ' 4' * 10**5, ['5 columns or more, expected 3: t, x, v']),
-    ('2.5 1.0 1.0 1.0', ['4 columns, expected 3: t, x, v']),
-    ('0.1 1.0 1.0', ['column t', 'must increase']),
-], ids=['nan', 'infinite', 'word', 'digits', 'short', 'endless', 'long', 'backward'])
-def test_unusable_row_gives_data_error_with_its_line(tmp_path, line, words):
+@pytest.mark.parametrize('line', [
+    '2.5 nan 1.0', '2.5 1.0 -inf', '2.5 one 1.0', '2.5 1_5 1.0', '2.5 1.0',
+    '2.5 1.0 3.0' + ' 4' * 10**5, '2.5 1.0 1.0 1.0', '0.1 1.0 1.0'], ids=[
+        'nan', 'infinite', 'word', 'digits', 'short', 'endless', 'long', 'backward'])
+def test_unusable_row_gives_data_error_with_its_line(tmp_path, line):
     path = tmp_path / 'log.txt'
     path.write_text('\n'.join(['# head', *GOOD[:50], line, *GOOD[51:]]))
-    assert_refused(path, measured(), f'{path}:52', *words)
+    assert_refused(path, measured())
 
 
-@pytest.mark.parametrize('raw, words', [
-    (b'', ['0 rows']),
-    (b'# only a comment\n', ['0 rows']),
-    ('\n'.join(GOOD[:5]).encode(), ['window', '5 rows']),
-    ('\n'.join(GOOD[:12]).encode(), ['4 usable rows are too few']),
-    ('\n'.join(f'{t} 1.0 {np.cos(t)}' for t in T).encode(), ['q never changes']),
-    ('\n'.join(f'{t} {1e99 * np.sin(t)} 1' for t in T).encode(), ['p never changes']),
-    (b'\xff\xfe\x00binary', ['not a text file']),
-], ids=range(7))
-def test_unusable_log_gives_data_error(tmp_path, raw, words):
+@pytest.mark.parametrize('raw', [
+    b'', b'# only a comment\n', '\n'.join(GOOD[:5]).encode(), '\n'.join(GOOD[:12]).encode(),
+    '\n'.join(f'{t:.2f} 1.0 {np.cos(t):.6f}' for t in T).encode(),
+    '\n'.join(f'{t:.2f} {np.sin(t):.6f}e99 1' for t in T).encode(),
+    b'\xff\xfe\x00binary'], ids=range(7))
+def test_unusable_log_gives_data_error(tmp_path, raw):
     path = tmp_path / 'log.txt'
     path.write_bytes(raw)
-    assert_refused(path, measured(), *words)
+    assert_refused(path, measured())
 
 
 def test_missing_log_says_to_pass_data(tmp_path):
-    assert_refused(tmp_path / 'none.txt', measured(), 'no such data file', '--data FILE')
-    assert_refused(tmp_path, measured(), 'is a folder')
+    assert_refused(tmp_path / 'none.txt', measured())
+    assert_refused(tmp_path, measured())
 
 
 def test_window_shorter_than_the_polynomial_is_refused(tmp_path):
     path = write(tmp_path / 'log', oscillation())
     for window in (1e-300, 0.15, 1e300):
-        assert_refused(path, measured(derivatives={
-            'kind': 'savitzky_golay', 'window': window}), 'derivatives.window', 'expected 5 to')
+        assert_refused(path, measured(derivatives={'kind': 'savitzky_golay', 'window': window}))
 
 
-@pytest.mark.parametrize('changes, words', [
-    ({'q': ['y']}, 'column y'),
-    ({'q': ['t']}, 'column t'),
-    ({'columns': ['t', 'x', 'x', 'v']}, 'column x'),
-    ({'trial': 'run'}, 'column run'),
-    ({'mass': [1.0, 2.0]}, 'mass has 2 entries'),
-    ({'mass': [0.0]}, 'greater than 0'),
-    ({'mass': [[-1.0]]}, 'positive eigenvalues'),
-    ({'mass': [[1.0, 0.0]]}, 'rows of 1 numbers'),
-    ({'derivatives': None}, 'derivatives is missing'),
-])
-def test_contradictory_log_description_is_refused(changes, words):
-    with pytest.raises(ValidationError, match=words):
+@pytest.mark.parametrize('changes', [
+    {'radius': [1.5, 0.5]}, {'trajectory': {'duration': 1.0, 'spacing': 2.0}},
+    {'trajectory': {'duration': 1.0, 'spacing': 1e-5}}, {'noise': -1.0},
+    {'hamiltonian': {'kind': 'harmonic_oscillator', 'colour': 1.0}},
+    {'hamiltonian': {'kind': 'harmonic_oscillator', 'mass': -1.0}},
+    {'hamiltonian': {'kind': 'perpetuum_mobile'}}])
+def test_exact_data_that_cannot_be_are_refused(changes):
+    with misfit():
+        ExactData.model_validate({**EXACT, **changes})
+
+
+def test_energies_that_the_box_does_not_hold_are_refused():
+    with refused(DataError):
+        sample_exact(ExactData.model_validate({**EXACT, 'energy': [50.0, 60.0]}), 1)
+
+
+@pytest.mark.parametrize('changes', [
+    {'q': ['y']}, {'q': ['t']}, {'columns': ['t', 'x', 'x', 'v']}, {'trial': 'run'},
+    {'mass': [1.0, 2.0]}, {'mass': [0.0]}, {'mass': [[-1.0]]}, {'mass': [[1.0, 0.0]]},
+    {'derivatives': None}])
+def test_contradictory_log_description_is_refused(changes):
+    with misfit():
         measured(**changes)
 
 
