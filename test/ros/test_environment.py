@@ -12,6 +12,7 @@ from hnn_vi_ros.commands import doctor
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 from hnn_vi_ros.scene import load_scene
+from messages import refused
 import pytest
 from recorded import record_run
 
@@ -33,26 +34,23 @@ def middlewares(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
-@pytest.mark.parametrize('name, value', [
-    ('ROS_DOMAIN_ID', ''), ('ROS_DOMAIN_ID', '0'), ('ROS_DOMAIN_ID', '232'),
-    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF'), ('RMW_IMPLEMENTATION', 'rmw_zenoh_cpp'),
-    ('RMW_IMPLEMENTATION', '')])
-def test_values_of_ros_pass(name, value, monkeypatch):
-    monkeypatch.setenv(name, value)
-    settle_ros_environment()
-
-
-@pytest.mark.parametrize('name, value, message', [
-    *[('ROS_DOMAIN_ID', value, 'set a number from 0 to 232') for value in
-      ('abc', '-1', '233', '1.0', '0x1', '٣')],
-    ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHSOT', 'did you mean LOCALHOST?; valid: SUBNET, '),
-    ('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp', 'there: rmw_fastrtps_cpp, rmw_zenoh_cpp')])
-def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, value, message, monkeypatch):
-    monkeypatch.setenv(name, value)
-    with pytest.raises(ParameterError) as caught:
+def test_values_of_ros_pass(monkeypatch):
+    for name, value in (('ROS_DOMAIN_ID', ''), ('ROS_DOMAIN_ID', '0'), ('ROS_DOMAIN_ID', '232'),
+                        ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'OFF'),
+                        ('RMW_IMPLEMENTATION', 'rmw_zenoh_cpp'), ('RMW_IMPLEMENTATION', '')):
+        monkeypatch.setenv(name, value)
         settle_ros_environment()
-    text = str(caught.value)
-    assert text.startswith(f'{name}={value!r} is n') and message in text and '\n' not in text
+
+
+@pytest.mark.parametrize('name, values', [
+    ('ROS_DOMAIN_ID', ('abc', '-1', '233', '1.0', '0x1', '٣')),
+    ('ROS_AUTOMATIC_DISCOVERY_RANGE', ('LOCALHSOT',)),
+    ('RMW_IMPLEMENTATION', ('rmw_cyclonedds_cpp',))])
+def test_value_that_ros_cannot_take_is_told_with_what_it_takes(name, values, monkeypatch):
+    for value in values:
+        monkeypatch.setenv(name, value)
+        with refused(ParameterError):
+            settle_ros_environment()
 
 
 def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypatch):
@@ -66,20 +64,20 @@ def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypa
 def test_wheels_of_this_environment_are_found_or_what_is_missing_is_told(tmp_path, monkeypatch):
     monkeypatch.delenv('AMENT_PREFIX_PATH')
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'empty'))
-    with pytest.raises(ParameterError, match='AMENT_PREFIX_PATH is not set, and .*; source'):
+    with refused(ParameterError):
         settle_ros_environment()
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
     settle_ros_environment()
     assert os.environ['AMENT_PREFIX_PATH'] == str(tmp_path)
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
-    with pytest.raises(ParameterError, match='rmw_mine.* is not installed'):
+    with refused(ParameterError):
         settle_ros_environment()
 
 
 def test_prefix_without_ros_is_completed_by_that_of_the_wheels_or_told(tmp_path, monkeypatch):
     monkeypatch.setenv('AMENT_PREFIX_PATH', '/workspace')
     monkeypatch.setattr(sys, 'prefix', '/nowhere')
-    with pytest.raises(ParameterError, match="AMENT_PREFIX_PATH='/workspace' names no ROS 2, and"):
+    with refused(ParameterError):
         settle_ros_environment()
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
     settle_ros_environment()

@@ -9,6 +9,7 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps.sweep import sweep
+from messages import refused
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -68,6 +69,6 @@ def test_bags_of_episodes_are_made_as_recordings_are(bags, tmp_path):
 
 
 def test_bags_that_are_there_are_not_overwritten(bags):
-    with pytest.raises(RecordingError, match='exists already and is not overwritten'):
+    with refused(RecordingError):
         main([str(bags.parent / 'sweep.yaml'), '--episodes', 'mcap', '--select', '1',
               '--out', str(bags)])

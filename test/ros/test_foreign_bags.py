@@ -17,6 +17,7 @@ from hnn_vi_ros.learning.data.bags import BagData, read_bags
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.writer import Writer as McapWriter
+from messages import refused
 import numpy as np
 from processes import finish, start_executable
 import pytest
@@ -107,16 +108,12 @@ def test_foreign_bag_of_two_runs_is_one_line_that_says_where_to_cut_it(run, tmp_
     (tmp_path / 'bag').mkdir()
     bag = as_received(run, tmp_path / 'bag' / 'bag_0.mcap', jitter=0.0).parent
     as_received(again, bag / 'bag_1.mcap', jitter=0.0, epoch=second)
-    words = f'reset at log time {second} ns: cut it there' if reset else \
-        f'goes back, from 2 s to 0.01 s, at log time {second + 10**7} ns: cut it there'
     # From the last run of several of one scene a simulator may go on.
     for use in (check_replay, resume, show) if reset else (check_replay, show):
-        with pytest.raises(RecordingError, match=words) as caught:
+        with refused(RecordingError):
             use(bag)
-        assert '\n' not in str(caught.value)
     data = BagData.model_validate({'kind': 'bag', 'joints': ['angle']})
-    with pytest.raises(DataError, match=f'reset at log time {second} ns; cut' if reset else
-                       'split the bag where time was set back'):
+    with refused(DataError):
         read_bags([bag], data)
 
 
@@ -126,6 +123,9 @@ def show(bag: Path) -> None:
     list(recorded.in_order(recorded.reader.channels))
 
 
+@pytest.mark.parametrize('foreign', [
+    pytest.param(form, marks=[pytest.mark.long] * (form != 'split sqlite3')) for form in FORMS],
+    indirect=True)
 def test_foreign_bag_is_replayed(run, foreign):
     status, _, log = finish(start_executable(
         'replay', foreign, '--rate', 100, '--discovery-time', 0))
@@ -247,10 +247,9 @@ def test_verify_of_a_damaged_bag_ends_non_zero_and_others_warn(many_chunks, tmp_
 def test_noise_in_the_place_of_a_bag_is_one_line(tmp_path, name):
     (tmp_path / name).write_bytes(b'no bag at all' * 100)
     for use in (BagReader, resume, check_replay):
-        with pytest.raises(RecordingError) as caught:
+        with refused(RecordingError):
             use(tmp_path)
-        assert '\n' not in str(caught.value)
-    with pytest.raises(DataError):
+    with refused(DataError):
         read_bags([tmp_path], DATA)
 
 
@@ -261,7 +260,7 @@ def test_view_in_the_place_of_a_table_is_refused(tmp_path):
         database.execute('CREATE VIEW messages AS WITH RECURSIVE c(id) AS (SELECT 1 UNION ALL '
                          'SELECT id + 1 FROM c) SELECT id, 1 AS topic_id, id AS timestamp, '
                          'zeroblob(1000000) AS data FROM c')
-    with pytest.raises(RecordingError, match='no tables topics and messages'):
+    with refused(RecordingError):
         BagReader(path)
 
 
@@ -269,11 +268,11 @@ def test_folder_of_several_bags_or_of_a_part_of_one_is_refused(run, tmp_path):
     (tmp_path / 'two').mkdir()
     for name in ('monday_0.mcap', 'tuesday_0.mcap'):
         shutil.copy(run / 'bag_0.mcap', tmp_path / 'two' / name)
-    with pytest.raises(RecordingError, match='found 2 files; give one'):
+    with refused(RecordingError):
         BagReader(tmp_path / 'two')
     part = split(run, tmp_path / 'part', StoragePlugin.MCAP)
     (part / 'part_10.mcap').unlink()
-    with pytest.raises(RecordingError, match="names 'part_10.mcap', which is no"):
+    with refused(RecordingError):
         BagReader(part)
     (part / 'metadata.yaml').unlink()
     # Those of five topics in the first half of the ticks, and the scene.
@@ -284,7 +283,7 @@ def test_folder_of_several_bags_or_of_a_part_of_one_is_refused(run, tmp_path):
     ['bag_0.mcap', ''], ['bag_0.mcap', 'metadata.yaml'], ['bag_0.mcap', '..']])
 def test_description_that_names_what_is_no_file_of_a_bag_is_one_line(run, tmp_path, named):
     describe(run, tmp_path, named)
-    with pytest.raises(RecordingError, match='which is no file of a bag there'):
+    with refused(RecordingError):
         BagReader(tmp_path)
 
 
@@ -314,22 +313,22 @@ def test_split_bag_without_a_description_is_read_in_the_order_of_its_numbers(
         shutil.copy(run / 'bag_0.mcap', tmp_path / name)
     assert [path.name for path in bag_files.bag_files(tmp_path)] == names
     (tmp_path / names[2]).unlink()
-    with pytest.raises(RecordingError, match=f'is number 10, between {names[1]} and {names[3]}'):
+    with refused(RecordingError):
         bag_files.bag_files(tmp_path)
     shutil.copy(run / 'bag_0.mcap', tmp_path / scheme.replace('run', 'other').format(10, 11))
-    with pytest.raises(RecordingError, match='found 4 files; give one of them'):
+    with refused(RecordingError):
         bag_files.bag_files(tmp_path)
 
 
 def test_bag_that_lacks_a_file_between_two_others_is_refused(run, tmp_path):
     for number in (3, 5):
         shutil.copy(run / 'bag_0.mcap', tmp_path / f'a_{number}.mcap')
-    with pytest.raises(RecordingError, match='none of its files is number 4, between a_3.mcap'):
+    with refused(RecordingError):
         BagReader(tmp_path)
 
 
 def test_path_that_is_too_long_is_one_line():
-    with pytest.raises(RecordingError, match='File name too long'):
+    with refused(RecordingError):
         BagReader(Path('a' * 300))
 
 
@@ -344,5 +343,5 @@ def test_large_rows_that_a_small_file_computes_are_refused(tmp_path, monkeypatch
                              [(i, i) for i in range(8)])
     assert len(list(BagReader(path).messages())) == 8
     monkeypatch.setattr(bag_files, '_MOST', 7 * 10**6)
-    with pytest.raises(RecordingError, match='messages hold more than'):
+    with refused(RecordingError):
         list(BagReader(path).messages())

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, PARAMETERS, REPLAY_PARAMETERS
 from launch_stand_ins import stand_in
+from messages import refused
 from processes import read_bag
 import pytest
 import yaml
@@ -147,7 +148,7 @@ def test_launch_fails_if_the_managed_node_cannot_be_configured(launch):
     assert failed.start_state == 'configuring'
     assert failed.target_lifecycle_node is only(entities, 'node')
     act, = failed.entities
-    with pytest.raises(RuntimeError, match='configured'):
+    with refused(RuntimeError):
         act.function(SimpleNamespace())
 
 
@@ -159,7 +160,7 @@ def test_launch_fails_if_the_process_of_its_node_does(launch):
     def end(status: int, is_shutdown: bool) -> None:
         handler.on_exit(SimpleNamespace(returncode=status, process_name='simulator-1'),
                         SimpleNamespace(is_shutdown=is_shutdown))
-    with pytest.raises(RuntimeError, match='simulator-1 .* status 1'):
+    with refused(RuntimeError):
         end(1, False)
     # A run that is over, and what the launch system ends itself.
     assert end(0, False) is end(130, True) is None

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 import re
-import signal
 
 from bags.bag_mutations import records_of
 from hnn_vi_ros import load_scene
@@ -24,9 +23,10 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
 from mcap.opcode import Opcode
 from mcap.writer import Writer
+from messages import assert_message, refused
 import numpy as np
-from peer import peer, SIMULATOR
-from processes import finish, start, start_executable
+from peer import simulating, SIMULATOR
+from processes import finish, refusal, start_executable
 import pytest
 from recorded import as_received, of_several, record_run
 import safetensors.numpy
@@ -153,13 +153,12 @@ def test_one_simulator_of_a_bag_is_chosen_by_its_name(three):
     for name in ('/right/hnn_simulator', 'right/hnn_simulator'):
         verdict, = check_replays(three, node=name)
         assert verdict.good and '70 samples' in verdict.text
-    with pytest.raises(RecordingError, match='no simulator rihgt/hnn_simulator; did you mean '
-                       '/right/hnn_simulator.; there: /left/hnn_simulator, /middle/hnn_simulator'):
+    with refused(RecordingError):
         [*check_replays(three, node='rihgt/hnn_simulator')]
 
 
 def test_run_of_one_of_several_simulators_is_not_resumed_by_chance(three):
-    with pytest.raises(RecordingError, match='holds 3 simulators, of which one must be chosen'):
+    with refused(RecordingError):
         resume(three)
 
 
@@ -171,34 +170,29 @@ def test_fault_of_one_simulator_does_not_keep_others_from_being_checked(tmp_path
     assert 'origin is no count' in verdicts[0].text
 
 
-@pytest.mark.parametrize('without, words', [
-    (['scene'], 'neither a scene.yaml nor a message of /hnn_simulator/scene'),
-    (['state'], 'no /hnn_simulator/state'), (['state', 'q'], 'holds no topic state')])
-def test_bag_of_another_recorder_that_lacks_a_topic_is_one_line(tmp_path, without, words):
+def test_bag_of_another_recorder_that_lacks_a_topic_is_one_line(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
-    with pytest.raises(RecordingError, match=words) as caught:
-        check_replay(as_received(bag, tmp_path / 'a.mcap', without=without))
-    assert '\n' not in str(caught.value)
+    for without in (['scene'], ['state'], ['state', 'q']):
+        with refused(RecordingError):
+            check_replay(as_received(bag, tmp_path / 'a.mcap', without=without))
 
 
-@pytest.mark.parametrize('change', [
-    lambda state: state.pop('steps'), lambda state: state.update(steps=np.zeros(3)),
-    lambda state: state.update(way=np.array(7)), lambda state: state.update(way=np.array(-1)),
-    lambda state: state.update(steps=np.array(-1))])
-def test_state_that_is_not_of_the_simulation_is_refused_and_changes_nothing(change):
+def test_state_that_is_not_of_the_simulation_is_refused_and_changes_nothing():
     simulation = build(load_scene('exact_pendulum'))
-    state = safetensors.numpy.load(state_file(simulation))
-    change(state)
-    for data in (safetensors.numpy.save(state), b'', bytes(100)):
-        with pytest.raises(RecordingError, match='state.safetensors'):
+    good = safetensors.numpy.load(state_file(simulation))
+    states = [good | change for change in (
+        {'steps': np.zeros(3)}, {'way': np.array(7)}, {'way': np.array(-1)},
+        {'steps': np.array(-1)})]
+    states.append({name: value for name, value in good.items() if name != 'steps'})
+    for data in (*map(safetensors.numpy.save, states), b'', bytes(100)):
+        with refused(RecordingError):
             restore_state(simulation, data, 'bag')
     assert simulation.steps == 0
 
 
 def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun(
         tmp_path: Path, driven):
-    process = start(tmp_path, scene=driven.source, record_path='bag', rerun_sink='none')
-    with peer() as other:
+    with simulating(tmp_path, scene=driven.source, record_path='bag') as (other, _):
         publisher = other.node.create_publisher(
             Float64MultiArray, f'{SIMULATOR}/commands', 10)
         other.spin_until(lambda: other.states and publisher.get_subscription_count())
@@ -219,8 +213,6 @@ def test_bags_of_a_commanded_simulator_agree_bit_by_bit_whenever_they_were_begun
         drive(30)
         assert other.trigger('reset').success
         drive(20)
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0
     for name in ('bag', 'bag-2', 'bag-3'):
         assert len(list(RecordedRun(tmp_path / name).commands())) > 10
         verdict = check_replay(tmp_path / name)
@@ -344,9 +336,8 @@ def test_message_that_is_none_of_its_type_is_one_line(tmp_path, driven, topic, d
     numbers = [n for n, c in reader.channels.items() if c.topic.endswith(topic)]
     bag = rewritten(reader, tmp_path / 'a.mcap', own=topic == 'commands', change=lambda message:
                     message._replace(data=data) if message.channel in numbers else message)
-    with pytest.raises(RecordingError, match=f'{topic} at 0 ns cannot be read') as caught:
+    with refused(RecordingError):
         check_replay(bag)
-    assert '\n' not in str(caught.value)
 
 
 def rewritten(reader: BagReader, path: Path, keep=lambda message: True, own: bool = True,
@@ -383,35 +374,34 @@ def test_log_of_another_model_is_refused(tmp_path):
     provenance = build(scene).hamiltonian.provenance
     name = next(iter(provenance))
     bag = record_run(tmp_path / 'bag', scene, 5, **{name: 'another'})
-    with pytest.raises(RecordingError, match=f'another model: its {name} is another'):
+    with refused(RecordingError):
         check_replay(bag)
 
 
 def test_log_whose_stamps_are_no_whole_steps_is_refused(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, origin=1)
-    with pytest.raises(HnnViRosError, match='no whole number of steps'):
+    with refused(HnnViRosError):
         check_replay(bag)
 
 
 @pytest.mark.parametrize('step_size', [1e-11, 1e-300, 5e-324])
 def test_log_of_more_steps_than_anybody_would_record_so_rarely_is_refused(tmp_path, step_size):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=step_size)
-    with pytest.raises(RecordingError, match='its sample 1 needs .* is the step_size') as caught:
+    with refused(RecordingError):
         check_replay(bag)
-    assert '\n' not in str(caught.value)
 
 
 def test_steps_of_next_to_no_time_are_one_line_to_node_and_bridge(tmp_path, monkeypatch):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5, step_size=5e-324)
     run = RecordedRun(bag)
-    with pytest.raises(ParameterError, match='inf steps from sample to sample are too many'):
+    with refused(ParameterError):
         Sampler(build(run.scene), 100.0)
     picture = BridgePicture(run.scene, tmp_path / 'a.rrd', 'a')
-    with pytest.raises(RecordingError, match='more than can be counted'):
+    with refused(RecordingError):
         picture.show(run.state(next(run.reader.messages(run.states))))
     picture.close()
     monkeypatch.setattr(BagReader, 'attachment', lambda self, name: b'publish_rate: 100.0')
-    with pytest.raises(RecordingError, match='publish_rate is no rate'):
+    with refused(RecordingError):
         run.spacing  # noqa: B018  refused when it is read
 
 
@@ -422,9 +412,8 @@ def test_rate_in_a_bag_that_is_none_is_one_line(tmp_path, monkeypatch, rate):
     attachment = BagReader.attachment
     monkeypatch.setattr(BagReader, 'attachment', lambda self, name: (
         f'publish_rate: {rate}'.encode() if name == 'parameters.yaml' else attachment(self, name)))
-    with pytest.raises(RecordingError, match='publish_rate is no rate') as caught:
+    with refused(RecordingError):
         check_replay(bag)
-    assert '\n' not in str(caught.value)
 
 
 def test_state_of_a_step_beyond_all_stamps_is_one_line(tmp_path):
@@ -434,9 +423,8 @@ def test_state_of_a_step_beyond_all_stamps_is_one_line(tmp_path):
     state['steps'] = np.array(2**62)
     bag = rewritten(run.reader, tmp_path / 'a.mcap',
                     files={STATE_FILE: safetensors.numpy.save(state)})
-    with pytest.raises(RecordingError, match='before the state that it begins at') as caught:
+    with refused(RecordingError):
         check_replay(bag)
-    assert '\n' not in str(caught.value)
     nothing = rewritten(run.reader, tmp_path / 'b.mcap', lambda message: not message.time,
                         files={STATE_FILE: safetensors.numpy.save(state)})
     assert not check_replay(nothing).good
@@ -470,7 +458,7 @@ def test_resumed_log_is_verified_from_its_own_first_step(tmp_path):
     assert verdict.good and '50 samples agree bit by bit' in verdict.text
     assert resume(second).step == resumption.step + 50 * resumption.step // 100
     # As if the first step were forgotten: the drive would be out of step.
-    with pytest.raises(RecordingError, match='no whole number of steps'):
+    with refused(RecordingError):
         check_replay(record_run(tmp_path / 'third', resumption.scene, 5,
                                 first_step=resumption.step, origin=10**12))
 
@@ -489,10 +477,8 @@ def test_verify_option_tells_the_verdict_and_its_status(tmp_path):
     assert '20 samples agree bit by bit' in out
 
 
-@pytest.mark.parametrize('words', [
-    ['--rate', '2'], ['--loop'], ['--publish-clock'], ['--ros-args', '-p', 'rate:=2.0']])
-def test_verify_option_refuses_what_only_playing_heeds(tmp_path, words):
+def test_verify_option_refuses_what_only_playing_heeds(tmp_path):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 5)
-    status, out, error = finish(start_executable('replay', bag, '--verify', *words))
-    assert (status, out, error.count('\n')) == (2, '', 1)
-    assert (words[0] if words[0] != '--ros-args' else 'ROS arguments') in error
+    for words in (['--rate', '2'], ['--loop'], ['--publish-clock'],
+                  ['--ros-args', '-p', 'rate:=2.0']):
+        assert_message(refusal('replay', bag, '--verify', *words))

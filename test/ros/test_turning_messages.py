@@ -17,6 +17,7 @@ from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_sink import RerunSink
+from messages import refused
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -77,7 +78,7 @@ def test_rate_of_a_body_momentum_is_that_of_eulers_equations():
 
 
 def test_joint_states_are_no_initial_state_of_a_body_that_turns():
-    with pytest.raises(ValueError, match="write it into the scene's initial_state"):
+    with refused(ValueError):
         initial_state(JointState(), HAMILTONIANS['heavy_top'](), np.zeros(3))
 
 
@@ -143,10 +144,10 @@ def test_wrench_is_the_command_of_a_body_or_refused():
     message.wrench.force.z, message.wrench.torque.y = 2.0, -0.5
     assert command_of(message, 'body', names) == [2.0, 0.0, -0.5, 0.0]
     message.wrench.force.x = float('nan')
-    with pytest.raises(ValueError, match='body_fx = nan: nothing drives it; valid: body_fz, '):
+    with refused(ValueError):
         command_of(message, 'body', names)
     message.header.frame_id = 'map'
-    with pytest.raises(ValueError, match="frame_id = 'map': expected 'body'"):
+    with refused(ValueError):
         command_of(message, 'body', names)
 
 
