@@ -6,6 +6,7 @@ from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.control import BatchStep
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import Scene
+from messages import refused
 import numpy as np
 import pytest
 
@@ -22,7 +23,9 @@ def states(seed: int, count: int, d: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.normal(size=(count, 2 * d)), rng.normal(size=(count, 1))
 
 
-@pytest.mark.parametrize('method', ['rk4', 'variational_euler', 'implicit_midpoint'])
+@pytest.mark.parametrize('method', [
+    'rk4', *(pytest.param(name, marks=pytest.mark.long) for name in (
+        'variational_euler', 'implicit_midpoint'))])
 def test_steps_equal_those_of_simulate_bit_by_bit(method):
     scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
     z, u = states(0, 3, 2)
@@ -58,7 +61,8 @@ def test_derivatives_are_those_by_complex_steps():
             start + 0j, command + 1e-30j).imag / 1e-30).max() < 1e-10
 
 
-@pytest.mark.parametrize('method', ['rk4', 'implicit_midpoint', 'variational_euler'])
+@pytest.mark.parametrize('method', [
+    'rk4', 'implicit_midpoint', pytest.param('variational_euler', marks=pytest.mark.long)])
 def test_derivatives_are_differences_of_held_steps(method):
     scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
     steps = BatchStep(scene, 4)
@@ -88,18 +92,18 @@ def test_a_scene_without_commands_takes_none():
     steps = BatchStep('exact_double_pendulum')
     _, by_z, by_u = steps.derivatives(np.ones(4))
     assert by_z.shape == (4, 4) and by_u.shape == (4, 0)
-    with pytest.raises(ValueError, match=r'u has shape \(1,\), expected \(0,\)'):
+    with refused(ValueError):
         steps(np.ones(4), [1.0])
 
 
 def test_what_is_not_a_function_of_state_and_command_is_refused():
     servo = {'kind': 'servo', 'coordinates': ['angle'], 'stiffness': 1.0, 'damping': 0.1}
-    with pytest.raises(UnsupportedSystem, match='servo'):
+    with refused(UnsupportedSystem):
         BatchStep(load_scene('exact_pendulum').with_overrides(effects=[servo]))
 
 
 def test_limits_that_leave_no_command_are_refused():
     steps = BatchStep(driven('exact_pendulum', 'rk4', 'angle'))
     for limits in (([1.0], [-1.0]), ([np.nan], [1.0])):
-        with pytest.raises(ValueError, match='the least commands must not be above the largest'):
+        with refused(ValueError):
             steps.rollout(np.zeros(2), np.zeros((1, 3, 1)), limits=limits)

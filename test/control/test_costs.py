@@ -7,6 +7,7 @@ from hnn_vi_ros.control import Energy, Kinetic, Point, Quadratic
 from hnn_vi_ros.control.costs import Cost
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from messages import refused
 import numpy as np
 import pytest
 
@@ -90,13 +91,13 @@ def test_points_of_an_arm_have_exact_derivatives(scene):
 
 
 def test_what_makes_no_cost_is_one_line(model):
-    with pytest.raises(ValueError, match='q must be symmetric'):
+    with refused(ValueError):
         Quadratic(model, (np.zeros(4), np.zeros(1)), -Q, R)
-    with pytest.raises(ValueError, match=r'weight -1\.0'):
+    with refused(ValueError):
         -1.0 * Kinetic(model)
-    with pytest.raises(ValueError, match='half = 0'):
+    with refused(ValueError):
         Kinetic(model).saturating(0.0)
-    with pytest.raises(UnsupportedSystem, match='no URDF describes'):
+    with refused(UnsupportedSystem):
         Point(model, 'forearm', np.zeros(3))
-    with pytest.raises(ValueError, match='no link .wrist.; it has .*forearm'):
+    with refused(ValueError):
         Point(load_scene('two_joint_arm').create_hamiltonian(), 'wrist', np.zeros(3))

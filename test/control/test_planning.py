@@ -9,6 +9,7 @@ from hnn_vi_ros.control import (
     BatchStep, find_equilibrium, Ilqr, Kinetic, linearise, lqr, Mppi, Point, Quadratic, Regulator,
     velocity)
 from hnn_vi_ros.control.riccati import Stages, sweep
+from messages import refused
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -168,12 +169,12 @@ def test_mppi_swings_a_pendulum_up(pendulum):
 
 
 def test_what_cannot_plan_is_one_line(pendulum):
-    with pytest.raises(ValueError, match='must leave room for commands'):
+    with refused(ValueError):
         planner(Ilqr, pendulum, 0.0)
-    with pytest.raises(ValueError, match='horizon'):
+    with refused(ValueError):
         Ilqr(pendulum, Kinetic(pendulum.hamiltonian), Kinetic(pendulum.hamiltonian), 0, (-1, 1))
-    with pytest.raises(ValueError, match='spread'):
+    with refused(ValueError):
         planner(Mppi, pendulum, 5.0, spread=[0.0], temperature=1.0)
     alone = BatchStep('exact_pendulum')
-    with pytest.raises(ValueError, match='external_force'):
+    with refused(ValueError):
         Ilqr(alone, Kinetic(alone.hamiltonian), Kinetic(alone.hamiltonian), 5, (-1.0, 1.0))
