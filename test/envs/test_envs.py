@@ -9,6 +9,7 @@ import warnings
 from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
+from messages import refused
 import numpy as np
 import pytest
 
@@ -120,7 +121,7 @@ def at_the_sun(rng):
     return [1e-300, 0.0], [0.0, 0.0]
 
 
-@pytest.mark.parametrize('context', ['fork', 'spawn'])
+@pytest.mark.parametrize('context', ['fork', pytest.param('spawn', marks=pytest.mark.long)])
 @pytest.mark.filterwarnings('ignore')
 def test_environments_of_other_processes_are_those_of_this_one(events, context):
     """Of gymnasium's AsyncVectorEnv, from a scene that is handed over as it is."""
@@ -137,19 +138,20 @@ def test_environments_of_other_processes_are_those_of_this_one(events, context):
             for mine, yours in zip(one[:4], other[:4], strict=True):
                 assert np.array_equal(mine, yours)
             assert str(one[4]) == str(other[4])
-        with pytest.raises(ValueError, match='must be finite, and within the limits'):
+        with refused(ValueError):
             theirs.step(np.full((2, 1), np.nan))
     finally:
         theirs.close(terminate=True)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings('ignore')
 def test_failure_in_another_process_comes_here(tmp_path):
     envs = AsyncVectorEnv([partial(
         SceneEnv, 'kepler', reward, initial_state=at_the_sun,
         effects=[{'kind': 'external_force', 'coordinates': ['x', 'y']}])], context='fork')
     try:
-        with pytest.raises(StateError, match='step failed at'):
+        with refused(StateError):
             envs.reset(seed=1)
     finally:
         envs.close(terminate=True)
@@ -169,7 +171,7 @@ def test_episode_ends_where_an_event_stops_the_run(events):
     # Not at the end of a step: the time of the event.
     assert time == pytest.approx(float(info['event'].split()[-2]), rel=1e-8)
     assert len(told) == 1 and told[0].startswith('angle = 0 (down)')
-    with pytest.raises(gymnasium.error.ResetNeeded, match='reset'):
+    with refused(gymnasium.error.ResetNeeded):
         env.step([0.0])
 
 
@@ -198,27 +200,21 @@ def test_seed_tells_the_noise_and_the_initial_state(noisy):
     assert not np.array_equal(runs[0][:, 0], runs[0][:, 1])
 
 
-@pytest.mark.parametrize('settings, message', [
-    ({'effects': ()}, 'takes no commands, which actions are: add an effect'),
-    ({'every': 0}, 'every = 0 must be at least 1'),
-    ({'every': 51}, r'lasts 0.51 s, every = 51 steps, .* ends after 0.5 s: give .* timeout'),
-    ({'limits': [1.0, 2.0]}, 'limits = .* one for each of the 1 numbers'),
-    ({'limits': -1.0}, 'must be a positive number'),
-    ({'max_episode_steps': 0}, 'max_episode_steps = 0 must be at least 1')])
-def test_arguments_that_cannot_be_used_are_told(settings, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('settings', [
+    {'effects': ()}, {'every': 0}, {'every': 51}, {'limits': [1.0, 2.0]}, {'limits': -1.0},
+    {'max_episode_steps': 0}], ids=str)
+def test_arguments_that_cannot_be_used_are_told(settings):
+    with refused(ValueError):
         SceneEnv('exact_pendulum', reward, **{'effects': FORCE} | settings)
 
 
 def test_actions_that_cannot_be_taken_are_refused_whole():
     envs = SceneVectorEnv('exact_pendulum', 2, reward, effects=FORCE, limits=1.0)
     start, _ = envs.reset(seed=0)
-    for actions, message in (([[0.0], [1.5]], 'within the limits .1.0.; .* ClipAction'),
-                             ([[0.0], [np.nan]], 'must be finite'),
-                             ([0.0, 0.0], r'shape \(2,\), expected \(2, 1\)')):
-        with pytest.raises(ValueError, match=message):
+    for actions in ([[0.0], [1.5]], [[0.0], [np.nan]], [0.0, 0.0]):
+        with refused(ValueError):
             envs.step(actions)
-    with pytest.raises(ValueError, match='options = .* there are none'):
+    with refused(ValueError):
         envs.reset(options={'q': [1.0]})
     # No environment has moved.
     simulation = build(load_scene('exact_pendulum').with_overrides(effects=FORCE))
