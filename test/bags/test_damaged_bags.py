@@ -129,7 +129,7 @@ LAST = Counter(expected()[:-3 * EVERY])
 
 
 @pytest.mark.timeout(60 + 30 * MUTATIONS)
-@pytest.mark.parametrize('end', ['killed', 'finished'])
+@pytest.mark.parametrize('end', ['killed', pytest.param('finished', marks=pytest.mark.long)])
 def test_no_mutation_ends_in_a_traceback_a_silent_loss_or_a_message_that_never_was(
         tmp_path, end, killed, finished):
     content = finished if end == 'finished' else killed
@@ -205,6 +205,7 @@ def test_index_that_contradicts_its_chunk_is_told_and_made_again(tmp_path, finis
     assert content_of(path) == expected()
 
 
+@pytest.mark.long
 def test_every_flip_of_a_finished_bag_is_found_and_loses_nothing_in_silence(tmp_path, finished):
     rng, whole = random.Random(2), expected()
     for byte in range(3, len(finished), len(finished) // 60):

@@ -66,6 +66,7 @@ def recorded(tmp_path_factory) -> bytes:
     return record(tmp_path_factory.mktemp('recorded') / 'bag', 4000).read_bytes()
 
 
+@pytest.mark.long
 @settings(max_examples=40)
 @given(share=strategies.floats(0.001, 1.0))
 def test_reader_of_a_file_cut_off_at_any_byte_yields_a_prefix(recorded, share):

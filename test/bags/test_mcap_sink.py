@@ -456,7 +456,7 @@ except RecordingError as problem:
 
 
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize('limit', [5_000, 700_000])
+@pytest.mark.parametrize('limit', [pytest.param(5_000, marks=pytest.mark.long), 700_000])
 def test_full_disk_ends_the_recording_with_its_reason(tmp_path, limit):
     child = run_python(FULL, tmp_path / 'bag', limit, stdout=subprocess.PIPE,
                        stderr=subprocess.PIPE)

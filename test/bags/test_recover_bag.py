@@ -103,6 +103,7 @@ def test_whole_bag_stays_as_it_is_to_the_byte(tmp_path):
     assert path.read_bytes() == once
 
 
+@pytest.mark.long
 @settings(max_examples=60)
 @given(share=strategies.floats(0.0, 1.0))
 @example(share=0.0)
@@ -153,6 +154,7 @@ def test_damaged_chunk_is_left_out_and_told(tmp_path, recorded):
     assert recovery.messages >= 3 * TICKS - len(lost) - 6
 
 
+@pytest.mark.long
 @settings(max_examples=40)
 @given(places=strategies.lists(strategies.tuples(
     strategies.floats(0.0, 1.0), strategies.integers(0, 255)), min_size=1, max_size=20))
@@ -219,7 +221,7 @@ except RecordingError as problem:
 """
 
 
-@pytest.mark.parametrize('limit', [100, 300_000])
+@pytest.mark.parametrize('limit', [100, pytest.param(300_000, marks=pytest.mark.long)])
 def test_full_disk_leaves_the_original_and_no_other_file(tmp_path, recorded, limit):
     bag = cut(tmp_path / 'bag', recorded[:-20])
     child = run_python(FULL, bag, limit, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -309,6 +311,7 @@ def test_messages_that_a_file_of_a_split_bag_has_lost_are_counted_by_its_metadat
 
 
 @pytest.mark.timeout(60 + 5 * KILLS)
+@pytest.mark.long
 def test_killed_recording_recovers_but_for_at_most_its_last_second(tmp_path):
     """At KILLS random moments, HNN_VI_ROS_KILLS of them."""
     moments = random.Random(5)
