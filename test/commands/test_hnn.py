@@ -21,6 +21,7 @@ from hnn_vi_ros.learning.arguments import ORDERS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
+from messages import refused
 import numpy as np
 import pytest
 from test_cli import ask
@@ -79,29 +80,13 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
 
 @pytest.mark.parametrize('words, status, begin', [
     (['trian'], 2, "hnn: unknown command 'trian'; did you mean train?; valid: run, "),
-    (['train', '--confg', 'x'], 2, 'hnn train: unknown option --confg; did you mean --config?'),
     (['run', 'pendulumm'], 1, "hnn run: no scene 'pendulumm'; did you mean pendulum?; shipped: "),
-    (['run', 'kepler', '--duration', '-1'], 1, 'hnn run: duration = -1.0 must be a number of'),
-    (['run', 'kepler', '--step-size', '1 ms'], 2,
-     "hnn run: argument --step-size: '1 ms' is no number of seconds, e.g. 0.001"),
-    (['run', 'kepler', '--csv', '/dev/null'], 1, 'hnn run: --csv /dev/null: exists already'),
-    # Before anything is simulated, which would be lost.
-    (['run', 'kepler', '--duration', '1e9', '--plot', 'motion'], 1,
-     'hnn run: --plot motion: no file of this kind can be written; valid: .png, .svg, .pdf'),
     (['recover_bag', '/nowhere'], 2, 'hnn recover_bag: /nowhere'),
-    (['scene', '--check', 'pendulumm'], 1, "hnn scene: no scene 'pendulumm'"),
 ])
 def test_mistake_is_one_line_with_the_command(words, status, begin):
     result = ask('main', *words)
     assert result.returncode == status
     assert result.stderr.startswith(begin) and result.stderr.count('\n') == 1
-
-
-def test_model_that_must_be_trained_is_told_with_its_data_and_a_command_that_is_there():
-    result = ask('main', 'run', 'air_track')
-    assert result.returncode == 1 and result.stderr.count('\n') == 1
-    assert 'train it with: hnn train --config air_track --data FILE, which is real_linear_h_1' \
-        in result.stderr
 
 
 def test_run_writes_what_was_asked_for(tmp_path, capsys):
@@ -119,20 +104,20 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
     # Not a digit is lost.
     assert np.array_equal(np.loadtxt(files['csv'], delimiter=',', skiprows=1), np.column_stack(
         [trajectory.t, trajectory.q, trajectory.p, trajectory.energy]))
-    with pytest.raises(ParameterError, match='motion.csv: exists already; .*, or add --force'):
+    with refused(ParameterError):
         run.main(['exact_harmonic_oscillator', *options])
     assert run.main(['exact_harmonic_oscillator', '--duration', '1', *options, '--force']) == 0
     assert len(files['csv'].read_text().splitlines()) == 2 * len(trajectory.t)
     same = str(tmp_path / 'a.png')
-    with pytest.raises(ParameterError, match='--plot .*a.png: --portrait names the same file'):
+    with refused(ParameterError):
         run.main(['exact_harmonic_oscillator', '--plot', same, '--portrait', same])
-    with pytest.raises(ParameterError, match='--csv /dev/null: is no regular file; name a file'):
+    with refused(ParameterError):
         run.main(['exact_harmonic_oscillator', '--csv', '/dev/null', '--force'])
-    with pytest.raises(ParameterError, match="no folder .*nowhere'; make it first"):
+    with refused(ParameterError):
         run.main(['exact_harmonic_oscillator', '--csv', str(tmp_path / 'nowhere' / 'a.csv')])
     link = tmp_path / 'link.csv'
     link.symlink_to(tmp_path / 'elsewhere' / 'a.csv')
-    with pytest.raises(ParameterError, match='link.csv: exists already'):
+    with refused(ParameterError):
         run.main(['exact_harmonic_oscillator', '--csv', str(link)])
 
 
@@ -147,7 +132,7 @@ def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
     assert scene_tool.main(['--new', str(tmp_path / 'arm.yml'), '--like', 'two_joint_arm']) == 0
     assert load_scene(tmp_path / 'arm.yml').model_digests.keys() == {
         str(shipped_file('scene', '').parents[1] / 'robots' / 'two_joint_arm.urdf')}
-    with pytest.raises(SceneError, match='mine.yaml: exists already'):
+    with refused(SceneError):
         scene_tool.main(['--new', str(path)])
 
 
@@ -161,9 +146,8 @@ def test_new_scene_of_a_formula_runs(tmp_path):
     # The springs of 2 x 100 N/m between two masses of 1 kg: sqrt(200) rad/s, a hundred steps.
     assert scene.step_size == 0.002
     assert np.ptp(simulate(scene, 1.0).energy) < 1e-12
-    for text, said in (('p_x^2 + x +', 'H? ?column 12: the formula ends'), ('x^2', 'write p_x'),
-                       ('p_x^2/2 + log(-x)', r"H column 11: 'log\(-x\)' is nan at")):
-        with pytest.raises(SceneError, match=f'--formula: .*{said}'):
+    for text in ('p_x^2 + x +', 'x^2', 'p_x^2/2 + log(-x)'):
+        with refused(SceneError):
             scene_tool.main(['--new', str(tmp_path / 'other.yaml'), '--formula', text])
 
 

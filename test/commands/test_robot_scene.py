@@ -11,6 +11,7 @@ from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
+from messages import refused
 import numpy as np
 import pytest
 from urdf_robots import chain, SHIPPED, TREE
@@ -18,7 +19,10 @@ from urdf_robots import chain, SHIPPED, TREE
 TREE_FILE = 'tree: 1.urdf'
 
 
-@pytest.fixture(params=[TREE_FILE, *(path.name for path in SHIPPED)])
+# The larger ones compile for longer, and no other code.
+@pytest.fixture(params=[TREE_FILE, *(pytest.param(
+    path.name, marks=() if path.name == 'two_joint_arm.urdf' else pytest.mark.long)
+    for path in SHIPPED)])
 def robot(request, tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
     path = tmp_path / 'robots' / request.param
@@ -111,19 +115,18 @@ def test_new_scene_takes_the_place_of_no_file(tmp_path):
     (tmp_path / 'robot.urdf').write_text(TREE)
     mine = tmp_path / 'mine.yaml'
     mine.write_text('mine')
-    with pytest.raises(SceneError, match='mine.yaml: exists already; .*, or add --force'):
+    with refused(SceneError):
         write_scene(str(tmp_path / 'robot.urdf'), mine)
     assert mine.read_text() == 'mine'
     assert main(['--new', str(mine), '--robot', str(tmp_path / 'robot.urdf'), '--force']) == 0
     assert load_scene(mine).hamiltonian.kind == 'urdf'
 
 
-@pytest.mark.parametrize('file, message', [
-    ('none.urdf', 'none.urdf: no such file'), ('package://none/robot.urdf', "no package 'none'")])
-def test_robot_that_is_not_there_is_said(file, message, tmp_path, monkeypatch):
+def test_robot_that_is_not_there_is_said(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ModelError, match=message):
-        write_scene(file, None)
+    for file in ('none.urdf', 'package://none/robot.urdf'):
+        with refused(ModelError):
+            write_scene(file, None)
     assert not list(tmp_path.iterdir())
 
 
