@@ -72,7 +72,7 @@ TESTS = $(ENVIRONMENT); status=0; \
 test: SELECTED = not long
 test-long: SELECTED = long
 test test-long:
-	$(VENV) run train test
+	$(VENV) run train test $(if $(filter test-long,$@),bench)
 	$(BUILD)
 ifdef ARGS
 	@$(ENVIRONMENT); $(PYTEST) $(ARGS)
