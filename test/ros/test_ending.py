@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The end of a process that is interrupted more than once, and what it says on the way."""
+"""Processes started for real and interrupted, more than once: their end and what they say."""
 
 from datetime import datetime
 from pathlib import Path
@@ -13,8 +13,9 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.standard_streams import ENDING
 from hnn_vi_ros.ros.plumbing.starting import note_signals
 from hnn_vi_ros.run import run_folder
-from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer
-from processes import finish, read_bag, start, start_executable
+from messages import refused
+from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer, simulating
+from processes import finish, read_bag, refusal, start, start_executable
 import pytest
 
 SCENE = 'exact_harmonic_oscillator'
@@ -57,7 +58,7 @@ def interrupt_until_it_ends(process: subprocess.Popen) -> int:
 
 
 def test_simulator_that_is_interrupted_again_and_again_completes_its_bag(tmp_path):
-    process = start(tmp_path, scene=SCENE, record_path='bag', rerun_path='a.rrd')
+    process = start(tmp_path, record_path='bag', rerun_path='a.rrd')
     with peer() as other:
         other.spin_until(lambda: len(other.states) > 20)
     assert interrupt_until_it_ends(process) > 10
@@ -80,9 +81,15 @@ def test_hangup_is_noted_like_other_signals_unless_it_is_ignored():
             signal.signal(number, handler)
 
 
-@pytest.mark.parametrize('executable', ['simulator', 'replay', 'rerun_bridge', 'listener',
-                                        'controller', 'train', 'scene'])
-@pytest.mark.parametrize('delay', [0.0, 0.5, 1.5])
+# The moment in which each executable is interrupted by `make test` [s].
+MOMENTS = {'simulator': 1.5, 'replay': 0.5, 'rerun_bridge': 0.0, 'listener': 0.5,
+           'controller': 1.5, 'train': 0.0, 'scene': 0.0}
+
+
+@pytest.mark.parametrize('executable, delay', [
+    pytest.param(executable, delay, marks=[
+        pytest.mark.long] * (executable != 'simulator' and delay != moment))
+    for executable, moment in MOMENTS.items() for delay in (0.0, 0.5, 1.5)])
 def test_executable_that_is_interrupted_at_its_start_ends_without_a_traceback(
         tmp_path, executable, delay):
     words = {'simulator': ['--ros-args', '-p', f'scene:={SCENE}'], 'replay': ['bag'],
@@ -113,16 +120,13 @@ def test_files_that_are_opened_as_the_simulator_is_stopped_are_closed(tmp_path):
 
 
 def test_log_tells_lifecycle_changes_pauses_and_where_the_bag_is(tmp_path):
-    process = start(tmp_path, scene=SCENE, autostart='false', record_path='bag',
-                    rerun_sink='none', start_paused='true')
-    with peer() as other:
+    with simulating(tmp_path, autostart='false', record_path='bag', start_paused='true') as (
+            other, process):
         assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
         assert other.pause(False).success and other.pause().success
         assert other.trigger('reset').success
         assert other.change_state(DEACTIVATE)
-        process.send_signal(signal.SIGINT)
-        status, _, error = finish(process)
-    assert status == 0
+    error = finish(process)[2]
     lines = [line.split(']: ', 1)[1] for line in error.splitlines() if '[INFO]' in line]
     bag = tmp_path / 'bag'
     told = [f'recording to {bag}', 'unconfigured -> inactive', 'paused until ~/set_pause ends it',
@@ -165,7 +169,7 @@ def test_run_folder_that_another_process_makes_in_between_is_left_to_it(tmp_path
 def test_run_folder_beside_a_file_named_runs_is_refused_in_a_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'runs').write_text('')
-    with pytest.raises(RecordingError, match='runs cannot be created .*; set record_path'):
+    with refused(RecordingError):
         run_folder.create_run_folder('a', Path())
 
 
@@ -186,9 +190,8 @@ def test_security_without_its_libraries_is_one_line(tmp_path, monkeypatch):
     for keystore in (tmp_path / 'keys', tmp_path / 'none'):
         monkeypatch.setenv('ROS_SECURITY_KEYSTORE', str(keystore))
         for executable in ('simulator', 'listener'):
-            status, _, error = finish(start_executable(executable, folder=tmp_path))
-            assert status == 1 and error.count('\n') == 1
-            assert error.startswith(f'{executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in error
+            line = refusal(executable)
+            assert line.startswith(f'{executable}: ROS: ') and 'ROS_SECURITY_ENABLE' in line
 
 
 def test_folder_for_logs_that_cannot_be_made_is_refused_with_the_remedy(tmp_path, monkeypatch):
