@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What several tests share: the table of methods, and exact derivatives of their steps."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -11,6 +11,7 @@ from itertools import pairwise
 from math import comb
 import os
 from pathlib import Path
+from typing import Any
 
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.bags.mcap_reader import BagReader
@@ -28,10 +29,23 @@ from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.scene import load_scene
 from mpmath import mp, mpf
 import numpy as np
+import pytest
 import torch
 
 EPS = np.finfo(np.float64).eps
 DIGITS = 60
+
+
+def long(*values: Any) -> Any:
+    """Return a parameter of a test that only `make test-long` takes."""
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
+def mostly_long(values: Iterable[Any], *kept: str) -> list[Any]:
+    """Return parameters with their str() as ids; `make test` takes those that are kept."""
+    return [pytest.param(value, id=str(value),
+                         marks=() if str(value) in kept else pytest.mark.long)
+            for value in values]
 
 
 def alarm_of(guard: BlockGuard, sample: Observed) -> Alarm | None:
@@ -111,6 +125,10 @@ class Method:
     arguments: tuple = ()
     steps: int = 100
 
+    def __str__(self) -> str:
+        """Return the name."""
+        return self.name
+
     @property
     def integrator(self) -> Integrator:
         """Build the method."""
@@ -147,6 +165,9 @@ METHODS = [
 ]
 # Those whose steps run in any arithmetic, and those that are compiled: the same ones.
 GENERIC = [method for method in METHODS if method.integrator.compiled]
+# One of each kind, for `make test`; `make test-long` takes all of them.
+KINDS = ('variational_euler', 'symplectic_euler_adjoint', 'generalized_leapfrog', 'stormer_verlet',
+         'implicit_midpoint', 'gauss4', 'yoshida4', 'rk4')
 
 
 class Uncompiled(Hamiltonian):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults that integrators are known to have had: planted in a copy, each turns a test red."""
+"""Faults of every part, planted in a copy of the project: `make test` alone finds each of them."""
 
 from dataclasses import dataclass
 import os
@@ -13,24 +13,25 @@ import hnn_vi_ros
 from hnn_vi_ros.files.resources import share_folder
 import pytest
 
-TESTS = Path(__file__).resolve().parent
+PACKAGE, TESTS = Path(hnn_vi_ros.__file__).parent, Path(__file__).resolve().parent
 
 
 @dataclass(frozen=True)
 class Fault:
     """
-    A change of the sources, and where it must be found.
+    A change of the sources, and the tests that must find it.
 
     Parameters
     ----------
     name : str
-        What is wrong.
+        Description of the fault.
     file : str
-        In the package.
+        A file of the package.
     changes : tuple of (str, str)
-        Each text, which stands there once, and what takes its place.
+        Pairs of a text of the file and its replacement.
     test, chosen : str
-        Of the test's folder, and pytest's -k: tests of which at least one must fail.
+        A file of tests, and pytest's -k: at least one of these tests must fail. They must be
+        tests of `make test`.
 
     """
 
@@ -76,45 +77,97 @@ FAULTS = [
     Fault('sign flipped in the adjoint', 'integrators/symplectic_euler.py',
           (('-h * z1.dH_dq[i]', 'h * z1.dH_dq[i]'),),
           'verification/test_order.py', 'local_error and symplectic_euler_adjoint'),
+    Fault('weight that pulls upwards', 'effects/gravity.py',
+          (('dH_dq[parameters.column] += ', 'dH_dq[parameters.column] -= '),),
+          'verification/test_exact_solutions.py', 'gravity_throws'),
+    Fault('work with the wrong sign', 'effects/wrapped.py',
+          (('state.pending[channel_effects[k]] += ', 'state.pending[channel_effects[k]] -= '),),
+          'simulation/test_system.py', 'energy_balance_of_trajectories'),
+    Fault('seed of the noise ignored', 'effects/noise.py',
+          (('_mix(np.uint64(seed) + _GOLDEN)', '_mix(_GOLDEN)'),),
+          'simulation/test_system.py', 'noise_is_that_of_its_seed'),
+    Fault("energy guard's threshold ten times too high", 'guards/bands.py',
+          (('_JUMP = 10.0', '_JUMP = 100.0'),),
+          'guards/test_guards.py', 'says_at_once_that_the_energy_jumps'),
+    Fault('checksum of chunks not compared', 'bags/mcap_records.py',
+          ((' and head.crc in (0, zlib.crc32(data))', ''),),
+          'bags/test_recover_bag.py', 'damaged_chunk_is_left_out'),
+    Fault('delay of commands ignored by the controller', 'control/task.py',
+          (('round(delay / steps.duration) if steps else 0', '0'),),
+          'control/test_task.py', 'prediction_is_the_run'),
+    Fault('angles of a cost not wrapped', 'control/costs.py',
+          (('(x[..., k] + np.pi) % (2.0 * np.pi) - np.pi', 'x[..., k]'),),
+          'control/test_costs.py', 'wraps_angles'),
+    Fault('energies of the samples before', 'guards/watch.py',
+          (('    energy = hamiltonian.energy(q, p)\n',
+            '    energy = np.roll(hamiltonian.energy(q, p), 1, axis=0)\n'),),
+          'guards/test_guard_calibration.py', 'shown_in_one_go'),
+    Fault('friction learned with the wrong sign', 'learning/judging/evaluation.py',
+          (('nnls(centred / units, -energies)', 'nnls(centred / units, energies)'),),
+          'learning/test_energy_error.py', 'friction_of_a_machine'),
+    Fault('grid of a sweep with its first key the fastest', 'sweeps/axes.py',
+          (('np.unravel_index(places, axis.counts)',
+            "np.unravel_index(places, axis.counts, order='F')"),),
+          'sweeps/test_sweep.py', 'grid_and_file'),
+    Fault('directions of events swapped', 'simulation/events.py',
+          (("('down' if rises else 'up')", "('up' if rises else 'down')"),),
+          'simulation/test_events.py', 'at_the_end_of_a_step'),
+    Fault('code named by data that nobody trusts', 'files/named_code.py',
+          (('if name is not None and not ', 'if name is None and not '),),
+          'verification/test_constraints.py', 'refused_in_what_is_not_trusted'),
 ]
 
 
-def copy_of_the_project(folder: Path) -> Path:
+@pytest.fixture(scope='module')
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the package and its tests, beside links to the files that it ships."""
-    ignored = shutil.ignore_patterns('__pycache__')
-    package = folder / 'hnn_vi_ros'
-    shutil.copytree(Path(hnn_vi_ros.__file__).parent, package, ignore=ignored)
+    folder, ignored = tmp_path_factory.mktemp('project'), shutil.ignore_patterns('__pycache__')
+    shutil.copytree(PACKAGE, folder / 'hnn_vi_ros', ignore=ignored)
     shutil.copytree(TESTS, folder / 'test', ignore=ignored)
-    for name in ('config', 'resource'):
-        (folder / name).symlink_to(share_folder() / name)
-    return package
+    for link, target in (('config', share_folder() / 'config'), ('docs', TESTS.parent / 'docs'),
+                         ('resource', share_folder() / 'resource')):
+        (folder / link).symlink_to(target)
+    return folder
 
 
-def run_tests(folder: Path, faults: list[Fault]) -> subprocess.CompletedProcess:
-    """Run the tests that must find some faults, those of a copy on that copy."""
-    path = os.pathsep.join([str(folder), str(folder / 'test'), os.environ.get('PYTHONPATH', '')])
+def run_tests(project: Path, kernels: Path, faults: list[Fault]) -> subprocess.CompletedProcess:
+    """Run the tests of `make test` that must find some faults, with new compiled code."""
+    path = os.pathsep.join(
+        [str(project), str(project / 'test'), os.environ.get('PYTHONPATH', '')])
     return subprocess.run(
-        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider',
+        [sys.executable, '-m', 'pytest', '-q', '-x', '-p', 'no:cacheprovider', '-m', 'not long',
          '-k', ' or '.join(f'({Path(fault.test).name} and {fault.chosen})' for fault in faults),
-         *sorted({str(folder / 'test' / fault.test) for fault in faults})],
-        cwd=folder, env=os.environ | {'PYTHONPATH': path}, capture_output=True, text=True,
-        timeout=250)
+         *sorted({str(project / 'test' / fault.test) for fault in faults})],
+        cwd=project, env=os.environ | {'PYTHONPATH': path, 'PYTHONDONTWRITEBYTECODE': '1',
+                                       'NUMBA_CACHE_DIR': str(kernels)},
+        capture_output=True, text=True, timeout=800)
 
 
-def test_copy_without_a_fault_passes_what_finds_the_faults(tmp_path):
-    copy_of_the_project(tmp_path)
-    done = run_tests(tmp_path, FAULTS)
+def test_faults_have_a_place_and_a_test():
+    for fault in FAULTS:
+        text = (PACKAGE / fault.file).read_text(encoding='utf-8')
+        assert all(before in text for before, _ in fault.changes), fault.name
+        assert (TESTS / fault.test).is_file(), fault.name
+
+
+@pytest.mark.long
+def test_copy_without_a_fault_passes_what_finds_the_faults(project, tmp_path):
+    done = run_tests(project, tmp_path, FAULTS)
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.name)
-def test_planted_fault_is_found(tmp_path, fault):
-    file = copy_of_the_project(tmp_path) / fault.file
-    text = file.read_text(encoding='utf-8')
+def test_planted_fault_is_found(project, tmp_path, fault):
+    file = project / 'hnn_vi_ros' / fault.file
+    whole = text = file.read_text(encoding='utf-8')
     for before, after in fault.changes:
-        assert text.count(before) >= 1
         text = text.replace(before, after)
-    file.write_text(text, encoding='utf-8')
-    done = run_tests(tmp_path, [fault])
+    assert text != whole
+    try:
+        file.write_text(text, encoding='utf-8')
+        done = run_tests(project, tmp_path, [fault])
+    finally:
+        file.write_text(whole, encoding='utf-8')
     # 1: tests failed; a copy that cannot be imported, or no test at all, is another number.
     assert done.returncode == 1, done.stdout
