@@ -3,6 +3,7 @@
 """What a test that fails leaves running would take part in the graph of the next one."""
 
 from collections.abc import Iterator
+import gc
 
 import processes
 import pytest
@@ -21,3 +22,7 @@ def end_of_processes() -> Iterator[None]:
             print(file.read()[-5000:])
             file.close()
     processes.started.clear()
+    if processes.refusals:
+        # Nodes that were refused in this process leave the graph.
+        gc.collect()
+        processes.refusals.clear()

@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 
 # By the present test; see conftest.py.
 started: list[Executable] = []
+refusals: list[str] = []
 
 
 def start(folder: Path, **parameters: object) -> Executable:
@@ -77,6 +78,7 @@ def refusal(name: str, *words: object) -> str:
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert isinstance(status, str) and '\n' not in status, status
+    refusals.append(status)
     return status
 
 
