@@ -14,7 +14,7 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from processes import finish, start
 import pytest
-from rerun.chunk import RrdReader
+from test_health import events_of
 
 AUTO = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -38,22 +38,10 @@ def choose(tmp_path: Path, monkeypatch):
     return plant
 
 
-def events_of(recording: Path) -> list[tuple[str, str]]:
-    """Return level and text of each event that a recording shows."""
-    events = []
-    for chunk in RrdReader(recording).stream():
-        if chunk.entity_path == '/events':
-            columns = chunk.to_record_batch().to_pydict()
-            events += zip((row[0] for row in columns['TextLog:level']),
-                          (row[0] for row in columns['TextLog:text']), strict=True)
-    return events
-
-
 def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
     choose(CHOICE)
-    status, _, error = finish(start(
-        tmp_path, scene='auto.yaml', duration=1, real_time_factor=0, record='false',
-        rerun_path='picture.rrd'))
+    status, _, error = finish(start(tmp_path, scene='auto.yaml', duration=1, real_time_factor=0,
+                                    rerun_path='picture.rrd'))
     assert status == 0
     assert 'calibrating for energy_error 0.001 up to 10 s' in error
     explained = CHOICE.explain(TOLERANCE)
@@ -61,7 +49,7 @@ def test_choice_is_logged_shown_and_simulated(tmp_path, choose):
     # A node that another test has killed may still be found.
     assert not [line for line in error.splitlines()
                 if 'WARN' in line and 'of the graph are called' not in line]
-    events = events_of(tmp_path / 'picture.rrd')
+    events = [event[1:] for event in events_of(tmp_path / 'picture.rrd')]
     assert ('INFO', explained) in events
     assert any('gauss4, h = 0.005 s' in text for _, text in events)
 
@@ -79,13 +67,12 @@ def test_scene_report_carries_tolerance_and_choice(tmp_path, choose):
 def test_tolerance_that_is_exceeded_is_warned_of_with_both_numbers(tmp_path, choose):
     # The paper's scheme errs by h / 2 = 5e-3.
     choose(Choice('variational_euler', 0.01, 1e-4, 10.0, 1e-3, 300.0, {}, 0.5))
-    status, _, error = finish(start(
-        tmp_path, scene='auto.yaml', duration=9, real_time_factor=0, record='false',
-        rerun_path='picture.rrd'))
+    status, _, error = finish(start(tmp_path, scene='auto.yaml', duration=9, real_time_factor=0,
+                                    rerun_path='picture.rrd'))
     assert status == 0
     line, = [line for line in error.splitlines() if 'the tolerance is exceeded' in line]
     assert '[WARN]' in line and 'energy_error 0.001' in line and 'allowed is 0.001' in line
-    assert [text in line for level, text in events_of(tmp_path / 'picture.rrd')
+    assert [text in line for _, level, text in events_of(tmp_path / 'picture.rrd')
             if level == 'WARN' and 'tolerance' in text] == [True]
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import shutil
 import signal
 import sys
-import time
 from types import SimpleNamespace
 
 from hnn_vi_ros import load_scene
@@ -25,7 +24,8 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.simulation.build import build
-from processes import finish, start, start_executable, started, to_file, wait_until
+from messages import refused
+from processes import finish, standard_error, start, start_executable, to_file, wait_until
 from pydantic import ValidationError
 import pytest
 import rclpy
@@ -92,11 +92,8 @@ READERS: dict[str, Callable] = {
 @pytest.mark.parametrize('named', NAMED, ids=['factory', 'discrete_lagrangian'])
 def test_code_that_a_bag_names_is_refused_and_not_run(tmp_path, marker, on_path, way, named):
     bag = record(tmp_path, **named)
-    with pytest.raises(RecordingError) as caught:
+    with refused(RecordingError):
         READERS[way](bag)
-    for word in ('its scene:', "'marker:make' is code", '--trust-code', 'trust_code'):
-        assert word in str(caught.value)
-    assert '\n' not in str(caught.value)
     assert not marker.exists() and 'marker' not in sys.modules
 
 
@@ -129,8 +126,7 @@ def test_executables_survive_a_bag_that_names_os_abort(tmp_path):
     for process in (
             start_executable('replay', bag, '--verify'),
             start_executable('rerun_bridge', bag, *to_file(tmp_path / 'a.rrd')),
-            start(tmp_path, scene='harmonic_oscillator', resume=bag, record='false',
-                  rerun_sink='none')):
+            start(tmp_path, scene='harmonic_oscillator', resume=bag)):
         status, _, error = finish(process)
         assert status == 1
         assert "'os:abort' is code" in error.splitlines()[-1]
@@ -146,11 +142,7 @@ def test_bridge_survives_a_message_that_names_os_abort(tmp_path):
         publisher.publish(String(data=described(**ABORT)))
         bridge = start_executable('rerun_bridge', *to_file(tmp_path / 'a.rrd'))
 
-        def told() -> bool:
-            started[bridge][1].seek(0)
-            return "'os:abort' is code" in started[bridge][1].read()
-        wait_until(told)
-        time.sleep(0.2)
+        wait_until(lambda: "'os:abort' is code" in standard_error(bridge))
         bridge.send_signal(signal.SIGINT)
         assert finish(bridge)[0] == 0
     finally:
@@ -178,10 +170,8 @@ def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
                    'duration:=0.1', '-p', 'real_time_factor:=0.0', '-p', 'record:=false', '-p',
                    'rerun_sink:=none', '-p', 'discovery_time:=0.0']),
 ], ids=['option', 'parameter', 'resume'])
-def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, monkeypatch, name, words):
+def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, on_path, name, words):
     bag = record(tmp_path, **PYTHON)
-    monkeypatch.setenv('PYTHONPATH', ':'.join(
-        [str(marker.parent / 'code'), str(Path(yaml_text.__file__).parents[2])]))
     process = start_executable(name, *[word.replace('BAG', str(bag)) for word in words],
                                folder=tmp_path)
     status, _, error = finish(process, 120.0)
@@ -191,9 +181,8 @@ def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, monkeypatc
 
 def test_folder_of_code_is_not_taken_from_a_bag(tmp_path, marker):
     bag = record(tmp_path, **PYTHON, source=str(marker.parent / 'code' / 'scene.yaml'))
-    with pytest.raises(SceneError, match="No module named 'marker'; .* PYTHONPATH") as caught:
+    with refused(SceneError):
         check_replay(bag, trust_code=True)
-    assert '\n' not in str(caught.value)
     assert not marker.exists() and str(marker.parent / 'code') not in sys.path
 
 
@@ -206,7 +195,7 @@ def test_code_beside_a_scene_file_that_the_user_names_is_found(marker):
 
 def test_type_that_a_bag_names_is_imported_only_from_a_package_of_messages(marker, on_path):
     for name in ('marker/msg/String', 'antigravity/msg/String', 'os/msg/path'):
-        with pytest.raises(RecordingError, match='not installed'):
+        with refused(RecordingError):
             find_type(name)
     assert not marker.exists() and 'antigravity' not in sys.modules
     assert find_type('std_msgs/msg/String') is String
@@ -237,18 +226,17 @@ def test_model_beside_a_recorded_scene_is_found_if_it_is_the_one_recorded(tmp_pa
     assert RecordedRun(with_model).scene.create_hamiltonian().dimension == 1
     assert resume(with_model).scene.create_hamiltonian().dimension == 1
     shutil.copy(shipped_file('model', 'pendulum'), tmp_path / 'm.safetensors')
-    with pytest.raises(ModelError, match='is not the file that was recorded') as caught:
+    with refused(ModelError):
         RecordedRun(with_model).scene.create_hamiltonian()
-    assert 'hamiltonian.model' in str(caught.value) and '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize('model', ['/etc/hostname', '/dev/zero', '../secret.txt', '/proc/self'])
 def test_file_that_a_recording_names_as_its_model_is_not_opened(monkeypatch, model):
     scene, _ = described_scene(described(
         hamiltonian={'kind': 'hnn', 'model': model}), 'here')
-    monkeypatch.setattr(Path, 'open', None)
-    monkeypatch.setattr(Path, 'read_bytes', None)
-    with pytest.raises(ModelError, match='here:.*no .safetensors file'):
+    with refused(ModelError), monkeypatch.context() as patch:
+        patch.setattr(Path, 'open', None)
+        patch.setattr(Path, 'read_bytes', None)
         scene.create_hamiltonian()
 
 
@@ -264,5 +252,5 @@ def test_models_of_effects_are_recorded_with_their_digests(tmp_path):
     assert len(again.create_effects()) == 1
     told['model_files'] = {}
     again, _ = described_scene(dump_yaml(told), 'here')
-    with pytest.raises(ModelError, match='effects.0.model: .*not the file that was recorded'):
+    with refused(ModelError):
         again.create_effects()
