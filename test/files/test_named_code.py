@@ -4,6 +4,7 @@
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene
+from messages import refused
 import pytest
 
 SCENE = """hamiltonian: {{kind: python, factory: '{module}:make'}}
@@ -35,8 +36,7 @@ def stiffness_of(file):
 def test_a_module_of_another_scene_is_not_taken_in_silence(tmp_path):
     assert stiffness_of(scene_with(tmp_path / 'a', 'spring_one', 1.0)) == 1.0
     other = scene_with(tmp_path / 'b', 'spring_one', 4.0)
-    with pytest.raises(HnnViRosError, match='spring_one was imported from .*a/spring_one.py, and '
-                                            '.*b/spring_one.py is another; rename one'):
+    with refused(HnnViRosError):
         stiffness_of(other)
 
 
@@ -55,7 +55,7 @@ def test_what_the_named_module_imports_is_not_of_another_scene(tmp_path):
         code.write_text('import shared_helper\n' + code.read_text().replace(
             str(stiffness), 'shared_helper.stiffness'))
     assert stiffness_of(tmp_path / 'a' / 'spring_of_a.yaml') == 1.0
-    with pytest.raises(HnnViRosError, match='shared_helper was imported from'):
+    with refused(HnnViRosError):
         stiffness_of(tmp_path / 'b' / 'spring_of_b.yaml')
 
 

@@ -15,6 +15,7 @@ from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.ros.worlds import open_world, WorldError
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.sweeps.axes import file_axis, read_posterior
+from messages import refused
 import pytest
 
 
@@ -37,10 +38,10 @@ READERS: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize('reader', READERS)
 def test_fifo_is_no_missing_file_and_is_not_waited_for(reader, tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
-    with pytest.raises(HnnViRosError, match=r'pipe\.yaml.*is no regular file') as caught:
+    with refused(HnnViRosError) as caught:
         READERS[reader](tmp_path / 'pipe.yaml')
     assert 'no such' not in str(caught.value) and '\n' not in str(caught.value)
-    with pytest.raises(HnnViRosError, match=r'(?i)no (such|file)'):
+    with refused(HnnViRosError):
         READERS[reader](tmp_path / 'none.yaml')
 
 
@@ -52,5 +53,5 @@ def test_keys_of_a_fifo_are_left_to_its_reader(tmp_path):
 
 def test_world_that_is_a_fifo_is_no_missing_one(tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
-    with pytest.raises(WorldError, match='is no regular file'):
+    with refused(WorldError):
         open_world(str(tmp_path / 'pipe.yaml'))

@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import yaml_text
 from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
 from hypothesis import given, settings, strategies
+from messages import refused
 import pytest
 import yaml
 
@@ -126,7 +127,7 @@ def test_loader_without_the_c_parser_refuses_the_same(monkeypatch):
     assert pure._Loader.__mro__[1] is yaml.SafeLoader
     assert pure.parse_yaml('a: [1e-3, 1:1]', 'here', RecordingError)[0] == {'a': [1e-3, '1:1']}
     for text in (BOMB, '[' * 20_000, 'a: !b 1', 'a: 1\na: 2', 'a: [', '9' * 5000):
-        with pytest.raises(RecordingError, match='^here:') as caught:
+        with refused(RecordingError) as caught:
             pure.parse_yaml(text, 'here', RecordingError)
         assert '\n' not in str(caught.value)
 
@@ -136,7 +137,7 @@ def test_places_are_those_of_the_keys():
     assert data == {'a': 1, 'b': {'c': [1, {'d': 2}]}}
     assert places.place('b', 'c', 1, 'd') == 'here:4: b.c.1.d'
     assert places.place('b', 'x') == 'here:2: b.x'
-    with pytest.raises(RecordingError, match='here:1: expected a mapping'):
+    with refused(RecordingError):
         parse_mapping('[a]', 'here', RecordingError)
 
 
