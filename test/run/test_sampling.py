@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.run.sampling import Sampler
+from messages import refused
 import pytest
 
 # What a 32-bit signed number of seconds holds.
@@ -28,13 +29,13 @@ def test_samples_end_with_the_last_that_a_stamp_holds(step_size, rate, origin, s
     assert found.count(1e9) <= found.count(0.0)
     found._simulation.steps = last
     assert 'beyond 2147483647 s' in found.end
-    with pytest.raises(ParameterError, match='before 2147483647 s'):
+    with refused(ParameterError):
         found.count(1.0)
 
 
 def test_samples_of_a_duration_are_those_of_the_nearest_multiple():
     found = sampler(0.01, 100.0)
     assert [found.count(time) for time in (0.01, 0.0149, 0.0151, 5.0)] == [1, 1, 2, 500]
-    with pytest.raises(ParameterError, match='at least'):
+    with refused(ParameterError):
         found.count(0.004)
     assert found.end == 'the duration is over'

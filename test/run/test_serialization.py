@@ -11,6 +11,7 @@ from hnn_vi_ros.ros.topics.messages import array_message
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.simulation import Sample
 from hypothesis import given, strategies as st
+from messages import refused
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
@@ -61,7 +62,7 @@ def test_serialized_message_is_that_of_ros_with_zeros_for_padding(message):
 
 
 def test_message_of_an_unknown_kind_of_field_is_an_error():
-    with pytest.raises(TypeError, match='double, 3'):
+    with refused(TypeError):
         serialize(SolidPrimitive(dimensions=[1.0]))
 
 
@@ -95,5 +96,5 @@ def test_two_encoders_give_the_same_bytes_and_these_decode_to_the_sample():
     JointState(), JointState(name=['x', 'p_x', 'dp_dt_x', 'H', 'work']),
     JointState(name=['a', 'b', 'c', 'd', 'e'], position=[0.0] * 5)])
 def test_joint_states_that_are_no_state_are_refused(message):
-    with pytest.raises(ValueError, match='~/state'):
+    with refused(ValueError):
         decode_state(serialize(message))
