@@ -29,8 +29,9 @@ def unresolved(scene: Scene, h: float, duration: float, **how) -> list[str]:
             if text.startswith(ResolutionGuard.kind)]
 
 
-@pytest.mark.parametrize('name', [
-    name for name in shipped_names('scene') if name != 'air_track'])  # its model is not shipped
+@pytest.mark.parametrize('name', ['pendulum', *(
+    pytest.param(name, marks=pytest.mark.long) for name in shipped_names('scene')
+    if name not in ('pendulum', 'air_track'))])  # the model of the latter is not shipped
 def test_step_size_that_the_alarm_of_a_scene_names_resolves_the_run(name):
     scene, named = load_scene(name), 0
     if not build(scene).conservative:

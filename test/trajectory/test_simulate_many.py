@@ -13,6 +13,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.trajectory.simulate import BLOCK, simulate, simulate_many
+from messages import refused
 import numpy as np
 import pytest
 
@@ -24,10 +25,12 @@ initial_state: {{q: {q}, p: {q}}}
 """
 
 
-@pytest.mark.parametrize('kind, integrator, d', [
-    ('tao', 'variational_euler', 1), ('tao', 'gauss6', 1), ('tao', 'generalized_leapfrog', 1),
-    ('tao', 'discrete_gradient', 1), ('double_pendulum', 'variational_euler', 2)])
-@pytest.mark.parametrize('threads', [1, 2])
+@pytest.mark.parametrize('threads, kind, integrator, d', [
+    (2, 'tao', 'variational_euler', 1), (1, 'double_pendulum', 'variational_euler', 2),
+    *(pytest.param(threads, *row, marks=pytest.mark.long) for threads, rows in (
+        (1, [('tao', 'variational_euler', 1)]), (2, [('double_pendulum', 'variational_euler', 2)]),
+        *((threads, [('tao', 'gauss6', 1), ('tao', 'generalized_leapfrog', 1),
+                     ('tao', 'discrete_gradient', 1)]) for threads in (1, 2))) for row in rows)])
 def test_many_trajectories_are_those_of_each_alone(tmp_path, kind, integrator, d, threads):
     path = tmp_path / 'scene.yaml'
     path.write_text(SCENE.format(kind=kind, integrator=integrator, q=[0.0] * d))
@@ -77,24 +80,26 @@ def test_many_trajectories_report_the_failure_of_one(tmp_path):
 
 def test_many_trajectories_refuse_bad_arguments():
     scene = load_scene('harmonic_oscillator')
-    with pytest.raises(ValueError, match='expected'):
+    with refused(ValueError):
         simulate_many(scene, [[1.0, 2.0]], [[0.0, 0.0]], 1.0)
-    with pytest.raises(ValueError, match=r'q has shape \(2,\), expected \(m, 1\): a row for each'):
+    with refused(ValueError):
         simulate_many(scene, [1.0, 2.0], [0.0, 0.0], 1.0)
-    with pytest.raises(SceneError, match='auto needs an error to hold'):
+    with refused(SceneError):
         simulate(scene, 1.0, integrator='auto')
-    with pytest.raises(ValueError, match='finite'):
+    with refused(ValueError):
         simulate_many(scene, [[np.nan]], [[0.0]], 1.0)
-    with pytest.raises(ValueError, match='duration = 0 s'):
+    with refused(ValueError):
         simulate_many(scene, [[1.0]], [[0.0]], 0.0)
-    with pytest.raises(ValueError, match=r'shape \(0, 1\): no trajectory'):
+    with refused(ValueError):
         simulate_many(scene, np.empty((0, 1)), np.empty((0, 1)), 1.0)
-    with pytest.raises(ValueError, match='threads = -1 must be at least 1'):
+    with refused(ValueError):
         simulate_many(scene, [[1.0]], [[0.0]], 1.0, threads=-1)
-    with pytest.raises(TypeError, match='samples = 1.5 must be a whole number'):
+    with refused(TypeError):
         simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=1.5)
-    with pytest.raises(ValueError, match='more than memory holds'):
+    with refused(ValueError):
         simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=10 ** 12)
+    with refused(TypeError):
+        simulate_many(scene, 'a', [[0.0]], 1.0)
 
 
 def scene_of(tmp_path: Path, kind: str, integrator: str, h: float, d: int, effects: str = ''
@@ -229,23 +234,23 @@ def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
     assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
 
 
-@pytest.mark.parametrize('argument, value, message', [
-    ('times', 'ab', "times = 'ab' must be numbers"),
-    ('times', (0.1 * k for k in range(2)), 'times = <generator .* must be numbers'),
-    ('commands', {'a': 1}, "commands = {'a': 1} must be numbers"),
-    ('commands', [[1.0], [2.0, 3.0]], 'commands = .* lists of equal lengths'),
-    ('initial_state', ([0.0], ['x']), r"p of initial_state = \['x'\] must be numbers"),
-    ('initial_state', (np.array([1j]), [0.0]), 'q of initial_state = .* must be numbers'),
-    ('initial_state', ([0.0], ['1.0']), 'p of initial_state = .* must be numbers'),
-    ('initial_state', ([0.0], [10 ** 400]), 'p of initial_state = .* must be numbers'),
-    ('initial_state', (np.array(['2020-01-01'], 'datetime64[D]'), [0.0]), 'q of .* must be'),
-    ('times', np.ma.array([0.1], mask=[True]), 'times = .* must be numbers'),
-    ('initial_state', ([1j], [0.0]), 'q of initial_state = .* must be numbers')])
-def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value, message):
-    with pytest.raises(TypeError, match=message):
+@pytest.mark.parametrize('argument, value', [
+    ('times', 'ab'), ('commands', {'a': 1}), ('commands', [[1.0], [2.0, 3.0]]),
+    ('initial_state', ([0.0], ['x'])),
+    ('initial_state', (np.array([1j]), [0.0])), ('initial_state', ([0.0], ['1.0'])),
+    ('initial_state', ([0.0], [10 ** 400])),
+    ('initial_state', (np.array(['2020-01-01'], 'datetime64[D]'), [0.0])),
+    ('initial_state', ([1j], [0.0]))])
+def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value):
+    with refused(TypeError):
         simulate(free_particle(tmp_path), 0.2, effects=PUSHED, **{argument: value})
-    with pytest.raises(TypeError, match="q = 'a' must be numbers"):
-        simulate_many(free_particle(tmp_path), 'a', [[0.0]], 0.2)
+
+
+@pytest.mark.parametrize('times', [
+    (0.1 * k for k in range(2)), np.ma.array([0.1], mask=[True])], ids=['generator', 'masked'])
+def test_times_that_are_no_numbers_are_named(tmp_path, times):
+    with pytest.raises(TypeError, match='times = (<generator|masked_array).* must be numbers'):
+        simulate(free_particle(tmp_path), 0.2, times=times)
 
 
 @pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30, 10 ** 400])
@@ -266,7 +271,7 @@ initial_state: {q: [0.0], p: [0.0]}
 
 
 def test_duration_that_no_float_holds_is_refused(tmp_path):
-    with pytest.raises(ValueError, match='duration = 1000.* must be a number of seconds'):
+    with refused(ValueError):
         simulate(free_particle(tmp_path), 10 ** 400)
 
 
@@ -318,17 +323,14 @@ def test_a_commanded_step_that_fails_is_taken_as_simulate_takes_it():
         assert np.array_equal(many.q[:, k], alone.q)
 
 
-@pytest.mark.parametrize('changes, message', [
-    ({'commands': np.zeros((2, 3, 1))}, r'commands has shape \(2, 3, 1\), expected \(2, 5, 1\)'),
-    ({'commands': np.full((2, 5, 1), np.nan)}, 'commands must hold finite numbers, at most 1e'),
-    ({'commands': lambda t: [0.0, 0.0]}, r'commands\(0\) has shape \(2,\), expected \(2, 1\) or'),
-    ({'commands': np.zeros((2, 5, 1)), 'duration': 0.33}, 'samples lie whole steps apart'),
-    ({'commands': np.zeros((2, 5, 1)), 'device': 'cpu'}, 'no device takes the steps'),
-    ({'commands': np.zeros((2, 5, 1)), 'scene': 'exact_pendulum', 'q': [[1.0]], 'p': [[0.0]]},
-     'no effect of the scene takes commands: add external_force')])
-def test_commands_that_do_not_fit_are_refused(changes, message):
+@pytest.mark.parametrize('changes', [
+    {'commands': np.zeros((2, 3, 1))}, {'commands': np.full((2, 5, 1), np.nan)},
+    {'commands': lambda t: [0.0, 0.0]}, {'commands': np.zeros((2, 5, 1)), 'duration': 0.33},
+    {'commands': np.zeros((2, 5, 1)), 'device': 'cpu'},
+    {'commands': np.zeros((2, 5, 1)), 'scene': 'exact_pendulum', 'q': [[1.0]], 'p': [[0.0]]}])
+def test_commands_that_do_not_fit_are_refused(changes):
     scene = load_scene('exact_double_pendulum').with_overrides(0.02, 'rk4', effects=[FORCE])
     arguments = {'scene': scene, 'q': np.zeros((2, 2)), 'p': np.zeros((2, 2)), 'duration': 0.5,
                  'samples': 5} | changes
-    with pytest.raises(ValueError, match=message):
+    with refused(ValueError):
         simulate_many(**arguments)

@@ -14,6 +14,7 @@ from hnn_vi_ros.trajectory.figures import ALARM, COLOURS, MOST_NAMED
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 from matplotlib.colors import to_rgb
+from messages import refused
 import numpy as np
 from PIL import Image
 import pytest
@@ -72,7 +73,7 @@ def test_units_of_a_pose_are_those_of_its_parts():
 def test_one_of_many_is_selected():
     assert np.array_equal(MANY.select(-1).q, 9 * WAVES)
     assert MANY.select(2).alarms == ()
-    with pytest.raises(IndexError, match='trajectory 10: expected 0 to 9'):
+    with refused(IndexError):
         MANY.select(10)
     assert PLAIN.select(0) is PLAIN
 
@@ -95,7 +96,7 @@ def test_plot_has_a_panel_for_each_unit_and_names_every_curve():
         'q [m]', 'turn [rad]', 'p [kg m/s]', 'p_turn [kg m²/s]', 'H - H(0) [J]']
     assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ['x', 'y']
     assert len(PLAIN.plot(['y']).axes) == 3
-    with pytest.raises(ValueError, match="no coordinate 'z'; valid: x, y, turn"):
+    with refused(ValueError):
         PLAIN.plot(['z'])
 
 
@@ -130,7 +131,7 @@ def test_portraits_of_several_coordinates_stand_side_by_side():
     assert [axes.get_xlabel() for axes in PLAIN.phase_portrait().axes] == [
         'x [m]', 'y [m]', 'turn [rad]']
     assert len(MANY.phase_portrait(['x']).axes[0].lines) == 10
-    with pytest.raises(ValueError, match='body turns; plot'):
+    with refused(ValueError):
         TURNING.phase_portrait()
 
 
@@ -152,9 +153,9 @@ def test_animation_without_a_mechanism_moves_points_in_the_portraits(tmp_path):
     animation.save(tmp_path / 'waves.gif', writer='pillow')
     points = [axes.lines[-1].get_xydata()[0] for axes in animation._fig.axes]
     assert np.allclose(points, np.stack([WAVES[-1], -WAVES[-1]], axis=1), atol=0.0)
-    with pytest.raises(ValueError, match='10 trajectories .*select'):
+    with refused(ValueError):
         MANY.animate()
-    with pytest.raises(ValueError, match='speed = 0 must be above 0'):
+    with refused(ValueError):
         PLAIN.animate(speed=0)
 
 
@@ -165,7 +166,7 @@ def test_recording_for_rerun_holds_the_samples_and_the_events(run, tmp_path):
     assert np.ravel(q['Scalars:scalars']).tolist() == run.q[:, 0].tolist()
     assert q['step'] == list(range(41))
     assert len(found['/events']['step']) == 1 and '/world/bob' in found
-    with pytest.raises(ValueError, match='knows no scene'):
+    with refused(ValueError):
         PLAIN.to_rerun(tmp_path / 'plain.rrd')
 
 
