@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-import re
 
 from hnn_vi_ros import load_scene, Scene
 from hnn_vi_ros.companions.members import Accompanied
@@ -13,6 +12,7 @@ from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from messages import refused
 import numpy as np
 import pytest
 
@@ -153,7 +153,7 @@ def test_observation_far_beyond_a_joint_is_refused_and_not_counted(tmp_path: Pat
     twin = Twin(scene, simulation)
     accompanied = Accompanied(simulation, [twin])
     for position, velocity in ((1e300, 0.0), (0.0, -1e300)):
-        with pytest.raises(ValueError, match='beyond 1e\\+09'):
+        with refused(ValueError):
             accompanied.set_command(Observation(
                 ('angle',), 0.0, np.array([position]), np.array([velocity])))
     assert twin.newest is None
@@ -171,8 +171,9 @@ def absurd(size: float, names: tuple[str, ...]) -> Iterator[Observation]:
         yield Observation(names, rng.uniform(-size, size), still, still)
 
 
-@pytest.mark.parametrize('size', [30.0, 1e3, 1e6, 1e9, 1e300])
-@pytest.mark.parametrize('first', [False, True])
+@pytest.mark.parametrize('size', [pytest.param(size, marks=pytest.mark.long) if size in (
+    1e3, 1e6, 1e9) else size for size in (30.0, 1e3, 1e6, 1e9, 1e300)])
+@pytest.mark.parametrize('first', [pytest.param(False, marks=pytest.mark.long), True])
 def test_twin_goes_on_after_absurd_observations(size: float, first: bool):
     pull = {'kind': 'observer', 'coordinates': ['angle1', 'angle2'], 'gain': 300.0,
             'damping': 20.0, 'deviations': [0.5, 0.5]}
@@ -201,9 +202,7 @@ def test_gain_that_no_step_takes_is_refused_by_its_name(tmp_path: Path):
     # Of a mass of 1 kg m^2 4 / h^2 without damping.
     for gain, damping in ((1.7e5, 0.0), (1e9, 1.0)):
         scene = scene_of(tmp_path, gain=gain, damping=damping)
-        with pytest.raises(SceneError, match=re.escape(
-                f'effects.1.gain: observer: gain = {gain:g} is not stable at step_size = 0.005 s: '
-                'at most 1.6e+05 is for the masses here; lower it, or step_size')):
+        with refused(SceneError):
             Twin(scene, build(scene))
     scene = scene_of(tmp_path, gain=1.5e5)
     assert not Twin(scene, build(scene)).unstable
