@@ -13,11 +13,13 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
-from contextlib import suppress
+from contextlib import contextmanager, ExitStack, suppress
+from fcntl import flock, LOCK_EX, LOCK_NB
 from hashlib import sha256
 from pathlib import Path
 import pickle
 from threading import current_thread, main_thread, Thread
+import time
 from typing import Any
 import warnings
 
@@ -350,6 +352,49 @@ def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
         dispatcher._set_uuid(identity)
 
 
+def _once(dispatcher: CPUDispatcher) -> CPUDispatcher:
+    """Have a function compiled by one process at a time: the others wait, and find it on disk."""
+    compile_ = dispatcher.compile
+
+    def compile_once(signature: Any) -> Any:
+        # Of what is compiled as a part of another only the whole is locked: no two wait for each
+        # other.
+        if global_compiler_lock.is_locked():
+            return compile_(signature)
+        with _locked(dispatcher._cache):
+            return compile_(signature)
+    dispatcher.compile = compile_once
+    return dispatcher
+
+
+# Wall time after which a process that has stopped is waited for no more, and between looks [s].
+_LONGEST, _LOOK = 300.0, 0.02
+
+
+@contextmanager
+def _locked(cache: Any) -> Iterator[None]:
+    """Lock the files of a function, where there can be any."""
+    path = Path(cache._cache_path, f'{cache._cache_file._index_name}.lock')
+    with ExitStack() as stack:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(path.open('w'))
+        except OSError:
+            yield
+            return
+        until = time.monotonic() + _LONGEST
+        while time.monotonic() < until:
+            with suppress(BlockingIOError):
+                flock(file, LOCK_EX | LOCK_NB)
+                break
+            time.sleep(_LOOK)
+        try:
+            yield
+        finally:
+            # Who waits has the file open; who comes later locks another, and finds the code.
+            path.unlink(missing_ok=True)
+
+
 def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """
     Have a function compiled in a thread of its own wherever the main thread wants it.
@@ -385,7 +430,8 @@ def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispa
         dispatcher._cache = kind(dispatcher.py_func)
     except RuntimeError:
         _warn_of_lost('the package or a folder of caches', 'neither can be written')
-    return aside(dispatcher)
+        return aside(dispatcher)
+    return aside(_once(dispatcher))
 
 
 def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled code on a full disk, and files of it that are damaged or in a wrong place."""
 
+from concurrent.futures import ThreadPoolExecutor
 import errno
+from fcntl import flock, LOCK_EX, LOCK_UN
 import os
 from pathlib import Path
 import pickle
@@ -129,3 +131,17 @@ def test_code_runs_where_no_folder_can_be_written(monkeypatch):
     monkeypatch.setattr(numba.core.caching._CacheLocator, 'ensure_cache_path', refuse)
     with pytest.warns(UserWarning, match='compiled code cannot be kept .*NUMBA_CACHE_DIR'):
         assert code(double)(3) == 6
+
+
+def test_code_that_another_process_is_compiling_is_waited_for():
+    function = code(double)
+    lock = Path(function._cache._cache_path, f'{function._cache._cache_file._index_name}.lock')
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(1) as pool, lock.open('w') as file:
+        flock(file, LOCK_EX)
+        found = pool.submit(function, 3)
+        with pytest.raises(TimeoutError):
+            found.result(0.2)
+        flock(file, LOCK_UN)
+        assert found.result(60.0) == 6
+    assert not lock.exists()
