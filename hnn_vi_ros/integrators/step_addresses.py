@@ -165,4 +165,4 @@ def _caller(k: int) -> Part:
 
 
 # Steps for compiled code only, in place of one or two that they call.
-CALLERS: tuple[Callable[..., Any], ...] = tuple(_caller(k) for k in range(_ADDRESSES))
+CALLERS: tuple[Part, ...] = tuple(_caller(k) for k in range(_ADDRESSES))

@@ -5,7 +5,8 @@ Loops over the steps of a method, put together for one Hamiltonian and the effec
 
 A method by itself is compiled into its loop, for all Hamiltonians. With effects the loop is that
 of the account around the outermost effect, and each effect calls what is inside of it by address:
-methods and effects are compiled once each, whatever they are combined with.
+methods and effects are compiled once each, whatever they are combined with. So are the steps by
+which failed ones are rescued, where one loop serves all methods.
 """
 
 from collections.abc import Callable
@@ -14,7 +15,8 @@ from typing import Any
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
 from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.integrators.step_addresses import CALLERS, memory_by_address, steps_by_address
+from hnn_vi_ros.integrators.step_addresses import (
+    CALLERS, memory_by_address, steps_by_address, StepsByAddress)
 from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
 from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.blocks import bare, clear
@@ -115,6 +117,11 @@ class Loop:
         With the effects around it.
     attempt : int, optional
         Which of the attempts at a step.
+    apart : bool, optional
+        Whether the step is called by address even where no effect is around it, as suits what
+        runs seldom: the loop is one for all methods, the step that of scenes with effects.
+    provide : bool, optional
+        Whether to compile what the step calls of H now, not when it is called.
 
     Attributes
     ----------
@@ -124,15 +131,16 @@ class Loop:
     """
 
     def __init__(self, loop: Callable[..., Any], kernel: Kernel, method: Integrator,
-                 attempt: int = 0):
+                 attempt: int = 0, apart: bool = False, provide: bool = True):
         self.function, self._kernel, self._method = loop, kernel, method
+        self._apart = apart and not isinstance(method, Wrapped)
         self._compiled = kernel.compiled and method.compiled
         self._step: Callable[..., Any] = method.step
         self._options: Parameters = method.options(attempt, kernel.dimension - kernel.channels)
         self._entry: Callable[..., Any] | None = None
         self._memory: tuple[Any, ...] | None = None
         self._passed: tuple[Any, ...] = ()
-        if self._compiled and isinstance(kernel.parameters, Target):
+        if provide and self._compiled and isinstance(kernel.parameters, Target):
             provide_for(kernel, method.step, self._options)
 
     def __call__(self, h: float, first: int, second: int, z: Point, z1: Point,
@@ -157,11 +165,15 @@ class Loop:
         kernel, method = self._kernel, self._method
         if isinstance(method, Wrapped):
             outermost, options, name = _layer(kernel, method, self._options)
+        elif self._apart:
+            outermost, name = CALLERS[0].py_func, 'by address'
+            options = _inside(kernel, method, self._options, (method.step,))
         else:
             outermost, name = method.step, method.kernel_name
             options = compiled_options(self._options)
         step = compiled(outermost, name)
-        loop = compiled_loop(self.function, kernel, name, (step, options), method.own)
+        loop = compiled_loop(self.function, kernel, name, (step, options),
+                             self._apart or method.own)
         entry = entry_point(loop, step, kernel, h, options, first, second, z, z1,
                             self._taken(memory), *others)
         # Nothing has changed if that was refused: it is compiled when it is asked for again.
@@ -169,7 +181,10 @@ class Loop:
 
     def _taken(self, memory: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the workspaces of the method as the loop takes them; of the same arrays."""
-        return _memory_of(self._method, memory) if self._compiled else memory
+        if not self._compiled:
+            return memory
+        taken = _memory_of(self._method, memory)
+        return (memory_by_address(taken),) if self._apart else taken
 
 
 def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -182,14 +197,19 @@ def _memory_of(method: Integrator, memory: tuple[Any, ...]) -> tuple[Any, ...]:
 def _layer(kernel: Kernel, method: Wrapped, options: Parameters
            ) -> tuple[Step, Parameters, str]:
     """Return the step of an effect around steps by address, its options and its name."""
-    inner, (inner_options, *settings) = method.inner, options
-    if isinstance(inner, Wrapped):
-        step, inner_options, name = _layer(kernel, inner, inner_options)
-        steps: tuple[Step, ...] = (step,)
-    else:
-        steps, name = method.inner_steps, inner.kernel_name
-        inner_options = compiled_options(inner_options)
-    memory = _memory_of(inner, inner.memory(kernel.dimension))
-    inside = steps_by_address(steps, name, inner.own, kernel, inner_options, memory)
+    inner_options, *settings = options
+    inside = _inside(kernel, method.inner, inner_options, method.inner_steps)
     return (method.around(CALLERS), (inside, *compiled_options(tuple(settings))),
             method.layer_name)
+
+
+def _inside(kernel: Kernel, method: Integrator, options: Parameters, steps: tuple[Step, ...]
+            ) -> StepsByAddress:
+    """Return steps of a method by address; of one with effects, that of the outermost."""
+    if isinstance(method, Wrapped):
+        step, options, name = _layer(kernel, method, options)
+        steps = (step,)
+    else:
+        name, options = method.kernel_name, compiled_options(options)
+    memory = _memory_of(method, method.memory(kernel.dimension))
+    return steps_by_address(steps, name, method.own, kernel, options, memory)

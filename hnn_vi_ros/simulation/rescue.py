@@ -166,7 +166,8 @@ class Rescue:
         """Return a loop over a method, or over what takes its place, the same each time."""
         key = loop, active, attempt
         if key not in self._loops:
-            self._loops[key] = Loop(loop, self._system.kernel, method, attempt)
+            self._loops[key] = Loop(
+                loop, self._system.kernel, method, attempt, apart=True)
         return self._loops[key]
 
     def _fallbacks(self, active: int, n: int) -> list[tuple[Integrator, int, int]]:
