@@ -118,10 +118,10 @@ def provide_for(kernel: Kernel, step: Callable[..., Any], options: Parameters) -
     Compile now what a step will call of a kernel by address.
 
     Anything else is compiled when it is called. A function named ``..._tangent`` is called where
-    a solver uses its argument ``tangent``; see solvers.
+    a solver, one of the options, uses its argument ``tangent``; see solvers.
     """
     functions = reached(step, options)
-    solves = any(map(_takes_tangent, functions))
+    solves = any(map(_takes_tangent, reached(options)))
     names = {name for function in functions
              if solves or not function.__name__.endswith('_tangent')
              for name in names_in(function.__code__)}
