@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
-from threading import get_ident, Lock
+from threading import get_ident, Lock, Timer
+import time
 from types import FunctionType
 from typing import Any, TypeVar
 
@@ -232,10 +233,18 @@ _NAMES = {'advance': 'the loop over steps', 'take_substeps': 'the sub-steps',
 
 
 class _Announcer(Listener):
-    """Listener to compilations, which reports those that are not a part of another."""
+    """
+    Listener to compilations, which reports those that are not a part of another.
+
+    Estimates follow what those before have taken here; who is late is reported again.
+    """
 
     def __init__(self, tell: Callable[[str], None]):
         self._tell, self._depth = tell, 0
+        # Seconds expected and taken so far, of which the first second is what others took.
+        self._expected, self._taken = 1.0, 1.0
+        self._begin, self._seconds = 0.0, 0.0
+        self._late: Timer | None = None
 
     def on_start(self, event: Event) -> None:
         """Announce it, if it takes long; what is found on disk comes here not at all."""
@@ -243,13 +252,37 @@ class _Announcer(Listener):
         function = event.data['dispatcher'].py_func
         seconds = _SECONDS * sum(len(part.__code__.co_code) for part in reached(
             function, *_functions_in(event.data['args'])))
-        if self._depth == 1 and seconds >= _SHORT:
+        if self._depth > 1:
+            return
+        self._begin, self._seconds = time.perf_counter(), seconds
+        seconds *= self._taken / self._expected
+        if seconds >= _SHORT:
             what = _NAMES.get(function.__name__, function.__name__)
             self._tell(f'compiling {what}, once: about {seconds:.0f} s')
+            self._wait(what, seconds)
 
     def on_end(self, event: Event) -> None:
-        """Return to the compilation that this one is a part of."""
+        """Return to the compilation that this one is a part of, or learn from its time."""
         self._depth -= 1
+        if self._depth == 0:
+            self.stop()
+            self._expected += self._seconds
+            self._taken += time.perf_counter() - self._begin
+
+    def _wait(self, what: str, seconds: float) -> None:
+        """Report, after twice the time that was expected, that it goes on."""
+        def tell() -> None:
+            self._tell(f'still compiling {what}: this machine is slower or busy, '
+                       f'about {2.0 * seconds:.0f} s more')
+            self._wait(what, 2.0 * seconds)
+        self._late = Timer(2.0 * seconds, tell)
+        self._late.daemon = True
+        self._late.start()
+
+    def stop(self) -> None:
+        """Report no more of what goes on."""
+        if self._late is not None:
+            self._late.cancel()
 
 
 @contextmanager
@@ -263,8 +296,12 @@ def announced(tell: Callable[[str], None]) -> Iterator[None]:
         Takes a line: what is compiled, and an estimate of the time [s].
 
     """
-    with install_listener('numba:compile', _Announcer(tell)):
-        yield
+    announcer = _Announcer(tell)
+    try:
+        with install_listener('numba:compile', announcer):
+            yield
+    finally:
+        announcer.stop()
 
 
 class NotKept(Exception):
