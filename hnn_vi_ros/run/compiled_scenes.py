@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compile what scenes run, on all cores, so that their first start finds it on disk."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 import time
 from typing import Any
 import warnings
@@ -17,7 +19,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import simulate
 
-# Processes, of 0.3 GB each: of more of them several would compile the same.
+# Processes, of 0.3 GB each: of more of them several would wait for the same.
 _MOST = 8
 
 
@@ -59,9 +61,22 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
     """
     with worker_processes(min(usable_processors(), _MOST, len(names))) as pool:
         with ignore_sigint_in_children():
-            futures = [pool.submit(_compile, name) for name in names]
+            futures = [pool.submit(_compile, name) for name in _in_turns(names)]
         for future in as_completed(futures):
             yield future.result()
+
+
+def _in_turns(names: Sequence[str]) -> list[str]:
+    """Return the names so that one of each method comes first: processes share what follows."""
+    turns: Counter[str] = Counter()
+    places = []
+    for name in names:
+        method = ''
+        with suppress(HnnViRosError):
+            method = str(load_scene(name).integrator)
+        places.append((turns[method], name))
+        turns[method] += 1
+    return [name for _, name in sorted(places, key=itemgetter(0))]
 
 
 def _compile(name: str) -> CompiledScene:

@@ -2,9 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a scene to a simulation."""
 
+from hnn_vi_ros.integrators.base import Point
 from hnn_vi_ros.models.learned import warn_of_scheme
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.assembly import advance, Loop
+from hnn_vi_ros.simulation.rescue import Rescue
+from hnn_vi_ros.simulation.system import System
+import numpy as np
 from numpy.typing import ArrayLike
 
 
@@ -37,3 +42,13 @@ def build_at(parts: Parts, q: ArrayLike, p: ArrayLike) -> Simulation:
     scene, hamiltonian, integrator, effects = parts.copy()
     return Simulation(hamiltonian, integrator, scene.known_step_size, q, p, effects,
                       scene.on_failure)
+
+
+def compile_loop(parts: Parts) -> None:
+    """Compile the loop over steps of a scene, or find it on disk: nothing of its H."""
+    system = System(parts.hamiltonian, parts.effects, parts.integrator)
+    rescue = Rescue(system, parts.scene.on_failure)
+    n = system.kernel.dimension
+    Loop(advance, system.kernel, rescue.methods[0], provide=False).compile(
+        parts.scene.known_step_size, 0, 1, Point.empty(n), Point.empty(n), rescue.memories(n)[0],
+        *np.empty((2, 1, n)), 1)

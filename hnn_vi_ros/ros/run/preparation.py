@@ -22,6 +22,7 @@ from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
+from hnn_vi_ros.run.compiled_beside import compiled_beside
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
@@ -171,7 +172,8 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('compiling the kernel')
     with announced(tell):
         parts = scene.parts()
-        simulation = _compile(parts, logger)
+        with compiled_beside(parts):
+            simulation = _compile(parts, logger)
         with scene.placed('uncertainty'):
             members = None if scene.uncertainty is None else Members(parts)
         twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
@@ -192,10 +194,6 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     with announced(tell):
         box = simulation.hamiltonian.box or look_ahead(
             simulation, min(seconds, settings.duration or seconds))
-    # What guards run is compiled, or found, here: not while the node is to answer.
-    watch = Watch(simulation, simulation.hamiltonian.barrier)
-    watch.update(look(simulation))
-    _ = watch.alarms
     if settings.explain:
         begin('measuring what each effect adds to a step')
         logger.info('measuring what each effect adds to a step')
@@ -240,13 +238,20 @@ def check_pace(real_time_factor: float, tick: float) -> None:
 def _compile(parts: Parts, logger: Logger) -> Simulation:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
+        start = time.perf_counter()
         simulation = build(parts)
-        seconds = simulation.compile()
+        # What guards run is compiled, or found, here, and not while the node is to answer; and
+        # before the loop, which another process may be compiling.
+        watch = Watch(simulation, simulation.hamiltonian.barrier)
+        watch.update(look(simulation))
+        _ = watch.alarms
+        simulation.compile()
         # Compile what messages of states and the picture call.
         simulation.hamiltonian.energy(simulation.q, simulation.p)
         simulation.hamiltonian.gradient(simulation.q, simulation.p)
     for warning in caught:
         logger.warning(str(warning.message))
+    seconds = time.perf_counter() - start
     logger.info(f'scene {parts.scene.source}: kernel compiled in {seconds:.2f} s')
     return simulation
 
