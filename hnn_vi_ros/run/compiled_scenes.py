@@ -21,6 +21,8 @@ from hnn_vi_ros.trajectory.simulate import simulate
 
 # Processes, of 0.3 GB each: of more of them several would wait for the same.
 _MOST = 8
+_AROUND: list[dict[str, Any]] = [{'kind': 'damping', 'rate': 0.1},
+                                 {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1}]
 
 
 @dataclass(frozen=True)
@@ -90,18 +92,10 @@ def _compile(name: str) -> CompiledScene:
             simulation = build(scene)
             simulation.compile()
             simulation.compile_rescue()
-            first = simulation.hamiltonian.coordinates[0].name
-            for effect in _around(first, scene.initial_state.q[0] - 1.0):
+            # And its method as effects take it: its step, and the halves of it.
+            for effect in _AROUND:
                 with suppress(HnnViRosError):
                     simulate(scene, 0.0, effects=[effect])
     except HnnViRosError as error:
         problem = str(error)
     return CompiledScene(name, time.perf_counter() - begin, problem)
-
-
-def _around(first: str, below: float) -> list[dict[str, Any]]:
-    """Return effects of each kind that takes the method's step, or halves of it, by address."""
-    return [{'kind': 'damping', 'rate': 0.1},
-            {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1},
-            {'kind': 'impact', 'coordinate': first, 'position': below},
-            {'kind': 'joint_limits', 'lower': {first: below}}]
