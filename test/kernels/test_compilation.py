@@ -43,15 +43,11 @@ def run(cache, system: str = 'tao') -> list[str]:
         capture_output=True, text=True, timeout=120, check=True).stdout.split()
 
 
-def test_kernel_compiled_by_one_process_is_found_by_the_next(tmp_path):
+def test_loop_of_one_process_is_found_by_the_next_for_every_system(tmp_path):
     first, second = run(tmp_path), run(tmp_path)
     assert first[:2] == ['0', '1']
     assert second[:2] == ['1', '0']
     assert first[2] == second[2]
-
-
-def test_second_system_of_a_method_compiles_no_loop(tmp_path):
-    assert run(tmp_path)[:2] == ['0', '1']
     assert run(tmp_path, 'pendulum')[:2] == ['1', '0']
     assert len([*tmp_path.rglob('assembly.advance_*.nbi')]) == 1
 

@@ -8,6 +8,7 @@ from fcntl import flock, LOCK_EX, LOCK_UN
 import os
 from pathlib import Path
 import pickle
+import shutil
 import warnings
 
 from hnn_vi_ros.kernels import linking
@@ -68,11 +69,20 @@ def assert_made_anew(folder: Path, reason: str) -> None:
         assert (third(3), third(3.0)) == (6, 6.0) and len(third.stats.cache_hits) == 2
 
 
+@pytest.fixture(scope='module')
+def compiled(tmp_path_factory):
+    """Return a folder with two functions, one of them for two types."""
+    with pytest.MonkeyPatch.context() as change:
+        change.setattr(numba.config, 'CACHE_DIR', str(tmp_path_factory.mktemp('compiled')))
+        first = code(double)
+        assert (first(3), first(3.0), code(triple)(3)) == (6, 6.0, 9)
+        return numba.config.CACHE_DIR
+
+
 @pytest.fixture
-def kept(folder):
-    """Keep two functions, one of them for two types, and return the files of the first."""
-    first = code(double)
-    assert (first(3), first(3.0), code(triple)(3)) == (6, 6.0, 9)
+def kept(folder, compiled):
+    """Return the files of the first function, in the folder of the test."""
+    shutil.copytree(compiled, folder, dirs_exist_ok=True)
     return sorted(folder.rglob('*double*'))
 
 
