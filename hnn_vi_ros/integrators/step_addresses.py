@@ -9,7 +9,6 @@ options, in options of its own, and the workspaces as one of its own. So the ste
 compiled once for all combinations of effects, and an effect once for all methods.
 """
 
-from collections.abc import Callable
 from functools import cache
 from hashlib import sha256
 import re
