@@ -172,8 +172,10 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('compiling the kernel')
     with announced(tell):
         parts = scene.parts()
-        with compiled_beside(parts):
-            simulation = _compile(parts, logger)
+    # Outside of what is announced: the loop is looked for, and not compiled, here.
+    with compiled_beside(parts), announced(tell):
+        simulation = _compile(parts, logger)
+    with announced(tell):
         with scene.placed('uncertainty'):
             members = None if scene.uncertainty is None else Members(parts)
         twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
