@@ -10,6 +10,7 @@ from hnn_vi_ros.sweeps import lerobot
 from hnn_vi_ros.sweeps.episodes import selected
 from hnn_vi_ros.sweeps.sweep import main
 from hnn_vi_ros.trajectory.simulate import simulate
+from messages import refused
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -137,22 +138,17 @@ def test_selections_are_numbers_and_slices():
     assert selected('', 3) == [0, 1, 2]
     assert selected('7, 2,2:9:3', 10) == [2, 5, 7, 8]
     assert selected('8:', 10) == [8, 9] and selected('::5', 10) == [0, 5]
-    for text, message in (('x', "'x' is none of N"), ('1:2:3:4', 'is none of N'),
-                          ('-1', 'is none of N'), ('10', 'names none of the 10 trajectories'),
-                          ('1,', "'' names none of"), ('5:5', 'names none of'),
-                          ('0:9:0', 'is none of N')):
-        with pytest.raises(HnnViRosError, match=message):
+    for text in ('x', '1:2:3:4', '-1', '10', '1,', '5:5', '0:9:0'):
+        with refused(HnnViRosError):
             selected(text, 10)
 
 
-@pytest.mark.parametrize('arguments, message', [
-    (['--select', '0'], 'give --episodes mcap or lerobot'),
-    (['--episodes', 'lerobot', '--jobs', '2'], 'leave --jobs, --ray, --device and'),
-    (['--episodes', 'lerobot', '--shard', '0/2'], 'leave --jobs, --ray, --device and'),
-    (['--episodes', 'lerobot', '--select', '4'], 'names none of the 4 trajectories, 0 to 3'),
-    (['--episodes', 'mcap', '--select', '0'], 'bags are messages of ROS')])
-def test_episodes_that_cannot_be_written_are_one_line(sweep_file, tmp_path, arguments, message):
-    with pytest.raises(HnnViRosError, match=message):
+@pytest.mark.parametrize('arguments', [
+    ['--select', '0'], ['--episodes', 'lerobot', '--jobs', '2'],
+    ['--episodes', 'lerobot', '--shard', '0/2'], ['--episodes', 'lerobot', '--select', '4'],
+    ['--episodes', 'mcap', '--select', '0']], ids=' '.join)
+def test_episodes_that_cannot_be_written_are_one_line(sweep_file, tmp_path, arguments):
+    with refused(HnnViRosError):
         main([str(sweep_file), '--out', str(tmp_path / 'out'), *arguments])
     assert not (tmp_path / 'out').exists()
 
@@ -161,9 +157,9 @@ def test_lerobot_dataset_needs_whole_samples_a_second_and_a_folder_of_its_own(
         sweep_file, tmp_path):
     other = sweep_file.with_name('other.yaml')
     other.write_text(SWEEP.replace('every: 2', 'every: 3'))
-    with pytest.raises(HnnViRosError, match='33.3333 samples a second are no whole number'):
+    with refused(HnnViRosError):
         main([str(other), '--episodes', 'lerobot', '--out', str(tmp_path / 'out')])
-    with pytest.raises(HnnViRosError, match='File exists; give an --out that does not exist'):
+    with refused(HnnViRosError):
         main([str(sweep_file), '--episodes', 'lerobot', '--out', str(tmp_path)])
 
 
@@ -174,7 +170,7 @@ def test_dataset_that_cannot_be_written_whole_leaves_nothing(sweep_file, tmp_pat
     (tmp_path / 'sweep.yaml').write_text(text.replace('[1.0, -1.0]', '[0.0, 1.0e+20]'))
     command = [str(tmp_path / 'sweep.yaml'), '--episodes', 'lerobot', '--out',
                str(tmp_path / 'out')]
-    with pytest.raises(HnnViRosError, match='energy of trajectory 2 is beyond float32'):
+    with refused(HnnViRosError):
         main(command)
     assert not (tmp_path / 'out').exists()
     assert main([*command, '--select', '0:2']) == 0

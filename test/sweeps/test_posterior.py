@@ -10,6 +10,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.sweeps.axes import read_posterior
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import sweep
+from messages import refused
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -77,36 +78,32 @@ def test_sweep_over_some_numbers_by_their_keys(tmp_path):
     assert make_plan(few).record['digest'] != before
 
 
-@pytest.mark.parametrize('changed, message', [
-    ({'covariance': None}, 'covariance: Input should be a valid dict'),
-    ({'parameters': {'hamiltonian.mass': {'value': 'x'}}}, 'parameters.hamiltonian.mass.value: '),
-    ({'covariance': {'names': NAMES, 'matrix': COVARIANCE[:2]}}, '3 names take as many rows'),
-    ({'covariance': {'names': NAMES, 'matrix': [[1e-4, 1.0, 0.0], *COVARIANCE[1:]]}},
-     'is not symmetric'),
-    ({'covariance': {'names': NAMES[:2], 'matrix': [[1.0, 2.0], [2.0, 1.0]]}},
-     'is not positive semidefinite'),
-    ({'covariance': {'names': NAMES[:1], 'matrix': [[float('nan')]]}}, 'covariance.matrix'),
-    ({'parameters': {'hamiltonian.mass': {'value': True}}}, 'should be a valid number'),
-    ({'covariance': {'names': NAMES[:1], 'matrix': [['1e-4']]}}, 'should be a valid number'),
-    ({'covariance': {'names': ['\x1b[31m'], 'matrix': [[1e-4]]}}, r'there are: \?\[31m'),
-    ({'parameters': {}}, "no 'hamiltonian.mass' among its parameters")])
-def test_file_that_cannot_be_used_is_one_line(tmp_path, changed, message):
-    with pytest.raises(DataError, match=message) as problem:
+@pytest.mark.parametrize('changed', [
+    {'covariance': None}, {'parameters': {'hamiltonian.mass': {'value': 'x'}}},
+    {'covariance': {'names': NAMES, 'matrix': COVARIANCE[:2]}},
+    {'covariance': {'names': NAMES, 'matrix': [[1e-4, 1.0, 0.0], *COVARIANCE[1:]]}},
+    {'covariance': {'names': NAMES[:2], 'matrix': [[1.0, 2.0], [2.0, 1.0]]}},
+    {'covariance': {'names': NAMES[:1], 'matrix': [[float('nan')]]}},
+    {'parameters': {'hamiltonian.mass': {'value': True}}},
+    {'covariance': {'names': NAMES[:1], 'matrix': [['1e-4']]}},
+    {'covariance': {'names': ['\x1b[31m'], 'matrix': [[1e-4]]}}, {'parameters': {}}], ids=str)
+def test_file_that_cannot_be_used_is_one_line(tmp_path, changed):
+    with refused(DataError) as problem:
         make_plan(definition(posterior(tmp_path, **changed)))
     assert '\n' not in str(problem.value) and 'posterior.json' in str(problem.value)
 
 
 def test_name_that_is_not_there_and_file_that_is_not_are_told(tmp_path):
-    with pytest.raises(DataError, match="no 'hamiltonian.mas' .*did you mean hamiltonian.mass"):
+    with refused(DataError):
         read_posterior(Path(posterior(tmp_path)), 'sweep: vary.0',
                        {'hamiltonian.mas': 'hamiltonian.mass'})
-    with pytest.raises(DataError, match='sweep: vary.0: .*none.json: .*No such file'):
+    with refused(DataError):
         read_posterior(tmp_path / 'none.json', 'sweep: vary.0')
     # Of which no more is read than shows that it is too large.
     with (tmp_path / 'huge.json').open('wb') as stream:
         stream.truncate(2**40)
-    with pytest.raises(DataError, match='huge.json: larger than 32 MiB'):
+    with refused(DataError):
         read_posterior(tmp_path / 'huge.json', 'sweep: vary.0')
     (tmp_path / 'bad.json').write_text('{')
-    with pytest.raises(DataError, match='give what identify writes with --posterior'):
+    with refused(DataError):
         read_posterior(tmp_path / 'bad.json', 'sweep: vary.0')

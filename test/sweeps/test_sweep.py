@@ -63,8 +63,8 @@ def whole(tmp_path_factory):
     return sweep(LENGTHS, tmp_path_factory.mktemp('sweep') / 'whole')
 
 
-@pytest.mark.parametrize('shares', [
-    ['0/3', '1/3', '2/3'], [f'{k}/7' for k in (5, 0, 6, 2, 1, 3, 4)]])
+@pytest.mark.parametrize('shares', [['1/3', '0/3', '2/3'], pytest.param(
+    [f'{k}/7' for k in (5, 0, 6, 2, 1, 3, 4)], marks=pytest.mark.long)])
 def test_bytes_do_not_depend_on_shares_and_their_order(whole, tmp_path, shares):
     for share in shares:
         sweep(LENGTHS, tmp_path / 'out', shard=share)
@@ -110,6 +110,7 @@ def test_states_are_those_of_many_trajectories_bit_by_bit(tmp_path):
     assert np.array_equal(np.array(table['energy']), many.energy[-1])
 
 
+@pytest.mark.long
 def test_columns_of_what_turns_are_those_of_its_attitude_and_momentum(tmp_path):
     folder = sweep({'scene': 'heavy_top', 'duration': 0.05, 'vary': [
         {'kind': 'values', 'key': 'initial_state.p.attitude_rz', 'values': [2.0, 6.0]}]},
@@ -240,6 +241,7 @@ def test_event_times_are_those_of_single_runs(tmp_path):
         assert row['q_angle'] == found.q[-1, 0]
 
 
+@pytest.mark.long
 def test_lyapunov_time_is_that_of_the_scene(tmp_path):
     definition = {'scene': 'exact_double_pendulum', 'duration': 20.48, 'statistics': [
         'lyapunov_time'], 'vary': [{'kind': 'values', 'key': 'initial_state.q',
@@ -325,7 +327,7 @@ def test_what_is_there_is_kept_and_what_is_damaged_is_made_anew(whole, tmp_path,
     assert made == [1, 2] and contents(out) == contents(whole)
 
 
-@pytest.mark.parametrize('jobs', [1, 2])
+@pytest.mark.parametrize('jobs', [pytest.param(1, marks=pytest.mark.long), 2])
 def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
     path = tmp_path / 'a.yaml'
     path.write_text(json.dumps(LENGTHS))
@@ -375,7 +377,8 @@ def deadly(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize('way', [{'jobs': 2}, {'ray': 'local'}], ids=['processes', 'ray'])
+@pytest.mark.parametrize('way', [
+    {'jobs': 2}, pytest.param({'ray': 'local'}, marks=pytest.mark.long)], ids=['processes', 'ray'])
 def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
     if 'ray' in way:
         pytest.importorskip('ray', reason='ray is not installed')
@@ -387,7 +390,7 @@ def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
     assert len(contents(tmp_path / 'out')) == 6
 
 
-@pytest.mark.parametrize('jobs', [1, 2])
+@pytest.mark.parametrize('jobs', [1, pytest.param(2, marks=pytest.mark.long)])
 def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
     # With several processes in C, where nothing else of Python runs.
     hang = 'time.sleep(1e6)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
@@ -447,6 +450,7 @@ def cluster(monkeypatch):
             head.communicate(timeout=60.0)
 
 
+@pytest.mark.long
 def test_cluster_begun_by_the_documented_command_makes_the_same_bytes(deadly, tmp_path, cluster):
     (deadly / 'done').unlink(missing_ok=True)
     code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
@@ -459,6 +463,7 @@ def test_cluster_begun_by_the_documented_command_makes_the_same_bytes(deadly, tm
     assert contents(tmp_path / 'out') == contents(deadly / 'whole')
 
 
+@pytest.mark.long
 def test_ray_cluster_that_is_not_there_is_one_line(tmp_path):
     pytest.importorskip('ray', reason='ray is not installed')
     with pytest.raises(HnnViRosError, match='--ray auto: .*begin a cluster with: ray start'):
@@ -485,6 +490,7 @@ def test_sweep_on_a_device_is_recorded_and_its_bytes_do_not_depend_on_shares(tmp
         assert np.abs(np.array(found[name]) - np.array(plain[name])).max() <= 20e-13
 
 
+@pytest.mark.long
 def test_sweep_by_kernels_that_are_gone_is_still_read_and_not_continued_by_others(tmp_path):
     pytest.importorskip('torch', reason='torch is not installed')
     definition = {'scene': 'pendulum', 'duration': 0.02, 'vary': [BOX | {'count': 4}]}
@@ -503,6 +509,7 @@ def test_sweep_by_kernels_that_are_gone_is_still_read_and_not_continued_by_other
         sweep(definition, folder, device='cpu/steps')
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings('ignore')
 def test_failure_of_one_trajectory_on_a_device_is_a_row(tmp_path):
     pytest.importorskip('torch', reason='torch is not installed')
@@ -539,13 +546,15 @@ def test_folder_counts_what_failed_and_what_is_missing(whole):
     assert SweepFolder(whole / 'none').survey(plan, (1, 2)).missing == [1, 3]
 
 
-def test_every_change_of_a_shard_is_found_by_name(whole, tmp_path):
+@pytest.mark.parametrize('count', [30, pytest.param(300, marks=pytest.mark.long)])
+def test_every_change_of_a_shard_is_found_by_name(whole, tmp_path, count):
     plan, out = make_plan(LENGTHS), tmp_path / 'out'
     shutil.copytree(whole, out)
     folder, rng = SweepFolder(out), np.random.default_rng(3)
     file, content = folder.file(1), folder.file(1).read_bytes()
     # Those of the footer and of the seal, which no checksum of pages covers, as often as data.
-    places = [*rng.integers(len(content), size=300), *range(len(content) - 300, len(content))]
+    places = [*rng.integers(len(content), size=count),
+              *range(len(content) - 300, len(content), 300 // count)]
     for place in places:
         damaged = bytearray(content)
         damaged[place] ^= 1 << int(rng.integers(8))
@@ -612,6 +621,7 @@ def test_shards_that_were_made_without_a_seal_are_taken(whole, tmp_path, monkeyp
     assert folder.survey(plan).missing == [1]
 
 
+@pytest.mark.long
 def test_checking_a_shard_leaves_no_thread_with_its_file(whole):
     """One that outlives the interpreter aborts the process."""
     path, digest = whole / 'part-000000.parquet', make_plan(LENGTHS).record['digest']
