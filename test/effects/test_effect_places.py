@@ -14,6 +14,7 @@ from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from messages import refused
 import numpy as np
 import pytest
 
@@ -112,23 +113,22 @@ def test_declared_force_acts_at_the_nodes():
     assert simulation.works == {'Push': 0.5}
 
 
-@pytest.mark.parametrize('effects, place, message', [
-    ((Outermost(), Outermost()), 1, 'a scene takes one Outermost only'),
-    ((Push(), Kick()), 1, 'Kick does not combine with Push, which would be kicked too; leave')])
-def test_what_an_effect_declares_against_others_is_refused(effects, place, message):
-    with pytest.raises(EffectError, match=message) as raised:
+@pytest.mark.parametrize('effects, place', [
+    ((Outermost(), Outermost()), 1), ((Push(), Kick()), 1)])
+def test_what_an_effect_declares_against_others_is_refused(effects, place):
+    with refused(EffectError) as raised:
         system(*effects)
     assert raised.value.index == place
 
 
 def test_effect_in_the_middle_is_taken_by_methods_with_halves():
-    with pytest.raises(UnsupportedSystem, match='rk4 cannot take the effect Within') as raised:
+    with refused(UnsupportedSystem) as raised:
         system(Within(), integrator='rk4')
     able = str(raised.value).partition('methods that can: ')[2].split(', ')
     assert able == [name for name, method in INTEGRATORS.items() if method.halves is not None]
 
 
 def test_effect_that_takes_one_state_at_a_time_is_named():
-    with pytest.raises(ValueError, match='one at a time is taken by Outermost; use simulate_many'):
+    with refused(ValueError):
         system(Kick(), Outermost()).check_state(np.zeros((2, 1)), np.zeros((2, 1)))
     assert system(Kick()).lockstep

@@ -18,6 +18,7 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from messages import refused
 from mpmath import mpf
 import numpy as np
 import pytest
@@ -36,50 +37,43 @@ def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path
                   INTEGRATORS[integrator]())
 
 
-@pytest.mark.parametrize('kind, arguments, message', [
-    ('gravity', {'coordinate': 'x', 'mass': 0.0}, 'mass = 0.0 must be'),
-    ('gravity', {'coordinate': 'x', 'acceleration': INF}, 'weight'),
-    ('spring', {'point': ['x'], 'anchor': [0.0], 'stiffness': -1.0}, 'stiffness = -1.0'),
-    ('spring', {'point': ['x'], 'anchor': [0.0], 'rest_length': -1.0}, 'rest_length = -1.0'),
-    ('magnetic_field', {'plane': ['x']}, 'two different coordinates'),
-    ('magnetic_field', {'plane': ['x', 'x']}, 'two different coordinates'),
-    ('magnetic_field', {'plane': ['x', 'y'], 'field': NAN}, 'field = nan'),
-    ('soft_wall', {'coordinate': 'x', 'width': 0.0}, 'width = 0.0'),
-    ('soft_wall', {'coordinate': 'x', 'position': NAN}, 'position = nan'),
-    ('damping', {'rate': -0.1}, 'rate = -0.1 must be at least 0'),
-    ('damping', {'rate': [0.1, NAN]}, 'must be at least 0'),
-    ('dry_friction', {'coordinate': 'x', 'force': 0.0}, 'force = 0.0'),
-    ('dry_friction', {'coordinate': 'x', 'force': 1.0, 'speed': INF}, 'speed = inf'),
-    ('quadratic_drag', {'coordinates': [], 'coefficient': 1.0}, 'at least one'),
-    ('quadratic_drag', {'coordinates': ['x', 'x'], 'coefficient': 1.0}, 'each once'),
-    ('quadratic_drag', {'coordinates': ['x'], 'coefficient': 0.0}, 'coefficient = 0.0'),
-    ('periodic_drive', {'coordinate': 'x', 'amplitude': 1.0, 'frequency': 0.0}, 'frequency'),
-    ('periodic_drive', {'coordinate': 'x', 'amplitude': NAN, 'frequency': 1.0}, 'amplitude'),
-    ('external_force', {'coordinates': ['x'], 'timeout': 0.0}, 'timeout = 0.0'),
-    ('external_force', {'coordinates': ['x', 'x']}, 'each once'),
-    ('servo', {'coordinates': ['x'], 'stiffness': -1.0}, 'stiffness = -1.0 must be at least 0'),
-    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'damping': [NAN]}, 'damping = '),
-    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'effort_limit': 0.0}, 'effort_limit = 0.0'),
-    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'position': [INF]}, 'position = '),
-    ('servo', {'coordinates': ['x', 'x'], 'stiffness': 1.0}, 'each once'),
-    ('thermostat', {'temperature': 0.0, 'rate': 1.0}, 'temperature = 0.0'),
-    ('thermostat', {'temperature': 1.0, 'rate': [1.0, 0.0]}, 'rate = 0.0'),
-    ('thermostat', {'temperature': 1.0, 'rate': 1.0, 'mass': -1.0}, 'mass = -1.0'),
-    ('thermostat', {'temperature': 1.0, 'rate': 1.0, 'seed': -1}, 'seed = -1'),
-    ('holonomic_constraint', {'point': ['x'], 'anchor': [0.0], 'length': 0.0}, 'length = 0.0'),
-    ('impact', {'coordinate': 'x', 'restitution': 1.1}, 'restitution = 1.1 must be from 0 to 1'),
-    ('impact', {'coordinate': 'x', 'restitution': NAN}, 'restitution = nan'),
-    ('impact', {'coordinate': 'x', 'position': INF}, 'position = inf'),
-    ('joint_limits', {}, 'from is required, or lower or upper in its place'),
-    ('joint_limits', {'lower': {'x': INF}}, 'lower of x = inf must be a finite number'),
-    ('joint_limits', {'lower': {'x': 0.0}, 'restitution': -0.1}, 'restitution = -0.1'),
-    ('joint_friction', {}, 'from is required, or damping or friction or load in its place'),
-    ('joint_friction', {'damping': {'x': -1.0}}, 'damping of x = -1.0 must be at least 0'),
-    ('joint_friction', {'load': {'x': -1.0}}, 'load of x = -1.0 must be at least 0'),
-    ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0}, 'speed = 0.0'),
-])
-def test_effect_parameter_out_of_its_range_is_refused(kind, arguments, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('kind, arguments', [
+    ('gravity', {'coordinate': 'x', 'mass': 0.0}),
+    ('gravity', {'coordinate': 'x', 'acceleration': INF}),
+    ('spring', {'point': ['x'], 'anchor': [0.0], 'stiffness': -1.0}),
+    ('spring', {'point': ['x'], 'anchor': [0.0], 'rest_length': -1.0}),
+    ('magnetic_field', {'plane': ['x']}), ('magnetic_field', {'plane': ['x', 'x']}),
+    ('magnetic_field', {'plane': ['x', 'y'], 'field': NAN}),
+    ('soft_wall', {'coordinate': 'x', 'width': 0.0}),
+    ('soft_wall', {'coordinate': 'x', 'position': NAN}), ('damping', {'rate': -0.1}),
+    ('damping', {'rate': [0.1, NAN]}), ('dry_friction', {'coordinate': 'x', 'force': 0.0}),
+    ('dry_friction', {'coordinate': 'x', 'force': 1.0, 'speed': INF}),
+    ('quadratic_drag', {'coordinates': [], 'coefficient': 1.0}),
+    ('quadratic_drag', {'coordinates': ['x', 'x'], 'coefficient': 1.0}),
+    ('quadratic_drag', {'coordinates': ['x'], 'coefficient': 0.0}),
+    ('periodic_drive', {'coordinate': 'x', 'amplitude': 1.0, 'frequency': 0.0}),
+    ('periodic_drive', {'coordinate': 'x', 'amplitude': NAN, 'frequency': 1.0}),
+    ('external_force', {'coordinates': ['x'], 'timeout': 0.0}),
+    ('external_force', {'coordinates': ['x', 'x']}),
+    ('servo', {'coordinates': ['x'], 'stiffness': -1.0}),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'damping': [NAN]}),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'effort_limit': 0.0}),
+    ('servo', {'coordinates': ['x'], 'stiffness': 1.0, 'position': [INF]}),
+    ('servo', {'coordinates': ['x', 'x'], 'stiffness': 1.0}),
+    ('thermostat', {'temperature': 0.0, 'rate': 1.0}),
+    ('thermostat', {'temperature': 1.0, 'rate': [1.0, 0.0]}),
+    ('thermostat', {'temperature': 1.0, 'rate': 1.0, 'mass': -1.0}),
+    ('thermostat', {'temperature': 1.0, 'rate': 1.0, 'seed': -1}),
+    ('holonomic_constraint', {'point': ['x'], 'anchor': [0.0], 'length': 0.0}),
+    ('impact', {'coordinate': 'x', 'restitution': 1.1}),
+    ('impact', {'coordinate': 'x', 'restitution': NAN}),
+    ('impact', {'coordinate': 'x', 'position': INF}), ('joint_limits', {}),
+    ('joint_limits', {'lower': {'x': INF}}),
+    ('joint_limits', {'lower': {'x': 0.0}, 'restitution': -0.1}), ('joint_friction', {}),
+    ('joint_friction', {'damping': {'x': -1.0}}), ('joint_friction', {'load': {'x': -1.0}}),
+    ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0})])
+def test_effect_parameter_out_of_its_range_is_refused(kind, arguments):
+    with refused(ValueError):
         EFFECTS[kind](**arguments)
 
 
@@ -89,29 +83,24 @@ def test_effects_of_the_tables_are_all():
 
 @pytest.mark.parametrize('kind', UNKNOWN)
 def test_effect_on_an_unknown_coordinate_names_its_place_and_the_valid_ones(kind):
-    with pytest.raises(EffectError, match=(
-            "no (coordinate|name) 'w'; (valid coordinates|there are): x, z")) as raised:
+    with refused(EffectError) as raised:
         system_of(free('x', 'z'), ('damping', {'rate': 0.1}), (kind, UNKNOWN[kind]))
     assert raised.value.index == 1
 
 
 @pytest.mark.parametrize('kind', TOO_LONG)
 def test_effect_of_another_dimension_names_its_place_and_the_number(kind, tmp_path):
-    with pytest.raises(EffectError, match=(
-            '3 (values, expected .* x, z|(scalar )?coordinates, H has 2)')):
+    with refused(EffectError):
         system_of(free('x', 'z'), (kind, TOO_LONG[kind]), folder=tmp_path)
 
 
-@pytest.mark.parametrize('arguments, message', [
-    ({'point': ['x']}, 'either other .* or anchor'),
-    ({'point': ['x'], 'anchor': [0.0], 'other': ['z']}, 'either other .* or anchor'),
-    ({'point': ['x', 'z'], 'anchor': [0.0]}, 'anchor has 1 entries, point has 2'),
-    ({'point': ['x'], 'other': ['x']}, 'different coordinates'),
-    ({'point': ['x', 'x'], 'anchor': [0.0, 0.0]}, 'different coordinates'),
-    ({'point': [], 'anchor': []}, 'at least 1')])
+@pytest.mark.parametrize('arguments', [
+    {'point': ['x']}, {'point': ['x'], 'anchor': [0.0], 'other': ['z']},
+    {'point': ['x', 'z'], 'anchor': [0.0]}, {'point': ['x'], 'other': ['x']},
+    {'point': ['x', 'x'], 'anchor': [0.0, 0.0]}, {'point': [], 'anchor': []}], ids=str)
 @pytest.mark.parametrize('kind', ['spring', 'holonomic_constraint'])
-def test_pair_of_points_that_does_not_fit_is_refused(kind, arguments, message):
-    with pytest.raises(EffectError, match=message):
+def test_pair_of_points_that_does_not_fit_is_refused(kind, arguments):
+    with refused(EffectError):
         system_of(free('x', 'z'), (kind, arguments))
 
 
@@ -330,7 +319,7 @@ def test_external_force_begins_with_its_initial_command_until_another_comes():
 
 @pytest.mark.parametrize('initial', [[], [1.0, 2.0], [NAN], [1e13]])
 def test_external_force_refuses_a_bad_initial_command(initial):
-    with pytest.raises(ValueError, match='initial .*: expected 1 finite numbers, for x, '):
+    with refused(ValueError):
         Simulation(free('x'), INTEGRATORS['rk4'](), 0.1, [0.0], [0.0],
                    [EFFECTS['external_force'](['x'], initial=initial)])
 
@@ -348,7 +337,7 @@ def test_external_force_refuses_a_bad_command_whole_and_keeps_the_last(values):
     for each in (simulation, other):
         each.set_command([2.0])
         each.advance(2)
-    with pytest.raises(ValueError, match='expected 1 finite numbers, for x, ') as bad:
+    with refused(ValueError) as bad:
         simulation.set_command(values)
     assert len(str(bad.value)) < 200
     # Nor is its time-out renewed.

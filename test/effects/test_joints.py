@@ -15,6 +15,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
+from messages import refused
 from numba import typeof
 import numpy as np
 import pytest
@@ -119,12 +120,11 @@ def test_friction_grows_with_the_commanded_force_while_it_acts(tmp_path):
     assert (force(own) == rest).all()
 
 
-@pytest.mark.parametrize('kind, arguments, message', [
-    ('joint_limits', {'from_': 'urdf', 'upper': {'tail': -1.0}},
-     'limits of tail, -1 and -1, leave no room'),
-    ('joint_friction', {'damping': {'tail': 0.0}}, 'no joint has damping or friction')])
-def test_numbers_that_do_not_fit_the_robot_are_refused(kind, arguments, message, tmp_path):
-    with pytest.raises(EffectError, match=message):
+@pytest.mark.parametrize('kind, arguments', [
+    ('joint_limits', {'from_': 'urdf', 'upper': {'tail': -1.0}}),
+    ('joint_friction', {'damping': {'tail': 0.0}})])
+def test_numbers_that_do_not_fit_the_robot_are_refused(kind, arguments, tmp_path):
+    with refused(EffectError):
         System(tree(tmp_path), [EFFECTS[kind](**arguments)], INTEGRATORS['gauss4']())
 
 
@@ -135,19 +135,19 @@ def test_coordinates_that_are_no_joints_have_no_numbers_of_a_urdf(kind, tmp_path
                     f'effects:\n  - kind: {kind}\n    from: urdf\n'
                     'integrator: {kind: gauss4}\nstep_size: 0.1\n'
                     'initial_state: {q: [1.0], p: [0.0]}\n')
-    with pytest.raises(SceneError, match=r'pendulum.yaml:4: effects.0.from: .* angle is no joint'):
+    with refused(SceneError):
         build(load_scene(path))
 
 
 def test_limits_of_a_urdf_that_has_none_are_refused(tmp_path):
     file = tmp_path / 'robot.urdf'
     file.write_text(ARM.read_text().replace('lower="-2.6" upper="2.6" ', ''))
-    with pytest.raises(SceneError, match='no joint of the URDF has limits; give lower or upper'):
+    with refused(SceneError):
         build(scene(tmp_path, '{kind: joint_limits, from: urdf}', file=str(file)))
 
 
 def test_initial_state_beyond_a_limit_is_refused(tmp_path):
-    with pytest.raises(SceneError, match=r'initial shoulder = 2\.0 is beyond the limit 1\.5'):
+    with refused(SceneError):
         build(scene(tmp_path, '{kind: joint_limits, from: urdf, upper: {shoulder: 1.5}}'))
 
 
@@ -167,6 +167,7 @@ def test_one_stop_is_the_wall_of_an_impact(method, h, restitution):
     np.testing.assert_allclose(states[0], states[1], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_arm_falls_on_its_stops_and_comes_to_rest_there(tmp_path):
     """Its energy balance closes with order 2, and no joint leaves its range."""
     lower, upper = np.array([0.4, -0.2]), np.array([2.5, 2.6])
@@ -198,7 +199,9 @@ def test_arm_at_rest_on_two_stops_leaves_one_of_them(tmp_path):
                   'timeout: 1.0}').changed({
                       'hamiltonian': {'kind': 'urdf', 'file': str(ARM), 'locked': {'elbow': 0.5}},
                       'initial_state': {'q': [2.0], 'p': [0.0]}})
-    q, expected = (build(one).record(40, 1)[0] for one in (held, alone))
+    q, expected = (Simulation(
+        Uncompiled(one.create_hamiltonian()), one.create_integrator(), 0.005, one.initial_state.q,
+        one.initial_state.p, one.create_effects()).record(40, 1)[0] for one in (held, alone))
     assert (q[:, 1] == 0.5).all() and q[-1, 0] < 1.5
     # Impulses put it on its stop to eight roundings in a step, whose velocity acts for 40 steps.
     np.testing.assert_allclose(q[:, 0], expected[:, 0], rtol=0.0, atol=1e-12)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An observer draws a simulation to what is observed, and refuses what cannot be."""
 
+from helpers import Uncompiled
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.effects.observer import Observer
@@ -10,18 +11,22 @@ from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
 NAN, INF = float('nan'), float('inf')
 GAIN, DAMPING, MASS = 30.0, 6.0, 2.0
+BODY = Uncompiled(HAMILTONIANS['free_particle'](MASS, ('x',)))
 
 
 def observed(h: float, q: float = 0.4, p: float = 1.0, method: str = 'implicit_midpoint',
              effects: tuple = (), **arguments: float) -> Simulation:
     own = {'gain': GAIN, 'damping': DAMPING, 'timeout': 100.0} | arguments
-    return Simulation(HAMILTONIANS['free_particle'](MASS, ('x',)), INTEGRATORS[method](), h, [q],
-                      [p], [Observer(['x'], **own), *effects])
+    return Simulation(BODY, INTEGRATORS[method](), h, [q], [p],
+                      [Observer(['x'], **own), *effects])
 
 
 def seen(x: float, v: float = NAN, delay: float = 0.0, names=('x',)) -> Observation:
@@ -57,8 +62,7 @@ def test_work_of_an_observer_is_the_change_of_the_energy():
 
 def test_observer_without_gain_leaves_every_bit():
     simulation, alone = observed(0.01, gain=0.0, damping=0.0), Simulation(
-        HAMILTONIANS['free_particle'](MASS, ('x',)), INTEGRATORS['implicit_midpoint'](), 0.01,
-        [0.4], [1.0])
+        BODY, INTEGRATORS['implicit_midpoint'](), 0.01, [0.4], [1.0])
     simulation.set_command(seen(5.0))
     for one in (simulation, alone):
         one.advance(50)
@@ -92,44 +96,35 @@ def test_joints_are_matched_by_name_in_any_order_beside_others():
     assert one.q.tobytes() == other.q.tobytes()
 
 
-@pytest.mark.parametrize(('observation', 'message'), [
-    (seen(NAN), 'not finite'), (seen(INF), 'not finite'), (seen(1.0, INF), 'infinite'),
-    (seen(1.0, names=('y',)), "'x' is observed 0 times"),
-    (Observation(('x', 'x'), 0.0, np.zeros(2), np.zeros(2)), "'x' is observed 2 times"),
-    (Observation((), 0.0, np.zeros(0), np.zeros(0)), "'x' is observed 0 times"),
-    (seen(1.0, delay=-0.6), 'from the simulated time'),
-    (seen(1.0, delay=1.7e9), 'from the simulated time'),
-    (seen(1.0, delay=NAN), 'from the simulated time'),
-    (seen(1.0, delay=-0.2), 'it is late'),
-    (seen(1.0, 101.0), "'x' moves by 101 per second, by velocity_limit = 100; raise it"),
-    (seen(1e9), "'x' is 1e.09 beyond where the machine can be, by velocity_limit = 100")])
-def test_observation_that_cannot_be_used_is_refused_and_changes_nothing(observation, message):
+@pytest.mark.parametrize('observation', [
+    seen(NAN), seen(INF), seen(1.0, INF), seen(1.0, names=('y',)),
+    Observation(('x', 'x'), 0.0, np.zeros(2), np.zeros(2)),
+    Observation((), 0.0, np.zeros(0), np.zeros(0)), seen(1.0, delay=-0.6), seen(1.0, delay=1.7e9),
+    seen(1.0, delay=NAN), seen(1.0, delay=-0.2), seen(1.0, 101.0), seen(1e9)])
+def test_observation_that_cannot_be_used_is_refused_and_changes_nothing(observation):
     simulation, alone = observed(0.01, timeout=0.5), observed(0.01, timeout=0.5)
     for one in (simulation, alone):
         one.set_command(seen(0.7))
         one.advance(10)
-    with pytest.raises(ValueError, match=message):
+    with refused(ValueError):
         simulation.set_command(observation)
     for one in (simulation, alone):
         one.advance(10)
     assert simulation.q.tobytes() == alone.q.tobytes()
 
 
-@pytest.mark.parametrize(('arguments', 'message'), [
-    ({'gain': -1.0}, 'gain = -1.0'), ({'damping': INF}, 'damping = inf'),
-    ({'timeout': 0.0}, 'timeout = 0.0'), ({'deviations': [1.0, 2.0]}, 'one for each of x'),
-    ({'deviations': [0.0]}, 'must be positive')])
-def test_observer_parameter_out_of_its_range_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        Observer(['x'], **arguments)
-    with pytest.raises(ValueError, match='each once'):
-        Observer(['x', 'x'])
+@pytest.mark.parametrize('arguments', [
+    {'gain': -1.0}, {'damping': INF}, {'timeout': 0.0}, {'deviations': [1.0, 2.0]},
+    {'deviations': [0.0]}, {'coordinates': ['x', 'x']}], ids=str)
+def test_observer_parameter_out_of_its_range_is_refused(arguments):
+    with refused(ValueError):
+        Observer(**{'coordinates': ['x']} | arguments)
 
 
 def test_observer_takes_methods_of_order_2_at_most_and_stands_once():
-    with pytest.raises(UnsupportedSystem, match='cannot take the effect observer'):
+    with refused(UnsupportedSystem):
         observed(0.01, method='gauss8')
-    with pytest.raises(EffectError, match='takes one observer only'):
+    with refused(EffectError):
         observed(0.01, effects=(Observer(['x']),))
 
 
@@ -140,25 +135,25 @@ def test_observation_ahead_of_time_holds_up_no_later_one():
     # As late as any that comes from another machine.
     simulation.set_command(seen(0.6, delay=-0.002))
     simulation.advance(1)
-    with pytest.raises(ValueError, match='it is late'):
+    with refused(ValueError):
         simulation.set_command(seen(0.6, delay=-0.1))
 
 
 def test_machine_is_found_again_after_a_wrong_observation_that_looked_right():
     simulation = observed(0.01, timeout=0.5, velocity_limit=20.0)
     # At the start it may be as far away as it moves in the time-out: 10 m.
-    with pytest.raises(ValueError, match='0.1 beyond where the machine can be'):
+    with refused(ValueError):
         simulation.set_command(seen(10.5))
     simulation.set_command(seen(10.3))
-    refused = 0
+    rejected = 0
     for _ in range(100):
         simulation.advance(1)
         try:
             simulation.set_command(seen(0.4, 0.0))
         except ValueError:
-            refused += 1
+            rejected += 1
     # By V from where it seemed to be, 9.9 m: after 0.5 s.
-    assert refused <= 50
+    assert rejected <= 50
     # Errors of the mode exp(-3 t) are left for another half of a second.
     assert abs(simulation.q[0] - 0.4) < 0.3
 

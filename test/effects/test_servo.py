@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servos: their answers to steps, their limits, and the paths that they follow."""
 
-from helpers import EPS, Uncompiled
+from helpers import EPS, long, Uncompiled
 from hnn_vi_ros.effects.commands import JointCommand, JointPath
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.joint_limits import JointLimits
@@ -10,6 +10,7 @@ from hnn_vi_ros.effects.servo import MOST_KNOTS, Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numpy as np
 from numpy.polynomial import Polynomial
 import pytest
@@ -132,39 +133,28 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     assert simulation.dH_dq[1] == 0.0
 
 
-def assert_refused(simulation: Simulation, given: object, message: str) -> None:
+def assert_refused(simulation: Simulation, given: object) -> None:
     simulation.set_command(command('xy', position=0.3))
     before = simulation.motors.aim.targets
-    with pytest.raises(ValueError, match=message):
+    with refused(ValueError):
         simulation.set_command(given)
     assert np.array_equal(simulation.motors.aim.targets, before)
 
 
-@pytest.mark.parametrize('given, message', [
-    (command('xw', position=1.0), "no joint 'w' is driven so; valid joints: x, y"),
-    (command('xx', position=1.0), 'names a joint twice'),
-    (command('x', position=INF), r'position of x is inf, at most 1e\+12'),
-    (command('yx', velocity=[1.0, -1e13]), r'velocity of x is -1e\+13, at most 1e\+12'),
-    (command('x'), 'holds no number'),
-    (command('x', effort=1.0), 'is an external_force of joints: it takes no effort'),
-    ([1.0, 2.0], 'it takes no commands'),
-    (path([1.0], [0.0]), r'joint_names = \[x\] must be x, y'),
-    (path([], [], names='x'), r'joint_names = \[x\] must be x, y'),
-    (path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'), f'at most {MOST_KNOTS - 1}'),
-    (path([1.0, 1.0], [0.0] * 2, names='xy'), 'must rise'),
-    (path([NAN], [0.0], names='xy'), 'must rise'),
-    (path([-1.0, 1.0], [0.0] * 2, names='xy'), 'must rise .* from 0 on'),
-    (path([-1.0, 1.0], [0.0] * 2, names='xy', delay=5.0), 'must rise .* from 0 on'),
-    (path([1.0], [INF], names='xy'), 'positions must be 2 numbers'),
-    (path([1.0], [1.0], [0.0], [NAN], names='xy'), 'accelerations must be 2 numbers'),
-    (path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))), 'no velocities'),
-    (path([1.0], [1.0], [0.5], names='xy'), 'velocities of the last point must be 0'),
-    (path([0.0], [1.0], names='xy'), 'at once: give it a time_from_start'),
-    (path([1.0], [1.0], names='xy', delay=-3.0), 'was to be reached 2 s ago'),
-    (path([1.0], [1.0], names='xy', delay=1.7e9), 'begins in 1.7e'),
-    (path([1.0, 2.0], [1e13, 0.0], names='xy'), r'positions .* at most 1e\+12')])
-def test_command_that_cannot_be_used_is_refused_whole(given, message):
-    assert_refused(servo('x', 'y'), given, message)
+@pytest.mark.parametrize('given', [
+    command('xw', position=1.0), command('xx', position=1.0), command('x', position=INF),
+    command('yx', velocity=[1.0, -1e13]), command('x'), command('x', effort=1.0), [1.0, 2.0],
+    path([1.0], [0.0]), path([], [], names='x'),
+    path(range(MOST_KNOTS), [0.0] * MOST_KNOTS, names='xy'),
+    path([1.0, 1.0], [0.0] * 2, names='xy'), path([NAN], [0.0], names='xy'),
+    path([-1.0, 1.0], [0.0] * 2, names='xy'), path([-1.0, 1.0], [0.0] * 2, names='xy', delay=5.0),
+    path([1.0], [INF], names='xy'), path([1.0], [1.0], [0.0], [NAN], names='xy'),
+    path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))),
+    path([1.0], [1.0], [0.5], names='xy'), path([0.0], [1.0], names='xy'),
+    path([1.0], [1.0], names='xy', delay=-3.0), path([1.0], [1.0], names='xy', delay=1.7e9),
+    path([1.0, 2.0], [1e13, 0.0], names='xy')])
+def test_command_that_cannot_be_used_is_refused_whole(given):
+    assert_refused(servo('x', 'y'), given)
 
 
 @pytest.mark.parametrize('columns', [1, 2, 3])
@@ -172,7 +162,7 @@ def test_points_that_are_one_to_the_clock_are_refused(columns):
     """After three years numbers of time are 15 ns apart."""
     simulation = servo('x')
     simulation.restart([0.0], [0.0], step=round(1e8 / 0.02))
-    with pytest.raises(ValueError, match='times of points are less than 1.49e-08 s apart'):
+    with refused(ValueError):
         simulation.set_command(path([1.0, 1.0 + 1e-9, 2.0], *[[0.0, 1.0, 0.0]] * columns))
     assert not simulation.motors.aim.on_path
 
@@ -189,7 +179,7 @@ def test_names_of_joints_are_told_in_characters_that_print(given):
 
 def test_half_of_a_command_that_cannot_be_used_leaves_the_other_half():
     simulation = servo('x', more=[ExternalForce(['x'])])
-    with pytest.raises(ValueError, match='expected 1 finite'):
+    with refused(ValueError):
         simulation.set_command(command('x', position=1.0, effort=INF))
     assert np.isnan(simulation.motors.aim.targets[0, 0]) and simulation.dH_dq[0] == 0.0
 
@@ -247,10 +237,11 @@ def test_path_begins_where_the_joints_are_to_be_then():
     assert not other.motors.aim.on_path
 
 
-def test_servo_follows_1000_paths_with_the_analytic_tracking_error(measured):
+@pytest.mark.parametrize('count', [5, long(40)])
+def test_servo_follows_paths_with_the_analytic_tracking_error(count: int, measured):
     """Solve m e'' + c e' + k e = m r'' for quintics r from rest to rest: 25 joints, 40 paths."""
     names, rng, h, worst = [f'x{i}' for i in range(25)], np.random.default_rng(7), 0.02, 0.0
-    for _ in range(40):
+    for _ in range(count):
         simulation = servo(*names, h=h, integrator='rk4')
         ends, steps = rng.uniform(-2.0, 2.0, 25), int(rng.integers(25, 60))
         duration = steps * h * rng.uniform(1.0, 1.2)
@@ -266,8 +257,9 @@ def test_servo_follows_1000_paths_with_the_analytic_tracking_error(measured):
         lag = (expm(chain * steps * h) @ [0.0, 0.0, *forcing])[0]
         worst = max(worst, np.abs(simulation.q - ends * (shape(steps * h) - lag)).max())
     # Order 4 at w h = 0.06: (w h)^5 / 120 of paths up to 2, in each of 60 steps.
-    measured('tracking error of a servo against its exact one', '1000 paths, rk4', worst,
-             '<= 1e-6')
+    if count == 40:
+        measured('tracking error of a servo against its exact one', '1000 paths, rk4', worst,
+                 '<= 1e-6')
     assert worst <= 1e-6
 
 
@@ -293,14 +285,12 @@ def test_method_keeps_its_order_and_the_balance_along_a_path(integrator, lengths
 LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
 
 
-@pytest.mark.parametrize('given, message', [
-    (command('yx', position=[0.0, 0.6]), 'position of x is 0.6, beyond its upper limit 0.5: give'),
-    (command('x', position=-1.5), 'position of x is -1.5, beyond its lower limit -1'),
-    (command('xy', position=[NAN, 3.0], velocity=0.0), 'position of y is 3, beyond its upper'),
-    (path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy'), 'position of x is -1.25, beyond')])
-def test_position_beyond_a_limit_is_refused_and_the_last_one_stays(given, message):
-    assert_refused(servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog'), given,
-                   message)
+@pytest.mark.parametrize('given', [
+    command('yx', position=[0.0, 0.6]), command('x', position=-1.5),
+    command('xy', position=[NAN, 3.0], velocity=0.0),
+    path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy')])
+def test_position_beyond_a_limit_is_refused_and_the_last_one_stays(given):
+    assert_refused(servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog'), given)
 
 
 def test_position_on_a_limit_to_the_digits_of_a_file_is_taken():

@@ -19,6 +19,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -346,6 +347,7 @@ def test_several_bodies_under_effects_step_together_as_each_alone():
     assert together.work == pytest.approx(work, abs=1e-12)
 
 
+@pytest.mark.long
 def test_effects_compiled_and_uncompiled_agree():
     # What the scene quadrotor is compiled of, and potentials.
     effects, method = [THRUST, DRAG, WEIGHT, SPRING], INTEGRATORS['lie_leapfrog']
@@ -381,11 +383,9 @@ REFUSED = [
 
 @pytest.mark.parametrize('kind, arguments', REFUSED)
 def test_other_effects_on_bodies_are_refused_by_name(kind: str, arguments: dict):
-    with pytest.raises(EffectError, match=(
-            rf'{kind} acts on scalar .*\(body\).* leave it out; effects that can: gravity, '
-            'spring, damping, quadratic_drag, external_force, learned_friction$')) as refused:
+    with refused(EffectError) as raised:
         System(Uncompiled(FLYING), made(DRAG, (kind, arguments)), INTEGRATORS['lie_leapfrog']())
-    assert refused.value.index == 1
+    assert raised.value.index == 1
 
 
 def test_effects_that_bodies_take_are_these():
@@ -394,25 +394,18 @@ def test_effects_that_bodies_take_are_these():
         *(kind for kind, _ in ALL), 'learned_friction'}
 
 
-@pytest.mark.parametrize('kind, arguments, expected', [
-    ('gravity', {'coordinate': 'body_qx'},
-     r"no coordinate 'body_qx'; valid coordinates: body_x, body_y, body_z$"),
-    ('damping', {'rate': [1.0] * 7}, 'rate has 7 values, expected .* body_x, .*, body_rz$'),
-    ('quadratic_drag', {'coordinates': ['body_qx'], 'coefficient': 1.0},
-     r"no coordinate 'body_qx'; .* body_rz$"),
-    ('external_force', {'coordinates': ['body']}, r"no coordinate 'body'; .* body_fx, body_fy"),
+@pytest.mark.parametrize('kind, arguments', [
+    ('gravity', {'coordinate': 'body_qx'}), ('damping', {'rate': [1.0] * 7}),
+    ('quadratic_drag', {'coordinates': ['body_qx'], 'coefficient': 1.0}),
+    ('external_force', {'coordinates': ['body']}),
     ('external_force', {'coordinates': [
-        f'body_{kind}{axis}' for kind in ('', 'f', 'r') for axis in 'xyz']},
-     'coordinates has 9 entries, expected at most 7'),
-    ('spring', {'point': ['body_x'], 'anchor': [0.0], 'point_in_body': ARM},
-     r"point = \['body_x'\] must be the name of a body \(body\)$"),
-    ('spring', {'point': ['body'], 'anchor': [0.0]}, r'anchor = \[0.0\] must be three'),
-    ('spring', {'point': ['body']}, 'give either other .* or anchor'),
-    ('spring', {'point': ['body'], 'other': ['body']}, 'different bodies'),
-    ('spring', {'point': ['body'], 'other': ['body_x']}, r'other = .* or of three coordinates'),
-    ('spring', {'point': ['body'], 'anchor': ARM, 'other_in_body': ARM}, 'without other'),
-    ('spring', {'point': ['body'], 'anchor': ARM, 'point_in_body': [1.0]},
-     r'point_in_body = \[1.0\] must be three finite numbers')])
-def test_effect_that_does_not_fit_a_body_is_refused(kind, arguments, expected):
-    with pytest.raises(EffectError, match=expected):
+        f'body_{kind}{axis}' for kind in ('', 'f', 'r') for axis in 'xyz']}),
+    ('spring', {'point': ['body_x'], 'anchor': [0.0], 'point_in_body': ARM}),
+    ('spring', {'point': ['body'], 'anchor': [0.0]}), ('spring', {'point': ['body']}),
+    ('spring', {'point': ['body'], 'other': ['body']}),
+    ('spring', {'point': ['body'], 'other': ['body_x']}),
+    ('spring', {'point': ['body'], 'anchor': ARM, 'other_in_body': ARM}),
+    ('spring', {'point': ['body'], 'anchor': ARM, 'point_in_body': [1.0]})])
+def test_effect_that_does_not_fit_a_body_is_refused(kind, arguments):
+    with refused(EffectError):
         System(Uncompiled(FLYING), made((kind, arguments)), INTEGRATORS['lie_leapfrog']())

@@ -15,6 +15,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
+from messages import refused
 import numpy as np
 from pydantic import ValidationError
 import pytest
@@ -100,21 +101,17 @@ def test_invariants_of_the_user_are_functions_of_modules_beside_the_scene(tmp_pa
     assert invariants['A'](q, p) == -0.5 == 0.5 * invariants['angular_momentum'](q, p)
 
 
-@pytest.mark.parametrize('item, text', [
-    ('name: momentum', "no invariant 'momentum' of this system is known; known: angular_momentum"),
-    ('name: A, function: "own_invariants:missing"', "has no attribute 'missing'"),
-    ('name: A, function: "no_such_module:f"', 'No module named'),
-    ('name: A, function: "own_invariants:nonsense"', 'RuntimeError: no such thing'),
-    ('name: A, function: "own_invariants:infinite"', 'is inf at the initial state'),
-    ('name: A, function: "own_invariants:zero"', 'is nan at the initial state')])
-def test_invariant_that_cannot_be_used_is_refused_with_its_place(tmp_path, item, text):
-    with pytest.raises(SceneError, match=r'scene.yaml:5: invariants.*') as problem:
+@pytest.mark.parametrize('function', [
+    '', 'own_invariants:missing', 'no_such_module:f', 'own_invariants:nonsense',
+    'own_invariants:infinite', 'own_invariants:zero'])
+def test_invariant_that_cannot_be_used_is_refused_with_its_place(tmp_path, function):
+    item = f'name: A, function: "{function}"' if function else 'name: momentum'
+    with refused(SceneError):
         scene(tmp_path, listed(item)).create_hamiltonian()
-    assert text in str(problem.value) and '\n' not in str(problem.value)
 
 
 def test_invariant_that_stands_twice_is_refused(tmp_path):
-    with pytest.raises(SceneError, match='angular_momentum stands twice'):
+    with refused(SceneError):
         scene(tmp_path, listed(*['name: angular_momentum'] * 2)).create_hamiltonian()
 
 

@@ -4,6 +4,7 @@
 
 import warnings
 
+from helpers import long
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.guards.watch import energies_of, suspects, Watch
 from hnn_vi_ros.simulation.build import build
@@ -39,8 +40,8 @@ def shown(name: str, integrator: str, step_size: float, steps: int, every: int
 @pytest.mark.parametrize('integrator, step_size', [
     ('variational_euler', 0.01), ('variational_euler', 0.3), ('rk4', 0.3), ('rk4', 0.6),
     ('explicit_euler', 0.01)])
-@pytest.mark.parametrize('name', ['pendulum', 'exact_pendulum', 'henon_heiles'])
-@pytest.mark.parametrize('steps, every', [(100, 100), (60, 1), (2000, 1)])
+@pytest.mark.parametrize('name', [long('pendulum'), 'exact_pendulum', long('henon_heiles')])
+@pytest.mark.parametrize('steps, every', [(100, 100), (60, 1), long(2000, 1)])
 def test_who_is_not_suspect_raises_no_alarm(name, integrator, step_size, steps, every):
     suspect, alarmed = shown(name, integrator, step_size, steps, every)
     assert not (alarmed & ~suspect).any()
