@@ -9,6 +9,7 @@ import shutil
 import subprocess
 
 from hnn_vi_ros.errors import ParameterError
+from messages import refused
 import pytest
 from studies import explore_page
 from studies.results import read_rows
@@ -40,16 +41,17 @@ def test_lines_of_one_group_have_marks_of_their_own():
 
 
 def test_missing_rows_are_one_line(tmp_path):
-    with pytest.raises(ParameterError, match='not there or damaged.*make accuracy'):
+    with refused(ParameterError):
         explore_page.page_data(tmp_path)
 
 
 def test_missing_plotly_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(explore_page, 'find_spec', lambda name: None)
-    with pytest.raises(ParameterError, match='pip install plotly'):
+    with refused(ParameterError):
         explore_page._plotly()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(BROWSER is None, reason=f'needs a browser: one of {", ".join(BROWSERS)}')
 @pytest.mark.skipif(find_spec('plotly') is None, reason='plotly is not installed; see `make test`')
 @pytest.mark.timeout(180)

@@ -136,6 +136,7 @@ def test_real_pendulum_is_split_as_published_and_swings_on_over_gaps(tmp_path):
     assert test.energy_error(exact, 'rk4') < lag**2
 
 
+@pytest.mark.long
 def test_quick_run_writes_the_page_and_says_what_is_missing(tmp_path, capsys):
     assert published_tables.main(['--quick', '--out', str(tmp_path), '--data', 'nowhere']) == 0
     said = capsys.readouterr().out

@@ -10,6 +10,7 @@ from hnn_vi_ros.integrators.base import Integrator, OK, Requirements
 from hnn_vi_ros.integrators.composition import Composition, Yoshida4
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
+from messages import refused
 import numpy as np
 import pytest
 from studies.structure import (
@@ -143,7 +144,7 @@ def test_rk4_with_its_last_stage_at_half_a_step_is_found_by_its_order():
 
 
 def test_take_step_raises_where_a_step_is_not_finite():
-    with pytest.raises(StepFailure, match='not finite'):
+    with refused(StepFailure):
         take_step(HAMILTONIANS['kepler']().kernel, INTEGRATORS['explicit_euler'](), 1.0,
                   np.zeros(2), np.zeros(2))
 
@@ -171,7 +172,7 @@ def test_stationary_energy_says_that_there_is_none():
         def gradient(self, q, p):
             return np.ones_like(q), p
 
-    with pytest.raises(ValueError, match='no stationary state'):
+    with refused(ValueError):
         stationary_energy(Falling(HAMILTONIANS['free_particle']()), [0.0], [0.0])
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import subprocess
 import sys
 
+from messages import assert_message
 import pytest
 from studies.__main__ import main, studies
 
 DOCS = Path(__file__).parents[2] / 'docs'
-NAMES = list(studies())
 HIDE = """
 import sys
 class Hide:
@@ -42,11 +42,11 @@ def test_studies_are_listed_with_what_they_do(capsys):
     assert all(len(line.split()) > 4 for line in lines)
 
 
-@pytest.mark.parametrize('name', NAMES)
-def test_help_of_a_study_tells_every_option_and_how_it_is_run(name):
-    parser = import_module(f'studies.{name}').parser()
-    assert f'make study NAME={name}' in parser.format_help()
-    assert all(action.help for action in parser._actions)
+def test_help_of_a_study_tells_every_option_and_how_it_is_run():
+    for name in studies():
+        parser = import_module(f'studies.{name}').parser()
+        assert f'make study NAME={name}' in parser.format_help()
+        assert all(action.help for action in parser._actions), name
 
 
 def test_unknown_study_is_one_line_with_the_nearest():
@@ -54,14 +54,11 @@ def test_unknown_study_is_one_line_with_the_nearest():
     assert isinstance(text, str) and 'did you mean paper_figures?' in text and '\n' not in text
 
 
-@pytest.mark.parametrize('arguments, said', [
-    (['paper-figures', '--out', '/dev/null/x'], '/dev/null/x: cannot be written'),
-    (['work_precision', '--scene', 'nothing'], "no scene 'nothing'"),
-    (['published_tables', '--quick', '--out', '/dev/null/x'], '/dev/null/x: cannot be written')])
-def test_error_of_the_user_is_one_line_and_no_traceback(arguments, said):
-    result = run(*arguments)
-    assert result.returncode == 1 and said in result.stderr
-    assert result.stderr.count('\n') == 1
+@pytest.mark.parametrize('arguments', [
+    'paper-figures --out /dev/null/x', 'work_precision --scene nothing',
+    'published_tables --quick --out /dev/null/x'])
+def test_error_of_the_user_is_one_line(arguments):
+    assert_message(main(arguments.split()))
 
 
 def test_missing_peer_is_one_line_before_anything_is_measured(tmp_path):

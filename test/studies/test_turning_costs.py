@@ -8,6 +8,7 @@ from pathlib import Path
 import shutil
 
 from hnn_vi_ros.errors import ParameterError
+from messages import refused
 import numpy as np
 import pytest
 from studies import turning_costs
@@ -30,6 +31,7 @@ def docs(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not PEERS, reason='needs diffrax and mujoco')
 @pytest.mark.timeout(300)
 def test_study_of_a_second_writes_the_page_and_rows_that_agree(docs: Path):
@@ -73,7 +75,7 @@ def test_what_a_top_keeps_is_that_of_its_attitude_whatever_the_norm():
 
 def test_page_without_its_marks_is_one_line(docs: Path):
     (docs / 'turning-bodies.md').write_text('# Bodies\n')
-    with pytest.raises(ParameterError, match='between which the table goes; put them back'):
+    with refused(ParameterError):
         turning_costs.write(docs, {}, [])
 
 

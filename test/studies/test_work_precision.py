@@ -15,6 +15,7 @@ from hnn_vi_ros.hamiltonians.pendulum import Pendulum
 from hnn_vi_ros.models.energy_error import EnergyError
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
+from messages import refused
 import numpy as np
 from PIL import Image
 import pytest
@@ -75,6 +76,7 @@ def test_pendulum_errors_agree_with_an_independent_computation(tmp_path):
     assert row.gradients_per_simulated_second == 80.0
 
 
+@pytest.mark.long
 def test_kepler_errors_agree_with_an_independent_computation(tmp_path):
     (row,) = study(tmp_path, 'kepler', '--methods', 'rk4', '--steps', '0.05', '--horizons', '10')
     scene = load_scene('kepler').initial_state
@@ -92,6 +94,7 @@ def test_kepler_errors_agree_with_an_independent_computation(tmp_path):
     assert row.path_error == pytest.approx(np.abs(path - exact).max(), rel=1e-5)
 
 
+@pytest.mark.long
 def test_chaotic_horizon_has_energies_only(tmp_path):
     rows = study(tmp_path, 'exact_double_pendulum', '--methods', 'gauss8', '--steps', '0.1',
                  '--horizons', '10', '500')
@@ -134,7 +137,7 @@ def test_interrupted_study_keeps_its_rows_and_measures_none_twice(tmp_path, monk
         return measure_row(run, *arguments)
 
     monkeypatch.setattr(work_precision, 'measure_row', stop_at_the_third)
-    with pytest.raises(KeyboardInterrupt, match='2 rows are kept'):
+    with refused(KeyboardInterrupt):
         work_precision.main(options)
     first = read_rows(tmp_path / 'work_precision.csv')
     # A crash in the middle of a line costs that line.
@@ -167,51 +170,43 @@ def test_run_that_would_take_too_long_is_left_until_the_limit_allows_it(tmp_path
     assert [row.status for row in study(tmp_path, *options)] == ['ok', 'ok']
 
 
-@pytest.mark.parametrize('options, message', [
-    (['--scene', 'nothing'], 'no scene'),
-    (['--scene', 'kepler', '--methods', 'euler'], "unknown method 'euler'; valid: variational_"),
-    (['--scene', 'kepler', '--methods', 'gauss8@tight'], 'after @ comes float32, a tolerance'),
-    (['--scene', 'kepler', '--methods', 'gauss8@0'], 'after @ comes float32, a tolerance'),
-    (['--scene', 'kepler', '--methods', 'rk4@1e-4'], 'take an implicit method'),
-    (['--scene', 'kepler', '--methods', 'gauss8@float32'], 'networks of ours'),
-    (['--scene', 'pendulum', '--methods', 'stormer_verlet'], 'does not separate; methods'),
-    (['--scene', 'kepler', '--methods', 'discrete_euler_lagrange'], 'leave it out'),
-    (['--scene', 'kepler', '--horizons', '10', '--steps', '0.3'], 'not a whole number of steps'),
-    (['--scene', 'kepler', '--horizons', '0.03'], 'not a whole number of steps of 0.2 s'),
-    (['--scene', 'kepler', '--horizons', '-1'], '--horizons: must be positive'),
-    (['--scene', 'kepler', '--steps', 'nan'], '--steps: must be positive'),
-    (['--scene', 'damped_driven_pendulum'], 'give a scene without effects'),
-    (['--scene', 'kepler', '--out', '/dev/null/x'], 'give a folder that can be written'),
-])
-def test_bad_input_is_one_line_before_any_time_is_spent(options, message, monkeypatch, tmp_path):
+@pytest.mark.parametrize('options', [
+    '--scene nothing', '--scene kepler --methods euler', '--scene kepler --methods gauss8@tight',
+    '--scene kepler --methods gauss8@0', '--scene kepler --methods rk4@1e-4',
+    '--scene kepler --methods gauss8@float32', '--scene pendulum --methods stormer_verlet',
+    '--scene kepler --methods discrete_euler_lagrange',
+    '--scene kepler --horizons 10 --steps 0.3', '--scene kepler --horizons 0.03',
+    '--scene kepler --horizons -1', '--scene kepler --steps nan', '--scene damped_driven_pendulum',
+    '--scene kepler --out /dev/null/x'])
+def test_bad_input_is_one_line_before_any_time_is_spent(options, monkeypatch, tmp_path):
     monkeypatch.setattr(work_precision, 'measure', lambda study: pytest.fail('it was measured'))
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(HnnViRosError, match=re.escape(message)) as problem:
-        work_precision.main(options)
-    assert '\n' not in str(problem.value)
+    with refused(HnnViRosError):
+        work_precision.main(options.split())
 
 
 def test_results_of_something_else_are_refused(tmp_path):
     options = ['--methods', 'rk4', '--steps', '0.1', '--horizons', '1']
     study(tmp_path, 'exact_pendulum', *options)
-    with pytest.raises(HnnViRosError, match='results of another scene; give another --out'):
+    with refused(HnnViRosError):
         study(tmp_path, 'kepler', *options)
-    with pytest.raises(HnnViRosError, match='results of another number of --runs'):
+    with refused(HnnViRosError):
         study(tmp_path, 'exact_pendulum', *options, '--runs', '4')
     (tmp_path / 'work_precision.json').write_text('{')
-    with pytest.raises(HnnViRosError, match='damaged'):
+    with refused(HnnViRosError):
         study(tmp_path, 'exact_pendulum', *options)
     (tmp_path / 'work_precision.json').unlink()
-    with pytest.raises(HnnViRosError, match='remove it or give another --out'):
+    with refused(HnnViRosError):
         study(tmp_path, 'exact_pendulum', *options)
 
 
-@pytest.mark.parametrize('horizon, step_size, steps', [
-    (10.0, 0.2, 50), (1e5, 0.2 / 256, 128_000_000), (10.0, 0.3, None), (0.1, 0.2, None)])
-def test_steps_divide_a_horizon_or_not(horizon, step_size, steps):
-    assert whole_steps(horizon, step_size) == steps
+def test_steps_divide_a_horizon_or_not():
+    for horizon, step_size, steps in [(10.0, 0.2, 50), (1e5, 0.2 / 256, 128_000_000),
+                                      (10.0, 0.3, None), (0.1, 0.2, None)]:
+        assert whole_steps(horizon, step_size) == steps
 
 
+@pytest.mark.long
 def test_learned_pendulum_carries_the_error_of_the_model(tmp_path):
     hamiltonian = load_scene('pendulum').create_hamiltonian()
     truth = true_hamiltonian(hamiltonian)
@@ -234,6 +229,7 @@ def test_learned_pendulum_carries_the_error_of_the_model(tmp_path):
     assert 'Longest steps that reach it: gauss8 0.1 s' in text
 
 
+@pytest.mark.long
 def test_steps_that_are_not_solved_drift_and_solved_ones_do_not(tmp_path):
     rows = study(tmp_path, 'pendulum', '--methods', 'gauss8', 'gauss8@1e-4', '--steps', '0.1',
                  '--horizons', '10', '200')
@@ -244,6 +240,7 @@ def test_steps_that_are_not_solved_drift_and_solved_ones_do_not(tmp_path):
     assert '| gauss8@1e-4 |' in (tmp_path / 'work_precision.md').read_text().partition('drift')[2]
 
 
+@pytest.mark.long
 def test_fixed_number_of_iterations_is_less_than_a_solution(tmp_path):
     one, two, solved = study(
         tmp_path, 'exact_pendulum', '--methods', 'implicit_midpoint@1', 'implicit_midpoint@2',
@@ -253,6 +250,7 @@ def test_fixed_number_of_iterations_is_less_than_a_solution(tmp_path):
     assert one.energy_band > two.energy_band
 
 
+@pytest.mark.long
 def test_single_precision_gradients_cost_the_digits_that_they_lack(tmp_path):
     double, single = study(tmp_path, 'pendulum', '--methods', 'rk4', 'rk4@float32', '--steps',
                            '0.005', '--horizons', '10')
@@ -279,10 +277,11 @@ def test_scipy_peer_is_measured_with_our_gradient():
 def test_peers_refuse_a_network_that_is_not_of_tanh():
     checkpoint = random_checkpoint([2, 8, 1], seed=1)
     card = checkpoint.card.model_copy(update={'activation': 'sine'})
-    with pytest.raises(ParameterError, match='has sine between its layers; leave --peers'):
+    with refused(ParameterError):
         create_peers(NeuralHamiltonian(dataclasses.replace(checkpoint, card=card)))
 
 
+@pytest.mark.long
 def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):
     monkeypatch.setattr('studies.peers.create_peers', scipy_peers)
     rows = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '--horizons',
@@ -292,6 +291,7 @@ def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):
         tmp_path / 'work_precision.md').read_text()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('scene, more', [
     ('pendulum', {'torchdiffeq dopri5', 'torchdiffeq dopri8', 'torchdiffeq rk4'}),
     ('kepler', {'diffrax SemiImplicitEuler'})])
@@ -314,15 +314,16 @@ def test_peers_solve_the_same_motion(scene, more):
         assert row.status == 'ok' and row.gradients_per_simulated_second > 0.0
 
 
-@pytest.mark.parametrize('name', sorted(
-    name for name in HAMILTONIANS if not HAMILTONIANS[name]().rotations))
-def test_formula_in_jax_is_the_compiled_one(name):
+def test_formula_in_jax_is_the_compiled_one():
     jax = pytest.importorskip('jax', reason='jax is not installed; see `make bench`')
-    hamiltonian = HAMILTONIANS[name]()
-    z = np.random.default_rng(1).uniform(0.1, 1.0, 2 * hamiltonian.dimension)
-    gradient = np.asarray(jax.grad(jax_energy(hamiltonian))(z))
-    exact = np.concatenate(hamiltonian.gradient(*np.split(z, 2)))
-    assert np.abs(gradient - exact).max() <= 1e-12 * max(1.0, np.abs(exact).max())
+    for name in HAMILTONIANS:
+        hamiltonian = HAMILTONIANS[name]()
+        if hamiltonian.rotations:
+            continue
+        z = np.random.default_rng(1).uniform(0.1, 1.0, 2 * hamiltonian.dimension)
+        gradient = np.asarray(jax.grad(jax_energy(hamiltonian))(z))
+        exact = np.concatenate(hamiltonian.gradient(*np.split(z, 2)))
+        assert np.abs(gradient - exact).max() <= 1e-12 * max(1.0, np.abs(exact).max()), name
 
 
 BOX_ERROR = EnergyError(against='true energy', rms=2e-4, rms_interval=[1e-4, 3e-4], sup=8e-4,
@@ -422,5 +423,5 @@ def test_page_shows_no_horizon_that_most_rows_were_not_run_to():
 
 
 def test_pages_of_what_is_not_measured_are_refused(tmp_path):
-    with pytest.raises(HnnViRosError, match='measure with: make accuracy'):
+    with refused(HnnViRosError):
         accuracy_page.write_pages(tmp_path)
