@@ -27,7 +27,8 @@ _FORKS.set_forkserver_preload(['preloaded'])
 def _start_server() -> None:
     """Start the process that others are forked from, unless it runs; it finds this folder."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('PYTHONPATH', str(Path(__file__).parent), prepend=os.pathsep)
+        patch.setenv('PYTHONPATH', os.pathsep.join(filter(None, (
+            str(Path(__file__).parent), os.environ.get('PYTHONPATH')))))
         forkserver.ensure_running()
 
 
