@@ -37,8 +37,7 @@ def values(message: DiagnosticArray) -> dict[str, str]:
 
 def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypatch):
     (tmp_path / 'events.yaml').write_text(SCENE)
-    process = start(tmp_path, scene='events.yaml', record_path='bag', rerun_sink='none',
-                    real_time_factor='0.5')
+    process = start(tmp_path, scene='events.yaml', record_path='bag', real_time_factor='0.5')
     heard = []
     with peer() as other:
         other.node.create_subscription(

@@ -7,48 +7,41 @@ from pathlib import Path
 import resource
 import shutil
 import signal
-import subprocess
 
 from diagnostic_msgs.msg import DiagnosticArray
+from executables import Executable
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from peer import Peer, peer
+from peer import Peer, peer, simulating
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
-# Of the topics of every run: those that are heard here, and the rest.
+# Topics of every run: those that are heard here, and the rest.
 QUEUE = QoSProfile(depth=1000)
 TOPICS = {'/hnn_simulator/scene': (String, LATCHED), '/hnn_simulator/state': (JointState, QUEUE),
           '/hnn_simulator/q': (Float64MultiArray, QUEUE), '/joint_states': (JointState, QUEUE)}
 REST = ('/hnn_simulator/p', '/hnn_simulator/energy')
 
 
-def limit_files(process: subprocess.Popen, size: int) -> None:
+def limit_files(process: Executable, size: int) -> None:
     """Let no file of a process grow beyond a size, as on a disk that is full."""
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, size))
 
 
-def fill_disk(process: subprocess.Popen, bag: Path) -> None:
+def fill_disk(process: Executable, bag: Path) -> None:
     limit_files(process, (bag / 'bag_0.mcap').stat().st_size)
 
 
-def remove_folder(process: subprocess.Popen, bag: Path) -> None:
+def remove_folder(process: Executable, bag: Path) -> None:
     shutil.rmtree(bag)
 
 
 def test_two_equal_runs_leave_equal_messages_which_are_those_that_were_published(tmp_path: Path):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
     found = []
     for name in ('first', 'second'):
         with peer() as other:
@@ -58,7 +51,7 @@ def test_two_equal_runs_leave_equal_messages_which_are_those_that_were_published
                     kind, topic, lambda data, to=heard[topic]: to.append(bytes(data)), qos,
                     raw=True)
             process = start(tmp_path, duration=1, discovery_time=20, record_path=name,
-                            rerun_sink='none', real_time_factor=2)
+                            real_time_factor=2)
             other.spin_until(lambda: process.poll() is not None and min(map(len, heard.values())))
             assert finish(process)[0] == 0
         reader = BagReader(tmp_path / name)
@@ -75,8 +68,7 @@ def test_two_equal_runs_leave_equal_messages_which_are_those_that_were_published
 @pytest.mark.parametrize('reset', [False, True])
 def test_simulator_killed_before_its_first_step_leaves_a_bag_with_its_scene(
         tmp_path: Path, reset: bool):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    process = start(tmp_path, start_paused='true', record_path='bag', rerun_sink='none')
+    process = start(tmp_path, start_paused='true', record_path='bag')
     bag = tmp_path / ('bag-2' if reset else 'bag')
     with peer() as other:
         other.wait_for_state('active')
@@ -92,8 +84,7 @@ def test_simulator_killed_before_its_first_step_leaves_a_bag_with_its_scene(
 
 def test_bag_of_a_run_that_starts_by_itself_is_begun_when_its_first_step_is_due(tmp_path: Path):
     """Not before the wait for subscribers: the bag's age is then that of its first sample."""
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    process = start(tmp_path, discovery_time=60, record_path='bag', rerun_sink='none')
+    process = start(tmp_path, discovery_time=60, record_path='bag')
     wait_until(lambda: 'configuring: waiting for subscribers' in standard_error(process))
     assert not (tmp_path / 'bag').exists()
     with peer() as other:
@@ -113,19 +104,18 @@ def listen(other: Peer, told: list[str]) -> None:
 @pytest.mark.parametrize('spoil, reason', [
     (fill_disk, 'File too large'), (remove_folder, 'No such file or directory')])
 def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_on(
-        tmp_path: Path, spoil: Callable[[subprocess.Popen, Path], None], reason: str):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    process = start(tmp_path, record_path='bag', rerun_sink='none')
+        tmp_path: Path, spoil: Callable[[Executable, Path], None], reason: str):
+    process = start(tmp_path, record_path='bag')
     told: list[str] = []
     with peer() as other:
         listen(other, told)
-        other.spin_until(lambda: len(other.states) > 150)
+        other.spin_until(lambda: len(other.states) > 50)
         assert told == []
         spoil(process, tmp_path / 'bag')
         other.spin_until(lambda: told)
         assert reason in told[0]
         count = len(other.states)
-        other.spin_until(lambda: len(other.states) > count + 100)
+        other.spin_until(lambda: len(other.states) > count + 50)
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
     # The process ends with the status of an incomplete recording, and says why once.
@@ -137,8 +127,7 @@ def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_o
 
 
 def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_path: Path):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    process = start(tmp_path, record_path='bag', rerun_path='picture.rrd', rerun_sink='file')
+    process = start(tmp_path, record_path='bag', rerun_path='picture.rrd')
     with peer() as other:
         other.spin_until(lambda: len(other.states) > 50)
         assert other.pause().success
@@ -156,8 +145,7 @@ def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_p
 
 
 def test_picture_that_cannot_be_written_is_told_while_the_simulation_goes_on(tmp_path: Path):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    process = start(tmp_path, record='false', rerun_path='picture.rrd', rerun_sink='file')
+    process = start(tmp_path, rerun_path='picture.rrd')
     told: list[str] = []
     with peer() as other:
         listen(other, told)
@@ -172,15 +160,11 @@ def test_picture_that_cannot_be_written_is_told_while_the_simulation_goes_on(tmp
 
 def test_recording_into_a_folder_that_cannot_be_made_is_refused_and_the_simulation_goes_on(
         tmp_path: Path):
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
     (tmp_path / 'file').write_text('')
-    process = start(tmp_path, record='false', record_path='file/bag', rerun_sink='none')
-    with peer() as other:
+    with simulating(tmp_path, record='false', record_path='file/bag') as (other, _):
         other.spin_until(lambda: other.states)
         answer = other.trigger('start_recording')
         assert not answer.success and str(tmp_path / 'file') in answer.message, answer.message
         assert '\n' not in answer.message
         count = len(other.states)
         other.spin_until(lambda: len(other.states) > count + 50)
-        process.send_signal(signal.SIGINT)
-        assert finish(process)[0] == 0

@@ -63,8 +63,7 @@ def folder(tmp_path: Path) -> Path:
 
 def wait_for_failure(folder: Path, **parameters: object):
     """Start a node; return it when its run waits."""
-    process = start(folder, scene='held.yaml', rerun_sink='none', real_time_factor=0,
-                    **parameters)
+    process = start(folder, scene='held.yaml', real_time_factor=0, **parameters)
     wait_until(lambda: process.poll() is not None or 'waits at t = 1 s' in standard_error(
         process))
     assert process.poll() is None

@@ -79,7 +79,7 @@ class Client:
 
 
 def test_every_interface_is_served_with_the_real_messages_and_steps_are_exact(folder):
-    process = start(folder, record='false', rerun_sink='none', start_paused='true')
+    process = start(folder, start_paused='true')
     with peer() as other:
         other.wait_for_state('active')
         client = Client(other)
@@ -103,7 +103,7 @@ def test_every_interface_is_served_with_the_real_messages_and_steps_are_exact(fo
 
 
 def test_action_tells_how_far_it_is_and_can_be_cancelled(folder):
-    process = start(folder, record='false', rerun_sink='none', start_paused='true')
+    process = start(folder, start_paused='true')
     with peer() as other:
         other.wait_for_state('active')
         client = Client(other)
@@ -131,7 +131,7 @@ def test_action_tells_how_far_it_is_and_can_be_cancelled(folder):
 
 @pytest.mark.skipif(not hasattr(srv, 'LoadWorld'), reason='this version knows no worlds')
 def test_world_is_listed_loaded_and_played(folder):
-    process = start(folder, record='false', rerun_sink='none')
+    process = start(folder)
     with peer() as other:
         other.wait_for_state('active')
         client = Client(other)
