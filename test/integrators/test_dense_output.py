@@ -4,7 +4,7 @@
 
 from functools import cache
 
-from helpers import EPS, kepler_orbit, Method, METHODS, Uncompiled
+from helpers import EPS, kepler_orbit, KINDS, long, Method, METHODS, mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -14,6 +14,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
 from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from messages import refused
 import numpy as np
 import pytest
 
@@ -51,8 +52,8 @@ def worst(method: str, h: float) -> float:
 # Of the polynomial: of cubic Hermite 3, of quintic 5, of s stages s, of a method p: the local
 # error of each is of one order more, and that of the step's end as well.
 @pytest.mark.parametrize('method, order, largest', [
-    ('stormer_verlet', 2, 0.1), ('rk4', 4, 0.1), ('gauss6', 5, 0.05), ('gauss10', 5, 0.05),
-    ('gauss14', 7, 0.1), ('gauss16', 8, 0.1)])
+    ('stormer_verlet', 2, 0.1), ('rk4', 4, 0.1), long('gauss6', 5, 0.05), ('gauss10', 5, 0.05),
+    long('gauss14', 7, 0.1), long('gauss16', 8, 0.1)])
 def test_polynomial_converges_with_its_order_or_that_of_the_method(method, order, largest):
     h = largest * np.array([1.0, 0.7, 0.5])
     errors = [worst(method, step) for step in h]
@@ -63,7 +64,7 @@ def test_polynomial_converges_with_its_order_or_that_of_the_method(method, order
     assert slope >= order + 1 - 0.35
 
 
-@pytest.mark.parametrize('method', ['gauss10', 'gauss14'])
+@pytest.mark.parametrize('method', ['gauss10', long('gauss14')])
 def test_collocation_polynomial_meets_the_conditions_at_its_nodes(method):
     """Its slope there is that of Hamilton's equations, and its end that of the step."""
     simulation = pendulum(method, 0.2)
@@ -101,14 +102,14 @@ def orbit_errors(method: Integrator, e: float, h: float, start: float, times: np
                  ) -> np.ndarray:
     """Return the errors of a Kepler orbit, in units of the state at its pericentre, (k,)."""
     q0, p0 = kepler_orbit(np.array([start]), e)
-    simulation = Simulation(HAMILTONIANS['kepler'](1.0), method, h, q0[0], p0[0])
+    simulation = Simulation(Uncompiled(HAMILTONIANS['kepler'](1.0)), method, h, q0[0], p0[0])
     (q, p), (exact_q, exact_p) = record_at(simulation, times), kepler_orbit(start + times, e)
     return np.maximum(np.abs(q - exact_q).max(axis=1) / (1.0 - e),
                       np.abs(p - exact_p).max(axis=1) * np.sqrt(1.0 - e))
 
 
-@pytest.mark.parametrize('e', [0.6, 0.99])
-@pytest.mark.parametrize('method', METHODS, ids=lambda method: method.name)
+@pytest.mark.parametrize('e', [long(0.6), 0.99])
+@pytest.mark.parametrize('method', mostly_long(METHODS, *KINDS, 'gauss8', 'taylor'))
 def test_states_between_steps_of_an_encounter_are_as_accurate_as_those_at_their_ends(
         method: Method, e: float):
     """Kepler's equation around the pericentre, off the grid and on it."""
@@ -127,12 +128,13 @@ def test_states_between_steps_of_an_encounter_are_as_accurate_as_those_at_their_
     assert errors[~on].max() < 2.0 * errors[on].max() + 16.0 * EPS / (1.0 - e)
 
 
-@pytest.mark.parametrize('e', [0.6, 0.99])
+@pytest.mark.parametrize('e', [long(0.6), 0.99])
 @pytest.mark.parametrize('control, base', [
-    (control, base) for control, bases in CONTROLS.items() for base in bases])
+    ((control, base) if (control, base) == ('hamiltonian', 'gauss4') or base == 'stormer_verlet'
+     else long(control, base)) for control, bases in CONTROLS.items() for base in bases])
 def test_states_within_steps_of_the_clock_converge_with_the_order_of_the_base(control, base, e):
     """A whole pericentre passage lies within a step of the clock."""
-    times = np.linspace(0.0, 4.0 * np.pi, 301)
+    times = np.linspace(0.0, 4.0 * np.pi, 41)
     # Half of the samples near the pericentres, at even steps of the eccentric anomaly.
     times = np.sort(np.concatenate([times, times - e * np.sin(times - np.pi)]))
     coarse, fine = (orbit_errors(TimeTransformed(base, control=control), e, h, -np.pi, times).max()
@@ -186,5 +188,5 @@ def test_duration_and_times_that_are_no_multiple_of_the_step_are_met():
 
 @pytest.mark.parametrize('times', [[], [[0.1]], [0.2, 0.1], [-0.1], [1.1], [np.nan]])
 def test_times_that_cannot_be_sampled_are_refused(times):
-    with pytest.raises(ValueError, match='times'):
+    with refused(ValueError):
         simulate('exact_pendulum', 1.0, times=times)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gauss collocation on a group, and all methods on a group on a learned H."""
 
-from helpers import python_kernel
+from helpers import mostly_long, python_kernel
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
@@ -89,6 +89,7 @@ def learned_reference() -> np.ndarray:
     return learned_end(INTEGRATORS['lie_gauss12'](), 0.125, 8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('name', [*LEARNED, *COMPOSED])
 def test_method_on_a_group_converges_with_its_order_on_a_learned_h(
         name: str, learned_reference: np.ndarray, measured):
@@ -113,7 +114,7 @@ def test_lie_leapfrog_is_symmetric_on_a_learned_h(measured):
         assert found <= 1e-14
 
 
-@pytest.mark.parametrize('name', [*CANONICAL, 'lie_gauss4'])
+@pytest.mark.parametrize('name', mostly_long([*CANONICAL, 'lie_gauss4'], 'lie_leapfrog'))
 def test_method_on_a_group_is_symplectic_on_a_learned_h(name: str, measured):
     method, spacing = LEARNED[name](), 1e-5
     q, p = (part[0] for part in random_states(3, 1))

@@ -7,7 +7,7 @@ from functools import cache, cached_property
 from typing import Any
 import warnings
 
-from helpers import exact, python_kernel, python_step, Uncompiled
+from helpers import exact, long, mostly_long, python_kernel, python_step, Uncompiled
 from hnn_vi_ros import load_scene, simulate, simulate_many
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
@@ -27,6 +27,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import check_state, Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from messages import refused
 from mpmath import mpf
 import numpy as np
 import pytest
@@ -73,14 +74,14 @@ def reference() -> np.ndarray:
                      ).y[:, -1]
 
 
-@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'cayley'))
 @pytest.mark.parametrize('name', METHODS)
 def test_method_on_a_group_converges_with_its_order(name: str, retraction: str, measured):
     method = METHODS[name](retraction)
     check_order(name, method, [40, 80, 160], measured)
 
 
-@pytest.mark.parametrize('kind', [Yoshida4, Suzuki4])
+@pytest.mark.parametrize('kind', [Yoshida4, long(Suzuki4)])
 def test_composition_of_the_leapfrog_converges_with_order_4(kind: type, measured):
     check_order(kind.__name__, kind('lie_leapfrog'), [20, 40, 80], measured)
 
@@ -142,19 +143,23 @@ def defect(derivative: np.ndarray, z: np.ndarray, end: np.ndarray) -> float:
     return float(abs(derivative.T.dot(two_form(end[4:])).dot(derivative) - two_form(z[4:])).max())
 
 
-@pytest.mark.parametrize('name, method', [
-    *((f'{name}, {retraction}', kind(retraction)) for name, kind in CANONICAL.items()
-      for retraction in RETRACTIONS),
-    ('lie_gauss4', INTEGRATORS['lie_gauss4']()), ('yoshida4', Yoshida4('lie_leapfrog'))])
-def test_method_on_a_group_is_symplectic_in_left_trivialised_form(name: str, method: Integrator,
-                                                                  measured):
-    h, z = mpf('0.1'), start()
+SYMPLECTIC = {
+    **{f'{name}, {retraction}': kind(retraction) for name, kind in CANONICAL.items()
+       for retraction in RETRACTIONS},
+    'lie_gauss4': INTEGRATORS['lie_gauss4'](), 'yoshida4': Yoshida4('lie_leapfrog')}
+
+
+@pytest.mark.parametrize('name', mostly_long(
+    SYMPLECTIC, 'lie_leapfrog, cayley', 'lie_symplectic_euler, exponential'))
+def test_method_on_a_group_is_symplectic_in_left_trivialised_form(name: str, measured):
+    method, h, z = SYMPLECTIC[name], mpf('0.1'), start()
     derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
     found = defect(derivative, z, step(method, h, z))
     measured('symplectic defect on SO(3), 60 digits', name, found, '<= 1e-25')
     assert found <= 1e-25
 
 
+@pytest.mark.long
 def test_spring_on_a_body_leaves_the_leapfrog_symplectic():
     spring = EFFECTS['spring'](['attitude'], point_in_body=[0.3, -0.4, 0.2], stiffness=4.0,
                                anchor=[0.1, 0.0, 1.5], rest_length=0.5)
@@ -165,7 +170,7 @@ def test_spring_on_a_body_leaves_the_leapfrog_symplectic():
     assert defect(derivative, z, step(method, h, z, joined)) <= 1e-25
 
 
-@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'cayley'))
 def test_lie_variational_euler_is_symplectic_in_the_staggered_momentum(retraction: str):
     method, h, z = LieVariationalEuler(retraction), mpf('0.1'), start()
     staggered = LieSymplecticEuler(retraction)
@@ -185,7 +190,7 @@ def test_lie_variational_euler_is_symplectic_in_the_staggered_momentum(retractio
     assert defect(derivative, z, step(method, h, z)) > 1e-4
 
 
-@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'exponential'))
 def test_lie_leapfrog_is_symmetric(retraction: str, measured):
     method, h, z = LieLeapfrog(retraction), mpf('0.1'), start()
     found = float(abs(step(method, -h, step(method, h, z)) - z).max())
@@ -193,7 +198,7 @@ def test_lie_leapfrog_is_symmetric(retraction: str, measured):
     assert found <= 1e-45
 
 
-@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'exponential'))
 def test_lie_symplectic_euler_adjoint_is_the_adjoint(retraction: str):
     h, z = mpf('0.1'), start()
     there = step(LieSymplecticEuler(retraction), h, z)
@@ -202,10 +207,13 @@ def test_lie_symplectic_euler_adjoint_is_the_adjoint(retraction: str):
     assert abs(step(LieSymplecticEuler(retraction), -h, there) - z).max() > 1e-4
 
 
-@pytest.mark.parametrize('name', ['lie_leapfrog', 'lie_stormer_verlet'])
-def test_explicit_method_keeps_energy_momentum_and_norm_over_a_million_steps(name: str, measured):
+@pytest.mark.parametrize('name, n', [
+    ('lie_leapfrog', 20_000), long('lie_leapfrog', 1_000_000),
+    long('lie_stormer_verlet', 1_000_000)])
+def test_explicit_method_keeps_energy_momentum_and_norm_over_long_times(
+        name: str, n: int, measured):
     top = HeavyTop()
-    run, n = Simulation(top, INTEGRATORS[name](), 0.01, Q, P), 1_000_000
+    run = Simulation(top, INTEGRATORS[name](), 0.01, Q, P)
     q, p = run.record(n // 10, 10)
     energies, vertical = top.energy(q, p) - top.energy(Q, P), spatial_momentum(q, p)[:, 2]
     norms = abs(np.sum(q * q, axis=-1) - 1.0).max()
@@ -213,12 +221,14 @@ def test_explicit_method_keeps_energy_momentum_and_norm_over_a_million_steps(nam
     spin = abs(p[:, 2] - P[2]).max()
     for what, value in (('norm of R^T R - I', norms), ('vertical momentum', drift),
                         ('spin of a symmetric top', spin)):
-        measured(f'{what}, 1e6 steps', f'{name}, heavy_top', value, '<= 1e-12')
+        if n == 1_000_000:
+            measured(f'{what}, 1e6 steps', f'{name}, heavy_top', value, '<= 1e-12')
         assert value <= 1e-12
     first, last = energies[:n // 100], energies[-n // 100:]
     # A band, that of the first tenth; 1e-2 of it is what the phase of samples makes of it.
     band = first.max() - first.min()
-    measured('energy band [J], 1e6 steps', f'{name}, heavy_top', band, 'that of the start')
+    if n == 1_000_000:
+        measured('energy band [J], 1e6 steps', f'{name}, heavy_top', band, 'that of the start')
     assert abs(last.max() - first.max()) < 1e-2 * band
     assert abs(last.min() - first.min()) < 1e-2 * band
 
@@ -249,7 +259,7 @@ def test_free_rigid_body_follows_jacobi_elliptic_functions(measured):
     assert fine < 1e-5
 
 
-@pytest.mark.parametrize('retraction', RETRACTIONS)
+@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'cayley'))
 @pytest.mark.parametrize('name', METHODS)
 def test_turn_of_nearly_pi_in_one_step_fails(name: str, retraction: str):
     body, fast = FreeRigidBody([1.0, 1.0, 1.0]), (Q, [0.0, 0.0, 3.1])
@@ -288,29 +298,25 @@ def test_several_bodies_step_together_as_each_alone():
         assert np.allclose(together.p[i], alone.p, rtol=0.0, atol=1e-13)
 
 
-@pytest.mark.parametrize('name', INTEGRATORS)
-def test_method_for_flat_coordinates_refuses_rotations_by_name(name: str):
-    if INTEGRATORS[name].requirements.coordinates == 'group' or (
-            not INTEGRATORS[name].requirements.hamiltonian):
-        return
-    with pytest.raises(UnsupportedSystem, match=r'adds to .* \(attitude\)'):
-        check_method(INTEGRATORS[name](), TOP)
-
-
-@pytest.mark.parametrize('name', METHODS)
-def test_method_on_a_group_refuses_an_h_without_rotations(name: str):
-    with pytest.raises(UnsupportedSystem, match='rotations and poses.* none'):
-        check_method(METHODS[name](), HAMILTONIANS['pendulum']())
+def test_methods_refuse_the_coordinates_that_they_are_not_made_for():
+    for method in INTEGRATORS.values():
+        needs = method.requirements
+        if needs.coordinates != 'group' and needs.hamiltonian:
+            with pytest.raises(UnsupportedSystem, match=r'adds to .* \(attitude\)'):
+                check_method(method(), TOP)
+    for kind in METHODS.values():
+        with pytest.raises(UnsupportedSystem, match='rotations and poses.* none'):
+            check_method(kind(), HAMILTONIANS['pendulum']())
 
 
 def test_state_of_a_rotation_is_checked():
-    with pytest.raises(ValueError, match=r'expected \(3,\): three for each rotation'):
+    with refused(ValueError):
         simulation(LieLeapfrog(), 0.1, state=(Q, [*P, 0.0]))
-    with pytest.raises(ValueError, match='norm 1.1.* unit quaternion'):
+    with refused(ValueError):
         simulation(LieLeapfrog(), 0.1, state=(1.1 * Q, P))
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        with pytest.raises(ValueError, match='norm inf.* unit quaternion'):
+        with refused(ValueError):
             check_state(1e300 * Q, P, 4, (0,))
     run = simulation(LieLeapfrog(), 0.1, state=(np.round(Q, 7), P))
     assert abs(run.q @ run.q - 1.0) < 1e-15
@@ -366,7 +372,7 @@ def test_scalar_coordinates_beside_a_rotation_step_as_by_the_flat_method(name: s
 
 
 def test_unknown_retraction_is_refused():
-    with pytest.raises(ValueError, match='valid: cayley, exponential'):
+    with refused(ValueError):
         LieLeapfrog('exp')
 
 
@@ -375,13 +381,12 @@ def test_scene_of_a_body_that_turns_is_simulated_and_refuses_what_it_cannot_take
     assert path.q.shape == (6, 4) and path.p.shape == (6, 3) and not path.alarms
     momenta = spatial_momentum(path.q, path.p)
     assert abs(momenta - momenta[0]).max() < 1e-13
-    for changes, expected in (
-            ({'integrator': 'rk4'}, r'rk4 adds to .* methods that can: lie_variational_euler, '),
-            ({'effects': [{'kind': 'thermostat', 'temperature': 1.0, 'rate': 0.1}]},
-             'thermostat acts on scalar .* leave it out; effects that can: gravity, spring, '),
-            ({'initial_state': ([0.0, 0.0, 0.0, 1.0], [0.0] * 4)}, 'attitude_rx, attitude_ry'),
-            ({'initial_state': ([0.0, 0.0, 0.0, 2.0], [0.0] * 3)}, 'unit quaternion')):
-        with pytest.raises(HnnViRosError, match=expected):
+    for changes in (
+            {'integrator': 'rk4'},
+            {'effects': [{'kind': 'thermostat', 'temperature': 1.0, 'rate': 0.1}]},
+            {'initial_state': ([0.0, 0.0, 0.0, 1.0], [0.0] * 4)},
+            {'initial_state': ([0.0, 0.0, 0.0, 2.0], [0.0] * 3)}):
+        with refused(HnnViRosError):
             simulate('free_rigid_body', **{'duration': 0.2, **changes})
 
 
@@ -396,13 +401,16 @@ def top_at(t: np.ndarray) -> np.ndarray:
 THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85, 1.0])
 
 
-@pytest.mark.parametrize('method', [
-    *(create() for name, create in INTEGRATORS.items() if name.startswith('lie_')),
-    Yoshida4('lie_leapfrog')], ids=lambda method: method.kernel_name)
-def test_states_between_steps_on_a_group_are_as_accurate_as_the_method(method: Integrator):
+ON_A_GROUP = {**{name: create for name, create in INTEGRATORS.items()
+                 if name.startswith('lie_')}, 'yoshida4': lambda: Yoshida4('lie_leapfrog')}
+
+
+@pytest.mark.parametrize('name', mostly_long(
+    ON_A_GROUP, 'lie_variational_euler', 'lie_leapfrog', 'lie_gauss4'))
+def test_states_between_steps_on_a_group_are_as_accurate_as_the_method(name: str):
     """No worse than twice the local error of a whole step, and no worse than the reference."""
     h = 0.1
-    dense = simulation(method, h).dense_step()
+    dense = simulation(ON_A_GROUP[name](), h).dense_step()
     states = [dense.state(theta) for theta in THETAS]
     errors = np.abs(np.array([np.concatenate(state) for state in states])
                     - top_at(h * THETAS)).max(axis=1)
@@ -419,7 +427,7 @@ def test_polynomial_through_a_step_on_a_group_is_of_order_3():
 
 
 @pytest.mark.filterwarnings('ignore:the model was trained through')
-@pytest.mark.parametrize('name', ['heavy_top', 'quadrotor', 'turning_pendulum'])
+@pytest.mark.parametrize('name', ['heavy_top', long('quadrotor'), long('turning_pendulum')])
 def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: str):
     times, scene = [0.0, 0.0137, 0.05, 0.1, 0.3333, 0.4999], load_scene(name)
     if name == 'quadrotor':
@@ -439,6 +447,7 @@ def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: st
     assert np.abs(many.q[:, 1] - alone.q).max() < 1e-13
 
 
+@pytest.mark.long
 def test_events_of_a_body_that_turns_are_found_and_end_its_run(tmp_path):
     """Of equal moments of inertia: qz = sin(t / 2) and qw = cos(t / 2), at 1 rad/s."""
     file = tmp_path / 'ball.yaml'

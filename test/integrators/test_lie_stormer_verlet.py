@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Störmer-Verlet on a group, and its composition of order 8."""
 
-from helpers import Uncompiled
+from helpers import mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -15,6 +15,7 @@ from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from lie_group_models import random_lie_group
+from messages import refused
 import mpmath
 from mpmath import mpf
 import numpy as np
@@ -41,11 +42,14 @@ def test_kahan_li8_over_lie_stormer_verlet_converges_with_order_8(measured):
     check_order('kahan_li8', KahanLi8('lie_stormer_verlet'), [6, 9, 12], measured)
 
 
-@pytest.mark.parametrize('method', [LieStormerVerlet(), KahanLi8('lie_stormer_verlet')],
-                         ids=lambda method: method.kernel_name)
+EXPLICIT = {method.kernel_name: method
+            for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet'))}
+
+
+@pytest.mark.parametrize('name', mostly_long(EXPLICIT, 'LieStormerVerlet'))
 def test_explicit_method_on_a_group_is_symplectic_and_symmetric(
-        method, exact_turns: None, measured):
-    h, z = mpf('0.1'), start()
+        name: str, exact_turns: None, measured):
+    method, h, z = EXPLICIT[name], mpf('0.1'), start()
     derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
     found = defect(derivative, z, step(method, h, z))
     measured('symplectic defect on SO(3), 60 digits', method.kernel_name, found, '<= 1e-25')
@@ -89,12 +93,11 @@ def test_lie_stormer_verlet_refuses_what_it_cannot_take():
         check_method(LieStormerVerlet(), HAMILTONIANS['pendulum']())
     learned = LieGroupHamiltonian(random_lie_group('rotation'))
     for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
-        with pytest.raises(UnsupportedSystem, match=r'needs H = T\(p\) \+ V\(q\)'):
+        with refused(UnsupportedSystem):
             check_method(method, learned)
     learned.separable = True
     for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
-        with pytest.raises(UnsupportedSystem, match=(
-                'principal axes.*methods that can: lie_vari.*, lie_leapfrog, lie_gauss4')):
+        with refused(UnsupportedSystem):
             check_method(method, learned)
     joined = System(FreeRigidBody([1.0, 2.0, 2.5]), [], LieStormerVerlet()).hamiltonian
     check_method(LieStormerVerlet(), joined)

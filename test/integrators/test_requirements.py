@@ -45,9 +45,9 @@ def refusal(name: str, hamiltonian: Hamiltonian) -> str:
 def test_refusal_names_the_methods_that_refuse_nothing(system):
     refusals = {name: refusal(name, SYSTEMS[system]) for name in METHODS}
     able = [name for name, message in refusals.items() if not message]
-    refused = {name: message for name, message in refusals.items() if message}
-    assert able and refused
-    for name, message in refused.items():
+    others = {name: message for name, message in refusals.items() if message}
+    assert able and others
+    for name, message in others.items():
         assert message.startswith(f'{name} ')
         assert message.partition('; methods that can: ')[2].split(', ') == able
 
@@ -84,9 +84,9 @@ def test_methods_that_a_refusal_names_take_the_system(system):
             (lambda: differentiable_tableau(hamiltonian, method),
              lambda name: METHODS[name].partitioned is not None),
             (lambda: step_of(method, hamiltonian), lambda name: name.startswith(on_device))):
-        with pytest.raises(UnsupportedSystem) as refused:
+        with pytest.raises(UnsupportedSystem) as raised:
             refuse()
-        named = re.split(r'methods that \w+: ', str(refused.value))[1].split(', ')
+        named = re.split(r'methods that \w+: ', str(raised.value))[1].split(', ')
         able = [name for name in METHODS if not refusal(name, hamiltonian) and can(name)]
         assert named == (able or ['none for this H'])
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simplified Newton method for the stages of Gauss methods."""
 
-from helpers import EPS
+from helpers import EPS, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.formula import Formula
@@ -13,6 +13,8 @@ from hnn_vi_ros.kernels.linear_algebra import invert
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
 
 def with_solver(method: str, solve):
@@ -68,8 +70,8 @@ def test_the_paper_s_iteration_is_left_as_it_is():
 @pytest.mark.parametrize('method', ['gauss4', 'gauss10', 'gauss16'])
 def test_linear_equations_take_one_correction(method: str):
     integrator = INTEGRATORS[method]()
-    simulation = Simulation(Formula(['x'], 'p_x^2/2 + x*p_x/8 + x^2/2'), integrator, 0.9,
-                            np.array([1.0]), np.array([0.3]))
+    simulation = Simulation(Uncompiled(Formula(['x'], 'p_x^2/2 + x*p_x/8 + x^2/2')), integrator,
+                            0.9, np.array([1.0]), np.array([0.3]))
     simulation.advance(1)
     # The start, what the correction gives, J, and one more where its rounding is still to be seen.
     assert simulation.gradients <= 4 * integrator.stages + 1
@@ -87,7 +89,7 @@ def test_constant_masses_need_no_matrix_but_in_long_steps(h: float):
     """Coupled masses; the longer step does not contract, and falls back to the matrix."""
     text, ends = '(p_x^2 + p_x*p_y + 2*p_y^2)/2 + x^2 + x^4/4 + 3*y^2 - x*y', []
     for integrator in (INTEGRATORS['gauss8'](), with_solver('gauss8', simplified_newton)):
-        simulation = Simulation(Formula(['x', 'y'], text), integrator, h,
+        simulation = Simulation(Uncompiled(Formula(['x', 'y'], text)), integrator, h,
                                 np.array([1.0, -0.4]), np.array([0.2, 0.1]))
         simulation.advance(10)
         ends.append(np.concatenate([simulation.q, simulation.p]))
@@ -103,7 +105,8 @@ def test_it_takes_the_steps_of_anderson_s_method_by_fewer_gradients(method: str,
                                                                     h: float, q, p):
     steps, ends, gradients = 20, [], []
     for integrator in (INTEGRATORS[method](), with_solver(method, anderson)):
-        simulation = Simulation(HAMILTONIANS[name](), integrator, h, np.array(q), np.array(p))
+        simulation = Simulation(
+            Uncompiled(HAMILTONIANS[name]()), integrator, h, np.array(q), np.array(p))
         simulation.advance(steps)
         ends.append(np.concatenate([simulation.q, simulation.p]))
         gradients.append(simulation.gradients)
@@ -119,8 +122,8 @@ def test_forces_join_the_matrix_and_channels_follow():
     for integrator in (INTEGRATORS['gauss12'](), with_solver('gauss12', anderson)):
         forces = [EFFECTS['quadratic_drag'](['angle'], 0.3),
                   EFFECTS['periodic_drive']('angle', amplitude=0.5, frequency=0.3)]
-        simulation = Simulation(HAMILTONIANS['pendulum'](), integrator, 0.2, np.array([2.5]),
-                                np.array([0.0]), forces)
+        simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()), integrator, 0.2,
+                                np.array([2.5]), np.array([0.0]), forces)
         simulation.advance(50)
         ends.append(np.concatenate([simulation.q, simulation.p]))
         gradients.append(simulation.gradients)

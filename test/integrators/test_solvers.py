@@ -4,7 +4,7 @@
 
 from functools import cached_property
 
-from helpers import EPS
+from helpers import EPS, long, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -19,9 +19,12 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance, Loop
+from messages import refused
 import numba
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
 
 def affine(problem, x, value):
@@ -136,11 +139,11 @@ def test_krylov_leaves_what_does_not_act_back_out_of_the_system():
     assert x[:-1] == pytest.approx(exact[:-1], abs=bound * np.abs(exact).max())
 
 
-@pytest.mark.parametrize('n', [513, 1024, 4096])
-def test_memory_grows_as_the_number_of_unknowns_where_no_jacobian_fits(n: int):
-    sizes = [array.size for group in SolverWork.empty(n) for array in group]
-    assert max(sizes) == 31 * n
-    assert sum(sizes) <= (31 + 3 + 3 + 2 * 4 + 5) * n + 2000
+def test_memory_grows_as_the_number_of_unknowns_where_no_jacobian_fits():
+    for n in (513, 1024, 4096):
+        sizes = [array.size for group in SolverWork.empty(n) for array in group]
+        assert max(sizes) == 31 * n
+        assert sum(sizes) <= (31 + 3 + 3 + 2 * 4 + 5) * n + 2000
 
 
 class Chain:
@@ -176,6 +179,7 @@ class Chain:
         return np.concatenate([q[0], p[0]])
 
 
+@pytest.mark.long
 def test_krylov_has_the_solution_of_a_jacobian_to_round_off_at_1200_unknowns():
     ends = [Chain(attempt).end(0.1, 1) for attempt in (1, 2)]
     # Residuals of N eps of the largest unknown, at most 4; h omega^2 / 2 over 1 + (h omega / 2)^2
@@ -183,6 +187,7 @@ def test_krylov_has_the_solution_of_a_jacobian_to_round_off_at_1200_unknowns():
     assert ends[1] == pytest.approx(ends[0], abs=(1 + 17) * 1200 * EPS * 4.0)
 
 
+@pytest.mark.long
 def test_implicit_midpoint_converges_with_order_2_by_krylov():
     chain = Chain(2)
     ends = [chain.end(0.02 / k, 10 * k) for k in (1, 2, 4, 16)]
@@ -192,6 +197,7 @@ def test_implicit_midpoint_converges_with_order_2_by_krylov():
     assert orders == pytest.approx(2.0, abs=0.35)
 
 
+@pytest.mark.long
 def test_stiff_chain_beyond_a_jacobian_is_stepped_by_its_own_method_and_resumes_to_the_bit():
     """600 unknowns at h omega = 5, where no fixed-point iteration contracts."""
     def start() -> Simulation:
@@ -233,7 +239,7 @@ def test_secant_needs_fewer_evaluations_than_the_fixed_point():
 
 def test_chain_solves_a_step_where_the_fixed_point_diverges():
     """Case 7 of the hard ones at a large step: h abs(H_qp) = 2 at the start."""
-    arguments = (HAMILTONIANS['tao'](),)
+    arguments = (Uncompiled(HAMILTONIANS['tao']()),)
     with pytest.raises(StepFailure):
         Simulation(*arguments, INTEGRATORS['variational_euler']('fixed_point'), 1.0,
                    [1.0], [-1.0]).advance(1)
@@ -243,34 +249,38 @@ def test_chain_solves_a_step_where_the_fixed_point_diverges():
 
 
 def test_solver_options_are_validated():
-    with pytest.raises(ValueError, match='valid: chain, fixed_point'):
+    with refused(ValueError):
         INTEGRATORS['gauss4'](solver='newton')
-    with pytest.raises(ValueError, match='max_iterations'):
+    with refused(ValueError):
         INTEGRATORS['gauss4'](max_iterations=0)
-    with pytest.raises(ValueError, match='valid: generalized_leapfrog'):
+    with refused(ValueError):
         INTEGRATORS['yoshida4'](base='rk4')
-    with pytest.raises(ValueError, match='package.module:function'):
+    with refused(ValueError):
         INTEGRATORS['discrete_euler_lagrange']('nothing:here')
 
 
-def test_under_solved_steps_drift_and_steps_to_round_off_do_not():
+@pytest.mark.parametrize('steps', [2000, long(200_000)])
+def test_under_solved_steps_drift_and_steps_to_round_off_do_not(steps: int):
     """The symplectic defect of M iterations is O(h^(M + 1)); the drift shows in the energy."""
-    simulation = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 0.01,
-                            [0.0], [-3.0])
+    tao = HAMILTONIANS['tao']()
+    simulation = Simulation(Uncompiled(tao) if steps == 2000 else tao,
+                            INTEGRATORS['variational_euler'](), 0.01, [0.0], [-3.0])
     start = simulation.modified_energy
-    simulation.advance(200_000)
+    simulation.advance(steps)
     assert abs(simulation.modified_energy / start - 1.0) < 0.02
     assert simulation.gradients / simulation.steps <= 6.0
 
 
-@pytest.mark.parametrize('name', ['implicit_midpoint', 'gauss4'])
-def test_angle_of_many_turns_neither_fails_nor_changes_the_energy_band(name):
+@pytest.mark.parametrize('name, steps', [
+    ('implicit_midpoint', 500), ('gauss4', 500), long('implicit_midpoint', 5000),
+    long('gauss4', 5000)])
+def test_angle_of_many_turns_neither_fails_nor_changes_the_energy_band(name, steps):
     """An angle of 6e5 rad is rounded to 1e-10: the momenta beside it are not known better."""
     bands = []
     for turns in (0, 100_000):
-        simulation = Simulation(HAMILTONIANS['double_pendulum'](1.0, 1.0, 1.0, 1.0),
+        simulation = Simulation(Uncompiled(HAMILTONIANS['double_pendulum'](1.0, 1.0, 1.0, 1.0)),
                                 INTEGRATORS[name](), 0.01, [1.0, 2.0 * np.pi * turns], [0.5, 0.5])
-        bands.append(np.ptp(simulation.hamiltonian.energy(*simulation.record(5000, 1))))
+        bands.append(np.ptp(simulation.hamiltonian.energy(*simulation.record(steps, 1))))
         assert simulation.rescued == 0
     # Rounding moves the energy by about 50 N m times 1e-10 a step, at random: sqrt(5000) of that.
     assert bands[1] == pytest.approx(bands[0], abs=1e-6)

@@ -4,6 +4,7 @@
 
 import sys
 
+from helpers import Uncompiled
 from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.potential import FormulaPotential
@@ -14,10 +15,12 @@ from hnn_vi_ros.integrators import INTEGRATORS, taylor
 from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
+from messages import refused
 import numpy as np
 import pytest
 
 pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 Q0, P0 = [0.4, 0.0], [0.0, 2.0]
 # Where powers, functions and quotients stand that the exact systems have not.
 RICH = ('(p_x^2 + p_y^2) / (2 + x^2) + exp(-x^2) + atan(y) + y^2 / 2 + sqrt(1 + x^2) '
@@ -43,7 +46,8 @@ def test_taylor_meets_closed_forms_to_1e_13():
     assert np.abs(np.append(simulation.q, simulation.p) - orbit(np.array([6.0]))).max() < 1e-13
     oscillator = Simulation(
         HAMILTONIANS['harmonic_oscillator'](), Taylor(1e-16), 1.0, [1.0], [0.5])
-    other = Simulation(oscillator.hamiltonian, INTEGRATORS['gauss16'](), 0.1, [1.0], [0.5])
+    other = Simulation(Uncompiled(oscillator.hamiltonian), INTEGRATORS['gauss16'](), 0.1, [1.0],
+                       [0.5])
     oscillator.advance(10)
     other.advance(100)
     assert abs(oscillator.q - other.q)[0] < 1e-13
@@ -70,8 +74,9 @@ def test_taylor_keeps_the_energy_to_round_off_over_long_times():
     ids=['alone', 'with a potential'])
 def test_taylor_agrees_with_gauss16_on_a_rich_formula(effects):
     hamiltonian = Formula(['x', 'y'], RICH)
-    ours, other = (Simulation(hamiltonian, method, h, [0.7, -0.2], [0.1, 0.4], effects)
-                   for method, h in ((Taylor(1e-15), 2.0), (INTEGRATORS['gauss16'](), 0.05)))
+    ours, other = (Simulation(H, method, h, [0.7, -0.2], [0.1, 0.4], effects)
+                   for H, method, h in ((hamiltonian, Taylor(1e-15), 2.0),
+                                        (Uncompiled(hamiltonian), INTEGRATORS['gauss16'](), 0.05)))
     ours.advance(1)
     other.advance(40)
     # Two methods, each at round-off.
@@ -82,17 +87,19 @@ def test_taylor_takes_a_formula_with_a_cyclic_coordinate():
     """H of a spherical pendulum does not depend on its azimuth; its momentum stays as it is."""
     H = Formula(['a', 'b'], 'p_a^2 / 2 + p_b^2 / (2 * sin(a)^2) + 9.81 * cos(a)')
     found = []
-    for method, h in ((Taylor(1e-15), 1.0), (INTEGRATORS['gauss16'](), 0.01)):
-        simulation = Simulation(H, method, h, [2.0, 0.0], [0.3, 0.8])
+    for system, method, h in ((H, Taylor(1e-15), 1.0),
+                              (Uncompiled(H), INTEGRATORS['gauss16'](), 0.02)):
+        simulation = Simulation(system, method, h, [2.0, 0.0], [0.3, 0.8])
         simulation.advance(round(2.0 / h))
         found.append(np.append(simulation.q, simulation.p))
     assert found[0][3] == 0.8 and np.abs(found[0] - found[1]).max() < 1e-12
 
 
 def test_taylor_holds_a_command_over_a_step_and_counts_its_work():
-    ends, works = [], []
-    for method, h in ((Taylor(1e-15), 1.0), (INTEGRATORS['gauss16'](), 0.05)):
-        simulation = Simulation(HAMILTONIANS['double_pendulum'](), method, h, [0.7, -0.2],
+    ends, works, system = [], [], HAMILTONIANS['double_pendulum']()
+    for H, method, h in ((system, Taylor(1e-15), 1.0),
+                         (Uncompiled(system), INTEGRATORS['gauss16'](), 0.05)):
+        simulation = Simulation(H, method, h, [0.7, -0.2],
                                 [0.1, 0.4], [ExternalForce(['angle2', 'angle1'], timeout=1.5)])
         for command in ([0.6, -0.3], [-0.2, 0.5]):
             simulation.motors.command(command, simulation.q)
@@ -127,14 +134,12 @@ def test_taylor_goes_on_with_other_numbers():
     assert simulation.q[0] == fresh.q[0]
 
 
-@pytest.mark.parametrize(('hamiltonian', 'effects', 'named'), [
-    (Formula(['x'], 'p_x^2/2 + abs(x)'), (), 'Formula is not: no network'),
-    (HAMILTONIANS['fput_chain'](), (), 'FputChain is not: no network'),
-    (HAMILTONIANS['heavy_top'](), (), 'rotation'),
-    (HAMILTONIANS['pendulum'](), (Damping(0.1),), 'cannot take the effect damping')])
-def test_taylor_refuses_by_name(hamiltonian, effects, named):
+@pytest.mark.parametrize(('hamiltonian', 'effects'), [
+    (Formula(['x'], 'p_x^2/2 + abs(x)'), ()), (HAMILTONIANS['fput_chain'](), ()),
+    (HAMILTONIANS['heavy_top'](), ()), (HAMILTONIANS['pendulum'](), (Damping(0.1),))])
+def test_taylor_refuses_by_name(hamiltonian, effects):
     d = hamiltonian.dimension
-    with pytest.raises(UnsupportedSystem, match=named):
+    with refused(UnsupportedSystem):
         Simulation(hamiltonian, Taylor(), 0.1, np.ones(d), np.zeros(d), effects)
 
 
@@ -148,7 +153,7 @@ def test_taylor_without_heyoka_is_one_line_with_the_command(monkeypatch):
 
 @pytest.mark.parametrize('tolerance', [0.0, 0.1, float('nan')])
 def test_taylor_refuses_a_tolerance_that_is_none(tolerance):
-    with pytest.raises(ValueError, match='from 1e-16 to 1e-3'):
+    with refused(ValueError):
         Taylor(tolerance)
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Close encounters at equal steps of a transformed time."""
 
+from helpers import mostly_long, Uncompiled
 from hnn_vi_ros.accuracy.diagnostics import energy_band, secular_change
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
@@ -14,9 +15,12 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trajectory.simulate import simulate_many
+from messages import refused
 import numpy as np
 import pytest
 from studies.structure import block_maxima
+
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
 # An orbit of semi-major axis 1 and eccentricity 0.9, from its apocentre: the force at the
 # pericentre is 361 times as strong.
@@ -25,9 +29,10 @@ ORBIT = 2.0 * np.pi
 ORBITS = 200
 
 
-def orbit(method, h: float, effects=()) -> Simulation:
+def orbit(method, h: float, effects=(), compiled: bool = False) -> Simulation:
     """Return the simulation of the orbit."""
-    return Simulation(HAMILTONIANS['kepler'](1.0), method, h, Q0, P0, effects)
+    kepler = HAMILTONIANS['kepler'](1.0)
+    return Simulation(kepler if compiled else Uncompiled(kepler), method, h, Q0, P0, effects)
 
 
 def errors(simulation: Simulation, time: float) -> np.ndarray:
@@ -40,11 +45,12 @@ def errors(simulation: Simulation, time: float) -> np.ndarray:
 @pytest.fixture(scope='module')
 def close_encounters() -> tuple[np.ndarray, float]:
     """Return the energy error over many orbits at h = 0.1, and gradients per unit of time."""
-    simulation = orbit(TimeTransformed(), 0.1)
+    simulation = orbit(TimeTransformed(), 0.1, compiled=True)
     error = errors(simulation, ORBITS * ORBIT)
     return error, simulation.gradients / simulation.time
 
 
+@pytest.mark.long
 def test_energy_of_close_encounters_does_not_drift(close_encounters):
     error, _ = close_encounters
     band = energy_band(error)
@@ -54,10 +60,11 @@ def test_energy_of_close_encounters_does_not_drift(close_encounters):
     assert np.ptp(error[-tenth:]) <= 1.5 * np.ptp(error[:tenth])
 
 
+@pytest.mark.long
 def test_close_encounters_cost_less_than_equal_steps(close_encounters):
     """At fewer gradients per unit of time the energy is twenty times closer."""
     error, cost = close_encounters
-    plain = orbit(INTEGRATORS['gauss4'](), 0.01)
+    plain = orbit(INTEGRATORS['gauss4'](), 0.01, compiled=True)
     other = errors(plain, 10.0 * ORBIT)
     assert plain.gradients / plain.time >= cost
     # Measured: 2.3e-4 at a cost of 1073 against 4.8e-6 at 828.
@@ -75,10 +82,10 @@ def test_states_at_the_clock_are_on_the_exact_orbit():
     assert np.log2(ends[0] / ends[1]) >= 3.65
 
 
-@pytest.mark.parametrize('base', time_transformed.BASES)
+@pytest.mark.parametrize('base', mostly_long(time_transformed.BASES, 'gauss4'))
 def test_exponent_zero_is_the_base_itself(base):
     """With g = 1, K = H - H0 and t = s: the same states up to rounding and the solver's end."""
-    tao = HAMILTONIANS['tao']()
+    tao = Uncompiled(HAMILTONIANS['tao']())
     own, plain = (Simulation(tao, method, 0.05, [1.0], [-1.0]) for method in (
         TimeTransformed(base, exponent=0.0), INTEGRATORS[base]()))
     steps = 200
@@ -117,14 +124,16 @@ def test_map_in_transformed_time_is_symplectic():
     assert np.abs(M.T @ J @ M - J).max() <= 1e-9
 
 
-def integrating(h: float) -> Simulation:
+def integrating(h: float, compiled: bool = False) -> Simulation:
     """Return the orbit by explicit steps of controlled size."""
-    return orbit(TimeTransformed('stormer_verlet', 0.1, control='integrating'), h)
+    return orbit(TimeTransformed('stormer_verlet', 0.1, control='integrating'), h,
+                 compiled=compiled)
 
 
+@pytest.mark.long
 def test_integrating_controller_keeps_the_energy_band_over_1e5_steps():
     """Explicit steps of order 2, shorter by 100 at the pericentre; gate G3 of the hard cases."""
-    simulation = integrating(0.1)
+    simulation = integrating(0.1, compiled=True)
     # Three evaluations for each step of its own, and two more a step of the clock.
     error = errors(simulation, 1000.0)
     assert simulation.gradients >= 3e5 + 2 * simulation.steps
@@ -186,13 +195,14 @@ def test_many_trajectories_each_have_a_time_of_their_own():
         'hamiltonian': {'kind': 'kepler'}, 'integrator': {'kind': 'time_transformed'},
         'step_size': 0.1, 'initial_state': {'q': Q0, 'p': P0}})
     many = simulate_many(scene, [Q0, [1.0, 0.0]], [P0, [0.0, 1.0]], 5.0)
-    alone = orbit(TimeTransformed(), 0.1)
+    alone = orbit(TimeTransformed(), 0.1, compiled=True)
     alone.advance(50)
     assert np.array_equal(many.q[-1, 0], alone.q)
     # The other orbit is a circle.
     assert np.hypot(*many.q[-1, 1]) == pytest.approx(1.0, abs=1e-5)
     with pytest.raises(ValueError, match='one at a time is taken by time_transformed'):
-        Simulation(HAMILTONIANS['kepler'](), TimeTransformed(), 0.1, [Q0, Q0], [P0, P0])
+        Simulation(Uncompiled(HAMILTONIANS['kepler']()), TimeTransformed(), 0.1, [Q0, Q0],
+                   [P0, P0])
 
 
 @pytest.mark.parametrize('kind, arguments', [
@@ -210,18 +220,16 @@ def test_potential_of_an_effect_is_part_of_the_transformed_hamiltonian():
 
 def test_fall_into_the_singularity_ends_in_a_typed_failure():
     """Straight at the centre no steps are short enough; the last good state is kept."""
-    simulation = Simulation(HAMILTONIANS['kepler'](1.0), TimeTransformed(exponent=2.0), 0.1,
-                            [1.0, 0.0], [0.0, 0.0])
+    simulation = Simulation(Uncompiled(HAMILTONIANS['kepler'](1.0)), TimeTransformed(exponent=2.0),
+                            0.1, [1.0, 0.0], [0.0, 0.0])
     with pytest.raises(StepFailure):
         simulation.advance(100)
     assert np.isfinite([*simulation.q, *simulation.p]).all()
 
 
-@pytest.mark.parametrize('arguments, message', [
-    ({'base': 'rk4'}, 'valid with control hamiltonian: implicit_midpoint, gauss4, gauss6, gauss8'),
-    ({'base': 'stormer_verlet'}, 'valid with control hamiltonian: implicit'),
-    ({'control': 'none'}, "control = 'none'; valid: hamiltonian, integrating"),
-    ({'force': 0.0}, 'force = 0.0'), ({'exponent': -1.0}, 'exponent = -1.0')])
-def test_argument_that_is_not_usable_is_named(arguments, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('arguments', [
+    {'base': 'rk4'}, {'base': 'stormer_verlet'}, {'control': 'none'}, {'force': 0.0},
+    {'exponent': -1.0}], ids=str)
+def test_argument_that_is_not_usable_is_named(arguments):
+    with refused(ValueError):
         TimeTransformed(**arguments)

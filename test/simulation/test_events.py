@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of scenes: what their conditions may be, and that each is found, once and in time."""
 
-from helpers import kepler_orbit, Uncompiled
+from helpers import kepler_orbit, long, Uncompiled
 from hnn_vi_ros.commands.scene_tool import explain
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
@@ -14,6 +14,7 @@ from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from messages import refused
 import numpy as np
 import pytest
 
@@ -69,7 +70,7 @@ def test_condition_is_left_less_right_side(text, expected):
     'x = x.__class__', 'x = sin(*x)', 'x = 1 @ 2', 'x = ' + '(' * 150 + ')' * 40,
     'x' * 300 + ' = 1', 'x = \0', 'x = (y := 1)'])
 def test_condition_that_is_no_plain_equation_is_refused(text):
-    with pytest.raises(ValueError, match='expected an equation|a formula has'):
+    with refused(ValueError):
         Condition(text)
 
 
@@ -78,26 +79,23 @@ def test_condition_that_is_no_plain_equation_is_refused(text):
     'x = 1e999', '-1e999 = x'])
 def test_condition_with_a_part_that_is_no_number_is_refused_at_once(text):
     """In float64 huge powers are infinite, not numbers of many digits."""
-    with pytest.raises(ValueError, match='column .*no finite number|a division by zero'):
+    with refused(ValueError):
         Condition(text)
 
 
 def test_condition_without_a_quantity_is_refused():
-    with pytest.raises(ValueError, match='depends on nothing of the system'):
+    with refused(ValueError):
         Condition('cos(pi) = 1')
 
 
 # Scenes.
 
-@pytest.mark.parametrize('old, new, message', [
-    ('x = 0.5', 'y = 0.5', "mine.yaml:6: events.0: .*no quantity 'y'; valid: x, p_x, v_x, H"),
-    ('x = 0.5', 'x', 'mine.yaml:6: events.0.when: .*expected an equation'),
-    ('x = 0.5', 'x = import_(os)', "mine.yaml:6: events.0.when: .*no function 'import_'"),
-    ('direction: up', 'direction: left', 'mine.yaml:6: events.0.direction: .*up.*down.*both'),
-    ('then: log', 'then: jump', 'mine.yaml:7: events.1.then: .*log.*stop')])
-def test_scene_event_mistake_is_answered_with_file_line_and_what_is_valid(path, old, new, message):
+@pytest.mark.parametrize('old, new', [
+    ('x = 0.5', 'y = 0.5'), ('x = 0.5', 'x'), ('x = 0.5', 'x = import_(os)'),
+    ('direction: up', 'direction: left'), ('then: log', 'then: jump')])
+def test_scene_event_mistake_is_answered_with_file_line_and_what_is_valid(path, old, new):
     path.write_text(SCENE.replace(old, new))
-    with pytest.raises(SceneError, match=message):
+    with refused(SceneError):
         simulate(path, 0.1)
 
 
@@ -156,7 +154,7 @@ def test_events_after_the_last_sample_are_none_and_samples_before_them_are_taken
 
 
 def test_many_trajectories_with_events_are_refused(path):
-    with pytest.raises(ValueError, match='leave the events out of mine'):
+    with refused(ValueError):
         simulate_many(path, [[0.0]], [[1.0]], 1.0)
 
 
@@ -290,13 +288,13 @@ def encounters(method: TimeTransformed, e: float, h: float, **events: str) -> Wa
     """Return three orbits from the apocentre of a comet, watched for events by direction."""
     q0, p0 = (part[0] for part in kepler_orbit(np.array([-np.pi]), e))
     simulation = WatchedSimulation(
-        Simulation(HAMILTONIANS['kepler'](1.0), method, h, q0, p0),
+        Simulation(Uncompiled(HAMILTONIANS['kepler'](1.0)), method, h, q0, p0),
         [EventFunction(Condition(when), direction) for direction, when in events.items()])
     simulation.advance(round(6.0 * np.pi / h))
     return simulation
 
 
-@pytest.mark.parametrize('e', [0.6, 0.9, 0.99])
+@pytest.mark.parametrize('e', [long(0.6), 0.9, long(0.99)])
 @pytest.mark.parametrize('base, control, h', [
     ('gauss8', 'hamiltonian', 0.5), ('stormer_verlet', 'integrating', 0.1)])
 def test_each_pericentre_within_steps_of_the_clock_is_found_to_the_order(base, control, h, e):

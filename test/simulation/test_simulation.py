@@ -4,7 +4,7 @@
 
 from functools import cached_property
 
-from helpers import EPS, random_checkpoint, Uncompiled
+from helpers import EPS, KINDS, mostly_long, random_checkpoint, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -17,16 +17,19 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
 from hnn_vi_ros.trajectory.simulate import simulate
+from messages import refused
 import numba
 import numpy as np
 import pytest
 import sympy
 
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
+
 
 def tao(h: float, q: float = 1.0, p: float = -1.0, **options: int | str) -> Simulation:
     """Return a simulation of Tao's Hamiltonian."""
-    return Simulation(
-        HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](**options), h, [q], [p])
+    return Simulation(Uncompiled(HAMILTONIANS['tao']()),
+                      INTEGRATORS['variational_euler'](**options), h, [q], [p])
 
 
 @pytest.fixture
@@ -60,34 +63,27 @@ def test_simulate_every_keeps_each_nth_state(scene):
 
 
 def test_simulate_bad_arguments_are_refused(scene):
-    with pytest.raises(SceneError, match=r'did you mean lie_leapfrog\?; valid: .* more\)'):
+    with refused(SceneError):
         simulate(scene, 1.0, integrator='leapfrog9')
     for step_size in (0.0, -0.1, float('nan'), float('inf')):
-        with pytest.raises(SceneError, match='step_size'):
+        with refused(SceneError):
             simulate(scene, 1.0, step_size=step_size)
     for duration in (-1.0, float('nan'), float('inf')):
-        with pytest.raises(ValueError, match='duration'):
+        with refused(ValueError):
             simulate(scene, duration)
-    with pytest.raises(ValueError, match='every'):
+    with refused(ValueError):
         simulate(scene, 1.0, every=0)
 
 
-@pytest.mark.parametrize('arguments, error, message', [
-    ({'every': 1.5}, TypeError, 'every = 1.5 must be a whole number'),
-    ({'every': True}, TypeError, 'every = True must be'),
-    ({'duration': '1 s'}, TypeError, "duration = '1 s' must be a number of seconds"),
-    ({'duration': 1e12}, ValueError, r'1e\+14 samples, one every 0.01 s: .* larger every'),
-    ({'duration': 1e308}, ValueError, 'inf samples, one every 0.01 s: .* larger every'),
-    ({'scene': 3}, TypeError, 'scene is a int: give what load_scene returns'),
-    ({'scene': 'nowhere'}, SceneError, "no scene 'nowhere'; shipped"),
-    ({'initial_state': {'q': [1.0]}}, TypeError, 'initial_state must be a pair'),
-    ({'initial_state': 3}, TypeError, r'such as \(\[1.0\], \[0.0\]\), not 3'),
-    ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError, 'initial_state.*2 values'),
-    ({'effects': [{'kind': 'dampin'}]}, SceneError, 'as changed: effects'),
-    ({'commands': [[1.0]]}, ValueError, r'commands has shape \(1, 1\), expected \(100, c\)'),
-    ({'commands': lambda t: [1.0]}, ValueError, 'takes no commands')])
-def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error, message):
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize('arguments, error', [
+    ({'every': 1.5}, TypeError), ({'every': True}, TypeError), ({'duration': '1 s'}, TypeError),
+    ({'duration': 1e12}, ValueError), ({'duration': 1e308}, ValueError), ({'scene': 3}, TypeError),
+    ({'scene': 'nowhere'}, SceneError), ({'initial_state': {'q': [1.0]}}, TypeError),
+    ({'initial_state': 3}, TypeError), ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError),
+    ({'effects': [{'kind': 'dampin'}]}, SceneError), ({'commands': [[1.0]]}, ValueError),
+    ({'commands': lambda t: [1.0]}, ValueError)])
+def test_simulate_refuses_an_argument_in_a_sentence(scene, arguments, error):
+    with refused(error):
         simulate(**{'scene': scene, 'duration': 1.0} | arguments)
 
 
@@ -95,12 +91,14 @@ def test_simulate_takes_the_name_of_a_scene():
     assert simulate('exact_harmonic_oscillator', 0.01).q.shape == (2, 1)
 
 
+@pytest.mark.long
 def test_simulate_takes_a_tuple_of_effects(scene):
     damped = {'kind': 'damping', 'rate': 0.5}
     assert np.array_equal(simulate(scene, 0.1, effects=(damped,)).q,
                           simulate(scene, 0.1, effects=[damped]).q)
 
 
+@pytest.mark.long
 def test_simulate_takes_an_initial_state_and_effects_in_place_of_the_scenes(scene):
     trajectory = simulate(scene, 1.0, initial_state=(np.array([0.0]), [2.0]),
                           integrator='gauss8', effects=[{'kind': 'damping', 'rate': 0.5}])
@@ -129,6 +127,7 @@ def test_simulate_takes_commands_as_a_function_of_time_or_as_rows(scene):
     assert rows == pytest.approx(expected, abs=1e-11)
 
 
+@pytest.mark.long
 def test_hamiltonian_of_functions_without_a_module_is_simulated():
     """As sympy's lambdify makes them."""
     q, p = sympy.symbols('q p')
@@ -165,7 +164,7 @@ def test_hamiltonian_of_functions_without_a_module_is_simulated():
 
 @pytest.mark.parametrize('q, p', [([1.0, 2.0], [0.0]), ([float('nan')], [0.0]), ([], [])])
 def test_simulation_state_of_wrong_shape_or_not_finite_is_refused(q, p):
-    with pytest.raises(ValueError, match='shape|finite'):
+    with refused(ValueError):
         Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 0.1, q, p)
 
 
@@ -213,7 +212,7 @@ def test_step_failure_comes_where_the_iteration_is_cut_short():
 
 def test_step_failure_for_a_state_that_is_not_finite():
     # Explicit Euler at a huge step multiplies the energy by 1 + h^2 until it overflows.
-    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](),
+    simulation = Simulation(Uncompiled(HAMILTONIANS['harmonic_oscillator']()),
                             INTEGRATORS['explicit_euler'](), 1e6, [1.0], [0.0])
     with pytest.raises(StepFailure, match='not finite'):
         simulation.advance(1000)
@@ -236,12 +235,12 @@ def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces():
         assert np.array_equal(other.p, whole.p)
 
 
-@pytest.mark.parametrize('name', sorted(set(INTEGRATORS) - {
+@pytest.mark.parametrize('name', mostly_long(sorted(set(INTEGRATORS) - {
     'stormer_verlet', 'dop853', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
-        name for name in INTEGRATORS if name.startswith('lie_')}))
+        name for name in INTEGRATORS if name.startswith('lie_')}), *KINDS, 'time_transformed'))
 def test_simulation_restored_from_a_snapshot_is_bit_identical(name):
-    whole, resumed = (Simulation(HAMILTONIANS['tao'](), INTEGRATORS[name](), 0.05, [1.0], [-1.0])
-                      for _ in range(2))
+    whole, resumed = (Simulation(Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS[name](), 0.05,
+                                 [1.0], [-1.0]) for _ in range(2))
     whole.advance(50)
     snapshot = whole.snapshot()
     whole.advance(50)
@@ -257,20 +256,22 @@ def test_simulation_takes_sub_steps_where_no_solver_converges_and_counts_them():
     simulation = tao(3.0, 2.0, 2.0)
     simulation.advance(1)
     assert (simulation.steps, simulation.rescued) == (1, 1)
-    fine = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['gauss8'](), 0.01, [2.0], [2.0])
-    fine.advance(300)
+    fine = Simulation(Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS['gauss8'](), 0.03, [2.0],
+                      [2.0])
+    fine.advance(100)
     assert simulation.energy == pytest.approx(fine.energy, rel=0.5)
 
 
 @pytest.mark.parametrize('amplitude', [1e-200, 1e-9, 1e-3, 1.0, 1e6])
 def test_implicit_step_converges_at_every_scale_of_the_state(amplitude):
-    simulation = Simulation(HAMILTONIANS['harmonic_oscillator'](),
+    simulation = Simulation(Uncompiled(HAMILTONIANS['harmonic_oscillator']()),
                             INTEGRATORS['variational_euler'](), 0.01, [amplitude], [0.0])
-    simulation.advance(10_000)
+    simulation.advance(1000)
     assert np.hypot(simulation.q[0], simulation.p[0]) == pytest.approx(amplitude, rel=0.01)
 
 
-@pytest.mark.parametrize('widths', [[2, 200, 200, 1], [4, 32, 1], [2, 64, 64, 64, 1]], ids=str)
+@pytest.mark.parametrize('widths', mostly_long(
+    [[2, 200, 200, 1], [4, 32, 1], [2, 64, 64, 64, 1]], '[4, 32, 1]'))
 def test_implicit_step_of_a_network_converges_to_round_off(widths):
     hamiltonian = NeuralHamiltonian(random_checkpoint(widths, seed=2))
     d = hamiltonian.dimension

@@ -7,7 +7,7 @@ from pathlib import Path
 import sys
 
 from effect_table import create_effect, EFFECT_ROWS, EffectRow
-from helpers import EPS, free, Uncompiled
+from helpers import EPS, free, long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import JointPath
@@ -19,6 +19,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.trajectory.simulate import BLOCK, simulate, simulate_many
+from messages import refused
 import numpy as np
 import pytest
 
@@ -66,13 +67,13 @@ def test_scene_with_its_effects_removed_is_bit_identical_to_one_that_never_had_a
     results = []
     for name, effects in (('never', ''), ('removed', 'effects: []')):
         path = tmp_path / f'{name}.yaml'
-        path.write_text(SCENE.format(kind='tao', effects=effects, integrator='variational_euler',
-                                     q=[0.7]))
+        path.write_text(SCENE.format(kind='harmonic_oscillator', effects=effects,
+                                     integrator='variational_euler', q=[0.7]))
         results.append(simulate(load_scene(path), 50.0))
     for part in ('t', 'q', 'p', 'energy'):
         assert np.array_equal(*(getattr(result, part) for result in results))
-    bare = Simulation(HAMILTONIANS['tao'](), INTEGRATORS['variational_euler'](), 0.05, [0.7],
-                      [0.7])
+    bare = Simulation(HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS['variational_euler'](),
+                      0.05, [0.7], [0.7])
     assert np.array_equal(bare.record(1000, 1)[0], results[0].q[1:])
 
 
@@ -168,40 +169,31 @@ def test_method_that_cannot_take_an_effect_is_refused_with_those_that_can(
         System(free('x', 'z'), [effect(kind, *arguments)], INTEGRATORS[name]())
 
 
-@pytest.mark.parametrize('row', EFFECT_ROWS, ids=lambda row: row.name)
-def test_discrete_euler_lagrange_takes_no_effect_at_all(row: EffectRow, tmp_path: Path):
+def test_discrete_euler_lagrange_takes_no_effect_at_all(tmp_path: Path):
     integrator = INTEGRATORS['discrete_euler_lagrange']('helpers:midpoint_lagrangian', 2)
-    with pytest.raises(UnsupportedSystem, match='discrete_euler_lagrange cannot take the effect'):
-        System(row.uncompiled, row.create(tmp_path), integrator)
+    for row in EFFECT_ROWS:
+        with pytest.raises(UnsupportedSystem, match='discrete_euler_lagrange cannot take the eff'):
+            System(row.uncompiled, row.create(tmp_path), integrator)
 
 
-@pytest.mark.parametrize('effects, index, message', [
-    ([('thermostat', {'temperature': 1.0, 'rate': 1.0})] * 2, 1, 'one thermostat only'),
-    ([('external_force', {'coordinates': ['x']}), ('external_force', {'coordinates': ['z']})], 1,
-     'one external_force only'),
-    ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-      ('impact', {'coordinate': 'x'})], 1, 'impact does not combine with holonomic_constraint'),
-    ([('joint_limits', {'lower': {'x': 0.0, 'z': 0.0}}),
-      ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
-     'joint_limits does not combine with holonomic_constraint'),
-    ([('joint_limits', {'lower': {'x': 0.0, 'z': 0.0}}),
-      ('thermostat', {'temperature': 1.0, 'rate': 1.0}),
-      ('thermostat', {'temperature': 1.0, 'rate': 1.0})], 2, 'one thermostat only'),
-    ([('thermostat', {'temperature': 1.0, 'rate': 1.0}),
-      ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]})], 0,
-     'thermostat does not combine'),
-    ([('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-      ('learned_dissipation', {'model': 2})], 1, 'its forces would do work'),
-])
-def test_effects_that_do_not_combine_are_refused(effects, index, message, tmp_path):
-    with pytest.raises(EffectError, match=message) as raised:
+BATH = 'thermostat', {'temperature': 1.0, 'rate': 1.0}
+ROD = 'holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}
+STOPS = 'joint_limits', {'lower': {'x': 0.0, 'z': 0.0}}
+
+
+@pytest.mark.parametrize('effects, index', [
+    ([BATH, BATH], 1), ([('external_force', {'coordinates': [name]}) for name in 'xz'], 1),
+    ([ROD, ('impact', {'coordinate': 'x'})], 1), ([STOPS, ROD], 0), ([STOPS, BATH, BATH], 2),
+    ([BATH, ROD], 0), ([ROD, ('learned_dissipation', {'model': 2})], 1)])
+def test_effects_that_do_not_combine_are_refused(effects, index, tmp_path):
+    with refused(EffectError) as raised:
         System(free('x', 'z'), [create_effect(*one, tmp_path) for one in effects],
                INTEGRATORS['generalized_leapfrog']())
     assert raised.value.index == index
 
 
 def test_initial_state_behind_a_wall_is_refused():
-    with pytest.raises(ValueError, match=r'initial x = -0\.5 is behind the wall .* at 0\.0'):
+    with refused(ValueError):
         Simulation(free('x'), INTEGRATORS['stormer_verlet'](), 0.1, [-0.5], [0.0],
                    [effect('impact', 'x')])
 
@@ -210,7 +202,7 @@ def test_initial_state_behind_a_wall_is_refused():
     ('impact', ('x',)), ('thermostat', (1.0, 1.0)),
     ('holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]))])
 def test_several_states_at_once_are_refused_where_an_effect_takes_one(kind, arguments):
-    with pytest.raises(ValueError, match='use simulate_many'):
+    with refused(ValueError):
         Simulation(free('x', 'z'), INTEGRATORS['stormer_verlet'](), 0.1, [[1.0, 0.0]] * 2,
                    [[0.0, 0.0]] * 2, [effect(kind, *arguments)])
 
@@ -388,10 +380,10 @@ def scene_of(tmp_path: Path, kind: str, effects: str, integrator: str, d: int):
     ('pendulum', 1, 'generalized_leapfrog',
      '  - {kind: damping, rate: 0.3}\n'
      '  - {kind: periodic_drive, coordinate: angle, amplitude: 1.0, frequency: 0.5}\n'),
-    ('henon_heiles', 2, 'implicit_midpoint', '  - {kind: magnetic_field, plane: [x, y]}\n'),
-    ('pendulum', 1, 'stormer_verlet',
-     '  - {kind: thermostat, temperature: 0.5, rate: 2.0, seed: 1}\n'
-     '  - {kind: impact, coordinate: angle, position: -1.0, restitution: 0.7}\n')],
+    long('henon_heiles', 2, 'implicit_midpoint', '  - {kind: magnetic_field, plane: [x, y]}\n'),
+    long('pendulum', 1, 'stormer_verlet',
+         '  - {kind: thermostat, temperature: 0.5, rate: 2.0, seed: 1}\n'
+         '  - {kind: impact, coordinate: angle, position: -1.0, restitution: 0.7}\n')],
     ids=['forces', 'magnetic field', 'bath and wall'])
 def test_many_trajectories_with_effects_are_those_of_each_alone(
         kind, d, integrator, effects, tmp_path):
@@ -430,20 +422,20 @@ def test_energy_balance_of_trajectories_that_step_together_is_the_sum_of_theirs(
 
 def test_initial_momentum_along_a_rod_is_refused():
     rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
-    with pytest.raises(ValueError, match='changes it by 0.5 m/s'):
+    with refused(ValueError):
         Simulation(HAMILTONIANS['free_particle'](names=['x', 'z']),
                    INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.5, 0.2], [rod])
 
 
 def test_command_is_refused_where_no_effect_takes_one():
     simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['rk4'](), 0.1, [1.0], [0.0])
-    with pytest.raises(ValueError, match='external_force'):
+    with refused(ValueError):
         simulation.set_command([1.0])
 
 
 def test_more_rods_than_coordinates_are_refused():
     rods = [EFFECTS['holonomic_constraint'](['x'], anchor=[0.0], length=1.0) for _ in range(2)]
-    with pytest.raises(EffectError, match='no freedom'):
+    with refused(EffectError):
         Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['stormer_verlet'](), 0.1, [1.0],
                    [0.0], rods)
 
