@@ -147,6 +147,8 @@ def test_time_out_of_the_simulator_ends_the_command_of_a_controller_that_hangs_o
 
 
 def test_controller_that_cannot_begin_says_why_in_one_line():
-    for parameter in ('task:=swing_upp', 'simulator:=not a name', 'commands:=torques',
-                      'scene:=kepler'):
+    for parameter in ('task:=swing_upp', 'simulator:=not a name', 'commands:=torques'):
         assert_message(refusal('controller', '--ros-args', '-p', parameter))
+    # At a line of the file of the shipped task.
+    line = refusal('controller', '--ros-args', '-p', 'scene:=kepler')
+    assert line.endswith("inputs: no coordinate 'angle'; valid coordinates: x, y")

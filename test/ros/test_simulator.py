@@ -245,9 +245,9 @@ MISTAKES = [
     {'publish_rate': 'fast'}, {'publish_rate': 1e9}, {'record': 3}, {'duration': '.nan'},
     {'real_time_factor': -0.5}, {'rerun_sink': 'screen'}, {'scene': 5},
     {'real_time_factor': '1.0e-300'}, {'step_size': '1.0e-25'},
-    {'integrator': 'discrete_euler_lagrange'}, {'integrator': 'rk5'}, {'duration': 0.001},
-    {'record_path': 'taken'}, {'rerun_path': 'taken'}, {'record_path': '/dev/null/bag'},
-    {'rerun_path': '/dev/null/a'}]
+    {'scene': 'commanded.yaml', 'integrator': 'discrete_euler_lagrange'},
+    {'integrator': 'rk5'}, {'duration': 0.001}, {'record_path': 'taken'},
+    {'rerun_path': 'taken'}, {'record_path': '/dev/null/bag'}, {'rerun_path': '/dev/null/a'}]
 
 
 def test_simulator_mistake_is_one_line(folder, monkeypatch):
