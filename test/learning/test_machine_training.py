@@ -3,6 +3,7 @@
 """The family mechanical in torch: what it is, how it is trained, and from which data."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
@@ -20,12 +21,13 @@ from hnn_vi_ros.learning.fit.machine import (
     samples_of, scales_of)
 from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
 from hnn_vi_ros.learning.scene_numbers.identify import _arrays
-from hnn_vi_ros.learning.tasks.machine import describe, fix_scale
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.learning.tasks.machine import fix_scale
 from hnn_vi_ros.simulation import Simulation
+from machines import compiled, driven, shaken
+from messages import refused
 import numpy as np
 import pytest
+from schemas import misfit
 from scipy.integrate import solve_ivp
 import torch
 
@@ -47,44 +49,38 @@ def random_motions(d: int, seed: int = 0) -> list[Run]:
                      40.0)]
 
 
+LONG = pytest.mark.long
+KINDS = ['prismatic', 'revolute', 'continuous']
+
+
+# Networks alone, links with networks, and another system; then what else there is.
 @pytest.mark.parametrize('structure', [
     Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[-1.0, 1.0]],
               friction=FrictionChoice(stribeck=1)),
-    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]],
-              [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], diagonal_mass=True),
-    Structure(['revolute'], [[1.0]], [], friction=FrictionChoice(coulomb=0)),
-    Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
-              prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]]),
-    Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
-              prior='planar_chain', angles=[[1.0, 0.0], [1.0, 1.0]], residual=False),
-    Structure(['prismatic', 'revolute', 'continuous'], np.eye(3).tolist(), [[0.0, 1.0, 0.0]],
-              prior='planar_chain', angles=[[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]],
+    Structure(KINDS, np.eye(3).tolist(), [[0.0, 1.0, 0.0]], prior='planar_chain',
+              angles=[[0.0] * 3, [0.0, 1.0, 0.0], [0.0, 1.0, 1.0]],
               friction_features=[[0.0, 1.0, 0.0]]),
     Structure(['prismatic', 'prismatic'], [[1.0, 0.0], [1.0, -1.0]], [[0.0, 1.0]],
               prior='kepler'),
-    Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
-    Structure(['prismatic', 'revolute', 'continuous'], [[1.0, 0.0, 0.0]], [],
-              friction=FrictionChoice(viscous=False, coulomb=0),
-              friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
-    Structure(['revolute', 'revolute'], [[1.0, 0.0]], [], friction_features=[]),
-])
+    *(pytest.param(structure, marks=LONG) for structure in (
+        Structure(KINDS, [[1.0, -0.5, 0.0], [0.0, 0.0, 2.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+                  diagonal_mass=True),
+        Structure(['revolute'], [[1.0]], [], friction=FrictionChoice(coulomb=0)),
+        Structure(['continuous', 'revolute'], [[1.0, 0.0], [0.0, 1.0]], [[0.0, 1.0]],
+                  prior='planar_chain', angles=[[1.0, 0.0], [0.0, 1.0]]),
+        Structure(['continuous', 'continuous'], [[1.0, 0.0], [1.0, 1.0]], [[0.0, 1.0]],
+                  prior='planar_chain', angles=[[1.0, 0.0], [1.0, 1.0]], residual=False),
+        Structure(['revolute'], [[1.0]], [[1.0]], prior='tao', residual=False),
+        Structure(KINDS, [[1.0, 0.0, 0.0]], [],
+                  friction=FrictionChoice(viscous=False, coulomb=0),
+                  friction_features=[[1.0, -1.0, 0.0], [0.0, 0.0, 1.0]]),
+        Structure(['revolute', 'revolute'], [[1.0, 0.0]], [], friction_features=[])))])
 def test_accelerations_in_torch_are_those_of_the_kernel_and_its_friction(structure, tmp_path):
     motions = random_motions(len(structure.kinds))
-    network = MechanicalNetwork(structure, [6, 5], scales_of(motions), 3)
-    with torch.no_grad():
-        # Away from the initial values, at which M and friction are near constants.
-        for parameter in filter(lambda parameter: parameter.requires_grad, network.parameters()):
-            parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
-                                             generator=torch.Generator().manual_seed(1)))
+    network = shaken(MechanicalNetwork(structure, [6, 5], scales_of(motions), 3))
     d = network.d
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': f'x{i}', 'kind': kind}
-                        for i, kind in enumerate(structure.kinds)],
-        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'prior': 'none'}})
-    checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
-    save_checkpoint(tmp_path / 'm.safetensors', checkpoint)
-    hamiltonian = MechanicalHamiltonian(checkpoint)
-    effect = EFFECTS['learned_friction'](str(tmp_path / 'm.safetensors'))
+    hamiltonian, model = compiled(network, motions, tmp_path)
+    effect = EFFECTS['learned_friction'](model)
     parameters = effect.resolve(hamiltonian.coordinates, None)
     rng = np.random.default_rng(2)
     q, v, tau = rng.uniform(-1.0, 1.0, (3, 4, d))
@@ -132,6 +128,7 @@ def test_runge_kutta_converges_with_order_4():
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
 
 
+@cache
 def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
     """Return a pendulum with Coulomb friction under random forces, every 10 ms."""
     simulation = Simulation(
@@ -139,36 +136,35 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
         [EFFECTS['external_force'](['angle'], timeout=100.0),
          EFFECTS['dry_friction']('angle', 0.3, 0.1)])
     rng = np.random.default_rng(seed)
-    n = round(seconds / 0.01)
     amplitude, phase = rng.uniform(-1.5, 1.5, 3), rng.uniform(0.0, 6.0, 3)
-    t = 0.01 * np.arange(n)
-    tau = (amplitude * np.sin(np.array([1.0, 2.3, 4.1]) * t[:, None] + phase)).sum(axis=1)
-    q, v = np.empty((2, n, 1))
-    for k in range(n):
-        q[k], v[k] = simulation.q, simulation.dH_dp
-        if k + 1 < n:
-            simulation.set_command([0.5 * (tau[k] + tau[k + 1])])
-            simulation.advance(1)
-    return smoothed(f'run{seed}', t, q, v, tau[:, None], 40.0)
+    t = 0.01 * np.arange(round(seconds / 0.01))
+    tau = (amplitude * np.sin(np.array([1.0, 2.3, 4.1]) * t[:, None] + phase)).sum(
+        axis=1, keepdims=True)
+    return smoothed(f'run{seed}', t, *driven(simulation, tau), tau, 40.0)
+
+
+def fitted(motions: list[Run], hidden: int, loss: dict, **family: object
+           ) -> tuple[MechanicalNetwork, dict[str, float]]:
+    """Return networks of a pendulum that were trained, and their losses."""
+    config = MachineConfig.model_validate({
+        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', **family},
+        'hidden': [hidden], 'loss': loss})
+    network = MechanicalNetwork(config.structure(), [hidden], scales_of(motions), 0)
+    return network, MachineProblem(network, config, motions).fit()
 
 
 @pytest.mark.parametrize('loss', [
-    {'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0, 'step_size': 0.02,
-     'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]},
     {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 200},
-    {'kind': 'inverse', 'steps': 200, 'lbfgs_steps': 200},
-    {'kind': 'discrete', 'steps': 200, 'lbfgs_steps': 200},
+    pytest.param({'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0,
+                  'step_size': 0.02, 'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]},
+                 marks=LONG),
+    pytest.param({'kind': 'inverse', 'steps': 200, 'lbfgs_steps': 200}, marks=LONG),
+    pytest.param({'kind': 'discrete', 'steps': 200, 'lbfgs_steps': 200}, marks=LONG),
 ], ids=lambda loss: loss['kind'])
 def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant',
-                   'friction': {'coulomb': 1}},
-        'hidden': [12], 'loss': loss})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
-    scales = scales_of(train)
-    network = MechanicalNetwork(config.structure(), config.hidden, scales, config.seed)
-    losses = MachineProblem(network, config, train).fit()
+    network, losses = fitted(train, 12, loss, friction={'coulomb': 1})
     assert losses.keys() == ({'forward', 'windows_0.2'} if loss['kind'] == 'trajectory' else
                              {loss['kind'], f'{loss["kind"]}_lbfgs'})
     learned = score(predicted_by(network), test, [0.5], 0.25, 1.0)
@@ -186,19 +182,15 @@ def test_driven_pendulum_with_friction_is_learned_by_each_loss(loss):
 # Beyond Adam, as far as L-BFGS comes in so many steps, whether or not a terminal shows them.
 @pytest.mark.parametrize('kind, option, at_end', [
     ('forward', 'lbfgs_steps', {}),
-    ('trajectory', 'forward_lbfgs_steps', {
-        'batch': 1, 'windows': [{'duration': 0.01, 'steps': 1, 'learning_rate': 1e-12}]})])
+    pytest.param('trajectory', 'forward_lbfgs_steps', {
+        'batch': 1, 'windows': [{'duration': 0.01, 'steps': 1, 'learning_rate': 1e-12}]},
+        marks=LONG)])
 def test_lbfgs_on_accelerations_takes_as_many_steps_as_it_is_given(kind, option, at_end):
     motions, found = [driven_pendulum(1, 4.0)], {}
     for steps in (0, 20, 100):
-        config = MachineConfig.model_validate({
-            'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'hidden': [8],
-            'data': {'kind': 'arrays'},
-            'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant'},
-            'loss': {'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50,
-                     option: steps, **at_end}})
-        network = MechanicalNetwork(config.structure(), [8], scales_of(motions), 0)
-        losses = MachineProblem(network, config, motions).fit()
+        network, losses = fitted(motions, 8, {
+            'kind': kind, 'steps' if kind == 'forward' else 'forward_steps': 50, option: steps,
+            **at_end})
         assert ('forward_lbfgs' in losses) == (steps > 0)
         samples = samples_of(motions, None)
         with torch.no_grad():
@@ -252,15 +244,12 @@ def motion_of_an_eccentric_pendulum(seed: int) -> Run:
     return smoothed(f'run{seed}', t, found[:, :1], found[:, 1:], tau, 40.0, a)
 
 
+@LONG
 def test_friction_that_depends_on_the_angle_is_learned():
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', 'friction': {
-            'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']}},
-        'hidden': [8], 'loss': {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}})
-    train = [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)]
-    network = MechanicalNetwork(config.structure(), config.hidden, scales_of(train), config.seed)
-    MachineProblem(network, config, train).fit()
+    network, _ = fitted(
+        [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)], 8,
+        {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}, friction={
+            'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']})
     q = torch.linspace(-2.0, 2.0, 9, dtype=torch.float64)[:, None]
     with torch.no_grad():
         friction = network.friction(q, torch.ones_like(q)).numpy()
@@ -272,13 +261,12 @@ def test_discrete_loss_is_zero_on_a_motion_of_the_midpoint_rule(tmp_path):
     motions = random_motions(2)
     config = MachineConfig.model_validate(CONFIG)
     network = MechanicalNetwork(config.structure(), [6], scales_of(motions), 3)
-    checkpoint = describe(network, config, motions, 'none', {}, 'random', '')
-    save_checkpoint(tmp_path / 'm.safetensors', checkpoint)
+    hamiltonian, model = compiled(network, motions, tmp_path)
     h, n = 0.01, 60
     simulation = Simulation(
-        MechanicalHamiltonian(checkpoint), INTEGRATORS['implicit_midpoint'](), h, [0.3, -0.2],
-        [0.1, 0.2], [EFFECTS['external_force'](['a', 'b'], timeout=100.0),
-                     EFFECTS['learned_friction'](str(tmp_path / 'm.safetensors'))])
+        hamiltonian, INTEGRATORS['implicit_midpoint'](), h, [0.3, -0.2], [0.1, 0.2],
+        [EFFECTS['external_force'](['x0', 'x1'], timeout=100.0),
+         EFFECTS['learned_friction'](model)])
     tau = 0.3 * np.random.default_rng(0).normal(size=(n, 2))
     q = np.empty((n, 2))
     for k in range(n):
@@ -318,27 +306,20 @@ def test_what_is_no_linear_combination_is_refused(text):
     if not text:
         assert combination(text, ['a', 'b'], 'features') == [0.0, 0.0]  # which the card refuses
         return
-    with pytest.raises(ValueError, match='no linear combination'):
+    with refused(ValueError):
         combination(text, ['a', 'b'], 'features')
 
 
-@pytest.mark.parametrize('changes, message', [
-    ({'features': ['c']}, 'no linear combination'),
-    ({'features': ['a', '0.5 * b']}, 'which has no period'),
-    ({'mass_depends_on': ['a - a']}, 'a row of zeros'),
-    ({'mass_depends_on': ['c']}, 'mass_depends_on: .* no linear combination'),
-    ({'mass': 'constant'}, 'depends on nothing'),
-    ({'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'}, 'angles of its links'),
-    ({'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, 'angles of its links'),
-    ({'prior': 'pendulum'}, 'has 1 coordinates'),
-    ({'residual': False}, 'nothing but the networks'),
-    ({'friction': {'network_depends_on': ['a']}}, 'there is no network'),
-    ({'friction': {'network': True, 'network_depends_on': ['c']}}, 'no linear combination'),
-    ({'friction': {'network': True}, 'prior': 'double_pendulum', 'residual': False},
-     'leaves out all networks'),
-])
-def test_configuration_refuses_what_makes_no_sense(changes, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('changes', [
+    {'features': ['c']}, {'features': ['a', '0.5 * b']}, {'mass_depends_on': ['a - a']},
+    {'mass_depends_on': ['c']}, {'mass': 'constant'},
+    {'features': ['a', 'b', 'a + b'], 'prior': 'double_pendulum'},
+    {'features': ['a', '2 * a'], 'prior': 'double_pendulum'}, {'prior': 'pendulum'},
+    {'residual': False}, {'friction': {'network_depends_on': ['a']}},
+    {'friction': {'network': True, 'network_depends_on': ['c']}},
+    {'friction': {'network': True}, 'prior': 'double_pendulum', 'residual': False}])
+def test_configuration_refuses_what_makes_no_sense(changes):
+    with misfit():
         MachineConfig.model_validate(CONFIG | {'family': CONFIG['family'] | changes})
 
 
@@ -350,37 +331,31 @@ def write(path: Path, **changes) -> Path:
     return path
 
 
-@pytest.mark.parametrize('changes, message', [
-    ({'t': np.zeros(40)}, 'are not after the one before'),
-    ({'t': 0.01 * np.arange(40) + np.arange(40) // 15}, 'no 20 samples in a row'),
-    ({'tau': None}, 'no key one/tau; it has one/t'),
-    ({'q': np.zeros((40, 2))}, r'shape \(40, 2\)'),
-    ({'tau': np.full((40, 1), np.nan)}, '40 lack a number of tau'),
-    ({'q': np.array([['x']] * 40)}, 'expected numbers'),
-])
-def test_arrays_that_cannot_be_used_are_refused_in_one_line(tmp_path, changes, message):
+@pytest.mark.parametrize('changes', [
+    {'t': np.zeros(40)}, {'t': 0.01 * np.arange(40) + np.arange(40) // 15}, {'tau': None},
+    {'q': np.zeros((40, 2))}, {'tau': np.full((40, 1), np.nan)}, {'q': np.array([['x']] * 40)}])
+def test_arrays_that_cannot_be_used_are_refused_in_one_line(tmp_path, changes):
     path = write(tmp_path / 'arm.npz', **changes)
-    with pytest.raises(DataError, match=message) as problem:
+    with refused(DataError):
         read_arrays(path, ArraysData(), 1)
-    assert '\n' not in str(problem.value)
 
 
 def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
     path = write(tmp_path / 'arm.npz')
-    with pytest.raises(DataError, match="no run 'two'.*its runs: one"):
+    with refused(DataError):
         read_arrays(path, ArraysData(), 1, ['two'])
     (tmp_path / 'folder.npz').mkdir()
     whole = path.read_bytes()
     for name, content in (('text.npz', b'hello'), ('empty.npz', b''), ('cut.npz', whole[:-40]),
                           ('damaged.npz', whole[:300] + bytes(40) + whole[340:])):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(DataError, match=f'{name}: not an .npz file of plain') as no:
+        with refused(DataError) as no:
             read_arrays(tmp_path / name, ArraysData(), 1)
         assert 'pickle' not in str(no.value)
         # What keys there are is asked before, when nothing is said of them.
         assert _arrays(tmp_path / name, ArraysData()) == ArraysData()
     for name in ('nothing.npz', 'folder.npz'):
-        with pytest.raises(DataError, match=f'{name}: cannot be read .*; give an .npz file'):
+        with refused(DataError):
             read_arrays(tmp_path / name, ArraysData(), 1)
     assert split_runs(f'{path}:a,b') == (path, ['a', 'b'])
     assert split_runs(str(path)) == (path, [])
@@ -397,13 +372,13 @@ def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path
     assert np.abs(measured.a_smooth - 2.0).max() < 1e-12
     assert not estimated.accelerations and config.loss_of(False).kind == 'trajectory'
     assert measured.accelerations and config.loss_of(True).kind == 'forward'
-    with pytest.raises(DataError, match='no key one/ddq'):
+    with refused(DataError):
         read_arrays(write(tmp_path / 'arm2.npz'), ArraysData(a='ddq'), 1)
 
 
 def test_runs_without_times_come_at_an_interval(tmp_path):
     path = write(tmp_path / 'arm.npz', t=None)
-    with pytest.raises(DataError, match='no key t, nor any RUN/t'):
+    with refused(DataError):
         read_arrays(path, ArraysData(), 1)
     (motion,), _ = read_arrays(path, ArraysData(interval=0.01), 1)
     assert motion.name == 'one' and motion.spacing == pytest.approx(0.01, rel=1e-12)
@@ -448,6 +423,7 @@ def test_forces_are_averaged_as_they_act_between_samples(held, means):
     assert mean_forces(motion, 2).T.tolist() == [means]
 
 
+@LONG
 def test_plain_network_learns_what_it_is_compared_by():
     """Of the same motions, and angles that have turned over are the same ones to it."""
     config = MachineConfig.model_validate({
