@@ -15,6 +15,9 @@ from studies.machine_tables import (
     rows_of, RUNS, valid_times, WITH_PRIOR)
 
 
+FREE = 'real free double pendulum'
+
+
 def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Run:
     t = spacing * np.arange(n)
     q = np.stack([np.sin(t), np.cos(2.0 * t)], axis=-1)
@@ -75,7 +78,7 @@ def test_later_runs_may_be_sampled_at_rates_of_their_own(tmp_path):
 
 
 def test_goal_is_met_by_the_mean_of_every_coordinate():
-    case = CASES['real free double pendulum']
+    case = CASES[FREE]
     measure = 'RMS error [rad] over 2 s, validation'
     for ours, met in (([.0050, .0072], True), ([.0030, .0080], False)):
         values = dict.fromkeys(case.references, ours)
@@ -86,9 +89,8 @@ def test_goal_is_met_by_the_mean_of_every_coordinate():
 
 
 def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
-    case = 'real free double pendulum'
     (tmp_path / 'multiarm_pendulum').mkdir()
-    (tmp_path / CASES[case].file).touch()
+    (tmp_path / CASES[FREE].file).touch()
     done, out = [], tmp_path / 'machines.json'
 
     def run_case(_case, model, _motions, _data, seed, _quick):
@@ -96,8 +98,8 @@ def test_tables_that_were_stopped_go_on_where_they_were(tmp_path, monkeypatch):
             done.append('stopped')
             raise KeyboardInterrupt
         done.append((model, seed))
-        return dict.fromkeys(CASES[case].references, [0.001 * seed] * 2)
-    monkeypatch.setattr(machine_tables, 'CASES', {case: CASES[case]})
+        return dict.fromkeys(CASES[FREE].references, [0.001 * seed] * 2)
+    monkeypatch.setattr(machine_tables, 'CASES', {FREE: CASES[FREE]})
     monkeypatch.setattr(machine_tables, 'read_case', lambda case, data: None)
     monkeypatch.setattr(machine_tables, 'run_case', run_case)
     with pytest.raises(KeyboardInterrupt):
@@ -132,7 +134,10 @@ def test_data_that_are_not_there_are_named_and_those_that_are_simulated_are_made
     assert 'not there, so not measured' in printed
 
 
-def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch):
+@pytest.mark.parametrize('cases', [
+    {FREE: CASES[FREE]}, pytest.param(CASES, marks=pytest.mark.long)], ids=['one', 'all'])
+def test_every_machine_is_measured_and_stands_on_the_page(cases, tmp_path, monkeypatch):
+    monkeypatch.setattr(machine_tables, 'CASES', cases)
     # Forces at random fit no rigid body, and its fits would take all that they may.
     for name, value in (('_EVALUATIONS', 1), ('_SAMPLES', 50), ('_WINDOWS', 50)):
         monkeypatch.setattr(rigid_body, name, value)
@@ -170,7 +175,7 @@ def test_every_machine_is_measured_and_stands_on_the_page(tmp_path, monkeypatch)
                                   '--out', str(out)]) == 0
     rows = json.loads((out / 'learning' / 'machines.json').read_text())
     assert [(row['case'], row['model'], row['measure']) for row in rows] == [
-        (name, model, measure) for name, case in CASES.items()
+        (name, model, measure) for name, case in cases.items()
         for model in case.goals for measure in case.references]
     page = (out / 'learning.md').read_text()
     # A case stands in the first of its rows alone.
