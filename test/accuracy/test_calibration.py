@@ -7,7 +7,7 @@ from itertools import accumulate, count
 import math
 
 from benchmarks import campaign
-from helpers import problem_of
+from helpers import long, problem_of
 from hnn_vi_ros.accuracy.automatic_choice import calibrate, CANDIDATES, Choice, remembered, resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
@@ -16,6 +16,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import simulate
+from messages import refused
 import numpy as np
 from plain_systems import Plain
 import pytest
@@ -63,8 +64,14 @@ def error_of(name: str, tolerance: Tolerance, choice: Choice) -> float:
     return worst
 
 
-@pytest.mark.parametrize('name, tolerance', PAIRS, ids=lambda value: str(value) if isinstance(
-    value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
+# One of each kind; `make test-long` takes the others too.
+SHORT = [('exact_pendulum', Tolerance(ENERGY, 2e-5, 40.0)),
+         ('exact_pendulum', Tolerance(PATH, 4e-3, 15.0))]
+
+
+@pytest.mark.parametrize('name, tolerance', [
+    pair if pair in SHORT else long(*pair) for pair in PAIRS], ids=lambda value: str(
+        value) if isinstance(value, str) else f'{value.kind}-{value.error:g}-{value.horizon:g}')
 def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tolerance, measured):
     choice = calibrate(problem_of(name), tolerance)
     error = error_of(name, tolerance, choice)
@@ -88,8 +95,8 @@ def orbit(eccentricity: float, end: str) -> InitialValueProblem:
 @pytest.mark.parametrize('tolerance', [Tolerance(ENERGY, 1e-3, 200.0),
                                        Tolerance(PATH, 1e-4, 30.0)],
                          ids=lambda tolerance: tolerance.kind)
-@pytest.mark.parametrize('end', ORBITS)
-@pytest.mark.parametrize('eccentricity', [0.9, 0.99])
+@pytest.mark.parametrize('end', ['apocentre', long('pericentre')])
+@pytest.mark.parametrize('eccentricity', [0.9, long(0.99)])
 def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolerance):
     """From afar the encounter is not in sight; next to it the rest of the orbit is not."""
     mine = orbit(eccentricity, end)
@@ -106,6 +113,7 @@ def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolera
     assert error <= tolerance.error
 
 
+@pytest.mark.long
 def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
     """Nothing is chosen by the clock: one that runs wild changes what is told, and no more."""
     tolerance = Tolerance(PATH, 1e-4, 30.0)
@@ -146,6 +154,7 @@ def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
         calibrate(slow, Tolerance(PATH, 1e-5, 6400.0))
 
 
+@pytest.mark.long
 def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(monkeypatch):
     """In work, which does not depend on the machine; the campaign has more of these."""
     monkeypatch.setattr(campaign, '_METHODS', [
@@ -155,12 +164,14 @@ def test_cost_of_a_choice_is_at_most_half_as_much_again_as_the_best_of_a_sweep(m
     assert calibrate(mine, tolerance).work_per_simulated_second <= 1.5 * least
 
 
+@pytest.mark.long
 def test_cheap_gradients_are_not_bought_by_dear_steps():
     """To three digits a Gauss method takes fewer gradients of nanoseconds, and more time."""
     choice = calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-3, 200.0))
     assert choice.method == 'stormer_verlet'
 
 
+@pytest.mark.long
 def test_series_are_chosen_for_paths_alone_and_where_steps_are_long():
     pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
     mine = problem_of('kepler')
@@ -182,6 +193,7 @@ def test_tolerance_below_round_off_is_refused_with_the_nearest():
         calibrate(problem_of('exact_pendulum'), Tolerance(ENERGY, 1e-18, 10.0))
 
 
+@pytest.mark.long
 def test_path_of_a_chaotic_motion_is_refused():
     with pytest.raises(CalibrationError, match=r'chaotic, with a Lyapunov time of \d'):
         calibrate(problem_of('henon_heiles'), Tolerance(PATH, 1e-6, 2000.0))
@@ -232,25 +244,22 @@ def test_choice_that_cannot_be_read_is_made_anew(tmp_path, scene):
     assert 'step_size' in file.read_text()
 
 
-@pytest.mark.parametrize('integrator, expected', [
-    ('horizon: 1.0', 'mine.yaml:2: integrator.*either energy_error or path_error'),
-    ('energy_error: 1e-3, path_error: 1e-3, horizon: 1.0', 'mine.yaml:2: integrator.*either'),
-    ('energy_error: 1e-3', 'mine.yaml:2: integrator.horizon: .*required'),
-    ('energy_error: -1.0, horizon: 1.0', 'mine.yaml:2: integrator.energy_error'),
-])
-def test_mistake_in_a_tolerance_is_answered_with_its_place(scene, integrator, expected):
-    with pytest.raises(SceneError, match=expected):
+@pytest.mark.parametrize('integrator', [
+    'horizon: 1.0', 'energy_error: 1e-3, path_error: 1e-3, horizon: 1.0', 'energy_error: 1e-3',
+    'energy_error: -1.0, horizon: 1.0'], ids=str)
+def test_mistake_in_a_tolerance_is_answered_with_its_place(scene, integrator):
+    with refused(SceneError):
         scene(integrator)
 
 
 def test_simulation_is_built_only_of_a_scene_whose_method_was_chosen(scene):
-    with pytest.raises(SceneError, match=r'mine.yaml:2: integrator: auto names no method yet'):
+    with refused(SceneError):
         build(scene('energy_error: 1e-5, horizon: 100.0'))
 
 
 def test_scene_without_step_size_needs_the_integrator_auto(scene):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
-    with pytest.raises(SceneError, match='step_size'):
+    with refused(SceneError):
         mine.with_overrides(integrator='gauss4')
     assert build(mine.with_overrides(0.01, 'gauss4')).step_size == 0.01
 
@@ -259,7 +268,7 @@ def test_effect_that_no_candidate_takes_is_refused(scene):
     two = ('effects:\n'
            '  - {kind: thermostat, temperature: 0.1, rate: 1.0}\n'
            '  - {kind: holonomic_constraint, point: [angle], anchor: [0.0], length: 2.5}\n')
-    with pytest.raises((SceneError, UnsupportedSystem), match='does not combine'):
+    with refused(SceneError, UnsupportedSystem):
         resolve(scene('energy_error: 1e-5, horizon: 100.0', two))
 
 

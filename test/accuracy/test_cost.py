@@ -118,6 +118,7 @@ def test_errors_of_a_run_are_those_of_the_states_it_comes_by():
     assert 1e-12 < early.path < errors.path and early.gradients < errors.gradients
 
 
+@pytest.mark.long
 def test_run_that_overflows_is_a_failure_and_no_row_of_the_table(few):
     few('explicit_euler', 'gauss8')
     problem = problem_of('henon_heiles')
@@ -129,6 +130,7 @@ def test_run_that_overflows_is_a_failure_and_no_row_of_the_table(few):
     assert all(not row.failure for row in study.costs if study.error(row) < math.inf)
 
 
+@pytest.mark.long
 def test_bodies_that_turn_are_measured_by_the_methods_made_for_them(few):
     few('lie_leapfrog', 'lie_gauss8', 'kahan_li8', 'gauss8')
     study = measure_costs(problem_of('heavy_top'), 2.0, 60.0)
@@ -140,6 +142,7 @@ def test_bodies_that_turn_are_measured_by_the_methods_made_for_them(few):
     assert study.cheapest(1e-9) is not None
 
 
+@pytest.mark.long
 def test_effects_are_taken_and_their_errors_are_of_the_balance(few):
     few('generalized_leapfrog', 'gauss8', 'stormer_verlet')
     study = measure_costs(problem_of('exact_damped_driven_pendulum'), 5.0, 60.0)
@@ -148,6 +151,7 @@ def test_effects_are_taken_and_their_errors_are_of_the_balance(few):
     assert gauss[-1].energy_error < 1e-9
 
 
+@pytest.mark.long
 def test_random_motion_is_measured_by_its_energy(few):
     few('generalized_leapfrog', 'gauss8')
     study = measure_costs(problem_of('exact_brownian_oscillator'), 2.0, 30.0)
@@ -157,6 +161,7 @@ def test_random_motion_is_measured_by_its_energy(few):
     assert study.left_out == {'cannot take the effect thermostat': ['gauss8']}
 
 
+@pytest.mark.long
 def test_chaos_is_measured_by_its_energy_and_the_reason_is_given(few):
     few('gauss8')
     study = measure_costs(problem_of('exact_double_pendulum'), 300.0, 30.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene, Scene
+from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -66,13 +67,11 @@ def test_a_motion_that_runs_away_has_no_lyapunov_time_and_that_is_said(tmp_path:
         lyapunov_time(scene.changed({'integrator': {'kind': 'stormer_verlet'}}))
 
 
-@pytest.mark.parametrize('name, duration, error, message', [
-    ('henon_heiles', -1.0, ValueError, 'duration = -1.0 must be a number of seconds, at least 0'),
-    ('henon_heiles', np.nan, ValueError, 'duration = nan must be a number of seconds'),
-    ('henon_heiles', '1 s', TypeError, "duration = '1 s' must be a number of seconds"),
-    ('bouncing_mass', None, ValueError, 'one motion at a time: their Lyapunov time cannot be')])
-def test_lyapunov_time_refuses_what_it_cannot_use_in_a_sentence(name, duration, error, message):
-    with pytest.raises(error, match=message):
+@pytest.mark.parametrize('name, duration, error', [
+    ('henon_heiles', -1.0, ValueError), ('henon_heiles', np.nan, ValueError),
+    ('henon_heiles', '1 s', TypeError), ('bouncing_mass', None, ValueError)])
+def test_lyapunov_time_refuses_what_it_cannot_use_in_a_sentence(name, duration, error):
+    with refused(error):
         lyapunov_time(load_scene(name), duration)
 
 

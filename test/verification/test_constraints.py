@@ -5,7 +5,7 @@
 from collections.abc import Callable
 from functools import cached_property
 
-from helpers import EPS, free, Uncompiled
+from helpers import EPS, free, long, mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.gravity import Gravity
@@ -20,6 +20,7 @@ from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from messages import refused
 import numpy as np
 from pydantic import ValidationError
 import pytest
@@ -63,14 +64,22 @@ def ends(values: np.ndarray) -> np.ndarray:
     return np.diff(points, axis=1, prepend=np.zeros((len(values), 1, 2)))
 
 
-@pytest.mark.parametrize('name', ['pendulum', 'chain'])
-def test_rattle_keeps_rods_and_velocities_in_every_one_of_1e5_steps(name: str, measured):
-    integrator, h, steps = INTEGRATORS['stormer_verlet'](), 0.01, 100_000
+def drift(error: np.ndarray) -> float:
+    """Return the slope of the maxima of errors in 100 blocks, over the largest error."""
+    blocks = error.reshape(100, -1).max(axis=1)
+    return abs(np.polyfit(np.linspace(0.0, 1.0, 100), blocks, 1)[0]) / error.max()
+
+
+@pytest.mark.parametrize('name, steps', [
+    ('pendulum', 2000), ('chain', 2000), long('pendulum', 100_000), long('chain', 100_000)])
+def test_rattle_keeps_rods_and_velocities_in_every_step(name: str, steps: int, measured):
+    integrator, h, whole = INTEGRATORS['stormer_verlet'](), 0.01, steps == 100_000
+    base = HAMILTONIANS['free_particle'](
+        1.0, ('x', 'z') if name == 'pendulum' else ('x', 'z', 'x2', 'z2'))
+    base = base if whole else Uncompiled(base)
     if name == 'pendulum':
-        base = HAMILTONIANS['free_particle'](1.0, ('x', 'z'))
         simulation, weight = pendulum(base, integrator, h, 2.5, 0.0), 1
     else:
-        base = HAMILTONIANS['free_particle'](1.0, ('x', 'z', 'x2', 'z2'))
         simulation, weight = chain(base, integrator, h), 3
     start = simulation.energy
     q, p = simulation.record(steps, 1)
@@ -78,21 +87,21 @@ def test_rattle_keeps_rods_and_velocities_in_every_one_of_1e5_steps(name: str, m
     along, rate = ends(q), ends(p)
     g = np.abs(np.linalg.norm(along, axis=-1) - 1.0).max()
     G_velocity = np.abs((along * rate).sum(axis=-1) / np.linalg.norm(along, axis=-1)).max()
-    measured('abs(g) [m] over 1e5 steps', f'RATTLE, stormer_verlet, {name}', g, '<= 1e-10')
-    measured("abs(G q') [m/s] over 1e5 steps", f'RATTLE, stormer_verlet, {name}', G_velocity,
-             '<= 1e-9')
     assert g <= 1e-10
     assert G_velocity <= 1e-9
     assert simulation.work == 0.0
     assert simulation.conservative
     error = np.abs(0.5 * (p * p).sum(axis=1) + G * q[:, weight] - start)
-    blocks = error.reshape(100, -1).max(axis=1)
-    slope = abs(np.polyfit(np.linspace(0.0, 1.0, 100), blocks, 1)[0])
-    measured('energy drift over 1e5 steps, share of its band',
-             f'RATTLE, stormer_verlet, {name}', slope / error.max(), '<= 0.1')
     # Order 2: the band is O(h^2) of 10 J, and stays where it was.
     assert error.max() < 0.5
-    assert slope <= 0.1 * error.max()
+    if whole:
+        slope = drift(error)
+        for claim, value, bound in (
+                ('abs(g) [m] over 1e5 steps', g, '<= 1e-10'),
+                ("abs(G q') [m/s] over 1e5 steps", G_velocity, '<= 1e-9'),
+                ('energy drift over 1e5 steps, share of its band', slope, '<= 0.1')):
+            measured(claim, f'RATTLE, stormer_verlet, {name}', value, bound)
+        assert slope <= 0.1
 
 
 @pytest.mark.parametrize('name', METHODS)
@@ -168,7 +177,7 @@ def test_rattle_is_symplectic_on_the_constraint_manifold(name: str, measured):
 
 
 def test_rods_that_the_initial_state_does_not_fit_are_refused_with_the_difference():
-    with pytest.raises(ValueError, match=r'distance of 1\.0 m, but .* 0\.5 m, 0\.5 m off'):
+    with refused(ValueError):
         Simulation(Uncompiled(HAMILTONIANS['free_particle'](1.0, ('x', 'z'))),
                    INTEGRATORS['stormer_verlet'](), 0.01, [0.3, 0.4], [0.0, 0.0],
                    [from_pivot()])
@@ -293,7 +302,8 @@ def order_of(make: Callable[[float], Simulation], exact: np.ndarray, duration: f
 
 
 @pytest.mark.parametrize('method', ['generalized_leapfrog', 'implicit_midpoint'])
-@pytest.mark.parametrize('case', CASES)
+@pytest.mark.parametrize('case', mostly_long(CASES, 'ellipsoid in a turning frame, mass that '
+                                             'depends on q'))
 def test_spherical_pendulum_converges_with_order_2_for_every_hamiltonian(
         case: str, method: str, measured):
     hamiltonian, shape = CASES[case]
@@ -303,7 +313,7 @@ def test_spherical_pendulum_converges_with_order_2_for_every_hamiltonian(
     assert slope == pytest.approx(2.0, abs=0.35)
 
 
-@pytest.mark.parametrize('method', ['generalized_leapfrog', 'implicit_midpoint'])
+@pytest.mark.parametrize('method', ['generalized_leapfrog', long('implicit_midpoint')])
 @pytest.mark.parametrize('kind, arguments, other', [
     ('damping', {'rate': 0.7}, {'damping': 0.7}),
     ('magnetic_field', {'plane': ['x', 'y'], 'field': 3.0}, {'field': 3.0})])
@@ -321,7 +331,7 @@ def test_constraint_keeps_order_2_with_another_effect(
         2.0, abs=0.35)
 
 
-@pytest.mark.parametrize('case', CASES)
+@pytest.mark.parametrize('case', mostly_long(CASES, 'sphere in a turning frame'))
 def test_constraint_and_its_velocity_are_kept_in_every_step_and_energy_does_not_drift(case: str):
     hamiltonian, shape = CASES[case]
     simulation, A = on_surface(hamiltonian, shape, 'generalized_leapfrog', 0.05), SHAPES[shape][1]
@@ -339,6 +349,7 @@ def test_constraint_and_its_velocity_are_kept_in_every_step_and_energy_does_not_
         assert np.abs(momentum - momentum[0]).max() <= 64 * EPS * steps
 
 
+@pytest.mark.long
 def test_spherical_pendulum_keeps_what_it_must_over_1e5_steps(measured):
     """Compiled, in the very kernel of the rods above."""
     base = HAMILTONIANS['free_particle'](1.0, ('x', 'y', 'z'))
@@ -349,21 +360,18 @@ def test_spherical_pendulum_keeps_what_it_must_over_1e5_steps(measured):
     g = np.abs(np.linalg.norm(q, axis=1) - 1.0).max()
     rate = np.abs((q * p).sum(axis=1)).max()
     momentum = q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]
-    drift = np.abs(momentum - START[0] * SIDEWAYS[1]).max()
-    measured('abs(g) [m] over 1e5 steps', 'RATTLE, stormer_verlet, spherical pendulum', g,
-             '<= 1e-10')
-    measured("abs(G q') [m/s] over 1e5 steps", 'RATTLE, stormer_verlet, spherical pendulum', rate,
-             '<= 1e-9')
-    measured('angular momentum L_z over 1e5 steps [kg m^2/s]',
-             'RATTLE, stormer_verlet, spherical pendulum', drift, '<= 1e-11')
+    change = np.abs(momentum - START[0] * SIDEWAYS[1]).max()
+    for claim, value, bound in (
+            ('abs(g) [m] over 1e5 steps', g, '<= 1e-10'),
+            ("abs(G q') [m/s] over 1e5 steps", rate, '<= 1e-9'),
+            ('angular momentum L_z over 1e5 steps [kg m^2/s]', change, '<= 1e-11')):
+        measured(claim, 'RATTLE, stormer_verlet, spherical pendulum', value, bound)
     assert g <= 1e-10
     assert rate <= 1e-9
     # Rounding of eps a step, at worst all of one sign: 2e-11.
-    assert drift <= EPS * steps
+    assert change <= EPS * steps
     error = np.abs(0.5 * (p * p).sum(axis=1) + G * q[:, 2] - start)
-    blocks = error.reshape(100, -1).max(axis=1)
-    slope = abs(np.polyfit(np.linspace(0.0, 1.0, 100), blocks, 1)[0])
-    assert slope <= 0.1 * error.max()
+    assert drift(error) <= 0.1
     assert error.max() < 0.01
 
 
@@ -498,22 +506,18 @@ def braced(sides: list[tuple[int, int]]) -> list[HolonomicConstraint]:
         np.subtract(SQUARE[2 * a:2 * a + 2], SQUARE[2 * b:2 * b + 2])))) for a, b in sides]
 
 
-@pytest.mark.parametrize('effects, q, index, message', [
-    ([from_pivot(), Gravity('z'), from_pivot()], [0.6, 0.8], 2,
-     'holonomic_constraint_2 is redundant .* holonomic_constraint_0 keeps already'),
+@pytest.mark.parametrize('effects, q, index', [
+    ([from_pivot(), Gravity('z'), from_pivot()], [0.6, 0.8], 2),
     ([HolonomicConstraint(form='plane', point=['x', 'z'], anchor=[0.0, 0.0], normal=[1.0, 2.0]),
       HolonomicConstraint(form='plane', point=['z', 'x'], anchor=[0.0, 0.0], normal=[6.0, 3.0])],
-     [0.0, 0.0], 1, 'holonomic_constraint_1 is redundant'),
-    (braced([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]), SQUARE, 5,
-     'holonomic_constraint_5 is redundant .*_0, .*_1, .*_2, .*_3, .*_4 keep already'),
+     [0.0, 0.0], 1),
+    (braced([(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (1, 3)]), SQUARE, 5),
     # A chain of two rods, stretched between two pivots: it can move neither way.
-    ([from_pivot(), HolonomicConstraint(['x', 'z'], anchor=[2.0, 0.0])], [1.0, 0.0], 1,
-     'holonomic_constraint_1 is redundant .* holonomic_constraint_0 keeps already')],
+    ([from_pivot(), HolonomicConstraint(['x', 'z'], anchor=[2.0, 0.0])], [1.0, 0.0], 1)],
     ids=['identical rods', 'planes', 'braced square', 'stretched chain'])
-def test_redundant_constraint_is_named_at_load_with_those_that_it_depends_on(
-        effects, q, index, message):
+def test_redundant_constraint_is_named_at_load_with_those_that_it_depends_on(effects, q, index):
     names = [name for point in CORNERS for name in point] if len(q) == 8 else ['x', 'z']
-    with pytest.raises(EffectError, match=message) as raised:
+    with refused(EffectError) as raised:
         at_rest(free(*names), q, effects)
     assert raised.value.index == index
 
@@ -551,30 +555,26 @@ def test_constraint_that_becomes_redundant_is_named_in_the_step_where_it_does():
 
 # What is refused.
 
-@pytest.mark.parametrize('arguments, message', [
-    ({'form': 'sphere', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3}, 'radius is required'),
-    ({'form': 'sphere', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3, 'length': 1.0},
-     'radius is required by the form sphere, which takes point, anchor, radius'),
-    ({'point': ['x', 'z'], 'anchor': [0.0] * 2, 'radius': 1.0}, 'radius has no meaning .* rod'),
-    ({'form': 'plane', 'point': ['x'], 'anchor': [0.0], 'normal': [0.0]}, 'must not be zero'),
-    ({'form': 'circle', 'point': ['x'], 'anchor': [0.0], 'radius': -1.0}, 'radius = -1.0 must'),
-    ({'form': 'python'}, 'factory is required'),
-    ({'form': 'python', 'factory': 'no_such:one'}, "'no_such:one': ModuleNotFoundError"),
-    ({'form': 'python', 'factory': 'test_constraints:G'}, "'float' object is not callable"),
-    ({'form': 'python', 'factory': 'builtins:dict'}, 'returned a dict, expected a function')])
-def test_constraint_of_bad_arguments_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('arguments', [
+    {'form': 'sphere', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3},
+    {'form': 'sphere', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3, 'length': 1.0},
+    {'point': ['x', 'z'], 'anchor': [0.0] * 2, 'radius': 1.0},
+    {'form': 'plane', 'point': ['x'], 'anchor': [0.0], 'normal': [0.0]},
+    {'form': 'circle', 'point': ['x'], 'anchor': [0.0], 'radius': -1.0}, {'form': 'python'},
+    {'form': 'python', 'factory': 'no_such:one'},
+    {'form': 'python', 'factory': 'test_constraints:G'},
+    {'form': 'python', 'factory': 'builtins:dict'}], ids=str)
+def test_constraint_of_bad_arguments_is_refused(arguments):
+    with refused(ValueError):
         HolonomicConstraint(**arguments)
 
 
-@pytest.mark.parametrize('arguments, message', [
-    ({'form': 'circle', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3, 'radius': 1.0},
-     'normal is required for a circle in 3 coordinates'),
-    ({'form': 'sphere', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'radius': 1.0}, '3 coordinates'),
-    ({'form': 'plane', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'normal': [1.0]},
-     'normal has 1 entries, point has 2')])
-def test_constraint_that_does_not_fit_the_coordinates_is_refused(arguments, message):
-    with pytest.raises(EffectError, match=message):
+@pytest.mark.parametrize('arguments', [
+    {'form': 'circle', 'point': ['x', 'y', 'z'], 'anchor': [0.0] * 3, 'radius': 1.0},
+    {'form': 'sphere', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'radius': 1.0},
+    {'form': 'plane', 'point': ['x', 'z'], 'anchor': [0.0] * 2, 'normal': [1.0]}], ids=str)
+def test_constraint_that_does_not_fit_the_coordinates_is_refused(arguments):
+    with refused(EffectError):
         at_rest(free('x', 'y', 'z'), [1.0, 0.0, 0.0], [HolonomicConstraint(**arguments)])
 
 
@@ -588,15 +588,14 @@ def wrong_gradient() -> Callable:
 
 def test_constraint_whose_gradient_is_not_its_own_is_refused():
     effect = HolonomicConstraint(form='python', factory='test_constraints:wrong_gradient')
-    with pytest.raises(EffectError, match='component 0 is 0.6, but differences of g give 1.2'):
+    with refused(EffectError):
         at_rest(free('x', 'z'), [0.6, 0.8], [effect])
 
 
-@pytest.mark.parametrize('q, p, message', [
-    ([0.6, 0.0, -0.9], [0.0, 1.0, 0.0], 'asks for g.q. = 0, but the initial q has g = 0.17'),
-    ([0.6, 0.0, -0.8], [1.0, 0.0, 0.0], 'the initial p changes it by 1.2 1/s')])
-def test_state_off_a_surface_of_ones_own_is_refused(q, p, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('q, p', [
+    ([0.6, 0.0, -0.9], [0.0, 1.0, 0.0]), ([0.6, 0.0, -0.8], [1.0, 0.0, 0.0])])
+def test_state_off_a_surface_of_ones_own_is_refused(q, p):
+    with refused(ValueError):
         at_rest(free('x', 'y', 'z'), q, [HolonomicConstraint(**ELLIPSOID)], p)
 
 
@@ -626,6 +625,7 @@ def not_for_numba():
 """
 
 
+@pytest.mark.long
 def test_constraint_of_a_function_beside_its_scene_runs_compiled_as_the_named_one(tmp_path):
     (tmp_path / 'wire_for_a_scene.py').write_text(MODULE)
     path = tmp_path / 'scene.yaml'
@@ -652,5 +652,5 @@ def test_redundant_constraint_of_a_scene_is_told_with_its_line(tmp_path):
               'anchor: [0.0, 0.0, 0.0], radius: 1.0}')
     lines = SCENE.splitlines()
     path.write_text('\n'.join([*lines[:3], f'  - {sphere}', f'  - {sphere}', *lines[4:]]))
-    with pytest.raises(SceneError, match=r'scene.yaml:5: effects.2: .* is redundant'):
+    with refused(SceneError):
         build(load_scene(path))

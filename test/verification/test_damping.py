@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Linear damping takes energy and nothing else, whatever p means."""
 
+from helpers import EPS, free, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -9,7 +10,7 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-EPS = np.finfo(np.float64).eps
+pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 # One that takes the flow around its steps, and one that takes the force at its nodes.
 METHODS = ['generalized_leapfrog', 'gauss8']
 
@@ -20,8 +21,7 @@ def in_field(method: str, h: float, q: list[float], velocity: list[float],
     # c A(q) = B (-y, x) / 2.
     p = [velocity[0] - 0.5 * q[1], velocity[1] + 0.5 * q[0]]
     effects = [EFFECTS['damping'](rate), EFFECTS['magnetic_field'](['x', 'y'])]
-    return Simulation(HAMILTONIANS['free_particle'](1.0, ('x', 'y')), INTEGRATORS[method](), h,
-                      q, p, effects)
+    return Simulation(free('x', 'y'), INTEGRATORS[method](), h, q, p, effects)
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -59,8 +59,9 @@ def test_damping_in_a_magnetic_field_never_adds_energy(method: str):
 def test_damping_with_rates_that_feed_energy_into_coupled_masses_is_refused():
     """The double pendulum from angles at which its masses are not coupled."""
     def damped(rate: list[float]) -> Simulation:
-        return Simulation(HAMILTONIANS['double_pendulum'](), INTEGRATORS['generalized_leapfrog'](),
-                          0.01, [0.5 * np.pi, 0.0], [0.0, 0.0], [EFFECTS['damping'](rate)])
+        return Simulation(Uncompiled(HAMILTONIANS['double_pendulum']()),
+                          INTEGRATORS['generalized_leapfrog'](), 0.01, [0.5 * np.pi, 0.0],
+                          [0.0, 0.0], [EFFECTS['damping'](rate)])
     with pytest.raises(ValueError, match=r'rates \[0.0, 5.0\] .* would gain energy, at q = .*one'):
         damped([0.0, 5.0])
     assert damped([0.5, 0.5]).time == 0.0

@@ -315,6 +315,7 @@ def assert_within_three_errors(values: np.ndarray, expected: float) -> tuple[flo
     return mean, error
 
 
+@pytest.mark.long
 def test_thermostat_gives_the_oscillator_its_exact_temperature(measured):
     """BAOAB on a linear force: <q^2> = kT / k for any h, <p^2> = m kT (1 - (w h)^2 / 4)."""
     temperature, h = 0.7, 0.5
@@ -332,6 +333,7 @@ def test_thermostat_gives_the_oscillator_its_exact_temperature(measured):
         assert error < 0.005 * temperature
 
 
+@pytest.mark.long
 def test_thermostat_gives_the_pendulum_kinetic_and_configurational_temperature(measured):
     """<p^2 / m> = kT and <V'^2> = kT <V''>, whatever V."""
     temperature, h = 3.0, 0.02

@@ -13,6 +13,7 @@ from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -91,6 +92,7 @@ def assert_mean(values: np.ndarray, expected: float, bias: float = 0.0, blocks: 
 BIAS = 0.25 * 0.2 ** 2 * KT
 
 
+@pytest.mark.long
 def test_thermostat_in_a_magnetic_field_gives_the_velocity_its_temperature():
     simulation, q, p = in_bath(with_masses(1.0, 1.0), 20_000,
                                ('magnetic_field', ['x0', 'x1'], 1.0, 1.0))
@@ -100,6 +102,7 @@ def test_thermostat_in_a_magnetic_field_gives_the_velocity_its_temperature():
         assert_mean(velocity[:, i] ** 2, KT, 3.0 * BIAS)
 
 
+@pytest.mark.long
 def test_thermostat_keeps_the_theorem_of_bohr_and_van_leeuwen():
     """No magnetic moment, and positions as if there were no field."""
     simulation, q, p = in_bath(with_masses(1.0, 1.0), 20_000,
@@ -116,6 +119,7 @@ def test_thermostat_takes_the_masses_of_the_hamiltonian():
     assert_mean(p[:, 0] * p[:, 1], 0.0)
 
 
+@pytest.mark.long
 def test_thermostat_takes_a_rate_for_each_coordinate():
     """With nothing but friction and noise the autocorrelation is exp(-gamma t)."""
     simulation = Simulation(
@@ -128,6 +132,7 @@ def test_thermostat_takes_a_rate_for_each_coordinate():
         assert_mean(p[1:, i] * p[:-1, i], 2.0 * KT * np.exp(-0.5 * rate))
 
 
+@pytest.mark.long
 def test_thermostat_samples_a_mass_that_depends_on_q():
     _, q, p = in_bath(on_a_wire(), 30_000)
     weights = [quad(lambda x: x ** k * np.sqrt(1.0 + x * x) * np.exp(-0.5 * x * x / KT), -12, 12)
@@ -137,6 +142,7 @@ def test_thermostat_samples_a_mass_that_depends_on_q():
     assert_mean(q[:, 0] ** 2, weights[1][0] / weights[0][0], 4.0 * BIAS)
 
 
+@pytest.mark.long
 def test_thermostat_samples_a_coupled_mass_that_depends_on_q():
     """The double pendulum, whose kinetic energy p . H_p is two degrees' at any angle."""
     simulation, q, p = in_bath(HAMILTONIANS['double_pendulum'](), 200_000, h=0.01, rate=2.0)
@@ -145,6 +151,7 @@ def test_thermostat_samples_a_coupled_mass_that_depends_on_q():
     assert_mean((p * velocity).sum(axis=1), 2.0 * KT, 2.0 * 0.25 * 0.08 ** 2 * KT)
 
 
+@pytest.mark.long
 def test_thermostat_samples_a_kinetic_energy_that_is_not_quadratic():
     """<p H_p> = kT, whatever H is."""
     _, _, p = in_bath(quartic(), 30_000)
@@ -153,8 +160,7 @@ def test_thermostat_samples_a_kinetic_energy_that_is_not_quadratic():
 
 
 def test_thermostat_with_another_mass_than_that_of_the_hamiltonian_is_refused():
-    message = r'mass = \[2.0, 2.0\] is not that of H, .* \[0.0, 0.25\]\].* leave mass out'
-    with pytest.raises(ValueError, match=message):
+    with refused(ValueError):
         in_bath(with_masses(1.0, 4.0), 1, mass=2.0)
     simulation, _, _ = in_bath(with_masses(1.0, 4.0), 1, mass=[1.0, 4.0])
     assert simulation.steps == 101

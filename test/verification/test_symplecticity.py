@@ -3,8 +3,8 @@
 """Which 2-form each method conserves, and which it does not."""
 
 from helpers import (
-    exact, GENERIC, jacobian, Method, METHODS, python_gradient, python_step, staggered,
-    symplectic_defect)
+    exact, GENERIC, jacobian, long, Method, METHODS, python_gradient, python_step,
+    staggered, symplectic_defect)
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
@@ -33,8 +33,8 @@ def test_methods_table_covers_every_integrator_and_its_claim():
         assert method.integrator.requirements.symplectic == (method.chart is not None)
 
 
-@pytest.mark.parametrize('method', SYMPLECTIC, ids=lambda method: method.name)
-@pytest.mark.parametrize('name', ['harmonic_oscillator', 'tao'])
+@pytest.mark.parametrize('method', SYMPLECTIC, ids=str)
+@pytest.mark.parametrize('name', [long('harmonic_oscillator'), 'tao'])
 def test_method_is_symplectic_in_its_own_two_form(method: Method, name: str, measured):
     hamiltonian, z = HAMILTONIANS[name](), exact(STATE)
     try:

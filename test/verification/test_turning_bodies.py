@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hard cases of bodies that turn: tops that sleep, tumbling, turns of nearly pi in a step."""
 
-from helpers import Uncompiled
+from helpers import long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.ball_joint_pendulum import BallJointPendulum
@@ -30,7 +30,7 @@ def tilted(angle: float) -> list[float]:
     return [np.sin(0.5 * angle), 0.0, 0.0, np.cos(0.5 * angle)]
 
 
-@pytest.mark.parametrize('share', [0.9, 1.0, 1.1])
+@pytest.mark.parametrize('share', [0.9, long(1.0), long(1.1)])
 def test_top_falls_from_sleep_as_far_as_its_spin_lets_it(share: float, measured):
     """
     Let go upright but for 1e-3 rad, at 0.9, 1 and 1.1 of the critical spin p_3^2 = 4 m g l I_1.
@@ -55,6 +55,7 @@ def test_top_falls_from_sleep_as_far_as_its_spin_lets_it(share: float, measured)
     assert errors[1] <= 1e-2 and errors[1] <= 0.3 * errors[0]
 
 
+@pytest.mark.long
 def test_tumbling_keeps_its_rhythm_and_its_invariants_for_a_million_steps(measured):
     """
     Turn about the middle axis but for 1e-3: it turns over again and again.
