@@ -30,12 +30,11 @@ def driven(simulation: Simulation, tau: np.ndarray, steps: int = 1
 
 def shaken(network: MechanicalNetwork) -> MechanicalNetwork:
     """Move a network away from its initial values, at which M and friction are near constants."""
-    generator = torch.Generator().manual_seed(1)
     with torch.no_grad():
         for parameter in network.parameters():
             if parameter.requires_grad:
                 parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
-                                                 generator=generator))
+                                                 generator=torch.Generator().manual_seed(1)))
     return network
 
 

@@ -12,6 +12,7 @@ from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Fit, Keeper
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.models.checkpoint import load_checkpoint
+from messages import refused
 import numpy as np
 import pytest
 import torch
@@ -75,7 +76,8 @@ def words(files: Path, name: str, model: str, *more: str) -> list[str]:
 
 # In each stage: Adam and L-BFGS on samples, then windows, whose batches a generator draws.
 @pytest.mark.parametrize(('name', 'stop'), [
-    ('log', 60), ('machine', 50), ('machine', 90), ('body', 45)])
+    pytest.param('log', 60, marks=pytest.mark.long),
+    pytest.param('machine', 50, marks=pytest.mark.long), ('machine', 90), ('body', 45)])
 def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: str, stop: int):
     train.main(words(files, name, 'whole'))
     save = Keeper.__call__
@@ -85,7 +87,7 @@ def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: s
         save(keeper, fit)
     with monkeypatch.context() as context:
         context.setattr(Keeper, '__call__', pause)
-        with pytest.raises(Interrupted, match=f'stopped at step {stop}, .*--resume'):
+        with refused(Interrupted):
             train.main(words(files, name, 'm'))
     train.main(words(files, name, 'm', '--resume'))
     one, other = (load_checkpoint(files / f'{model}.safetensors') for model in ('whole', 'm'))
@@ -95,7 +97,9 @@ def test_every_family_resumes_to_the_same_bits(files: Path, monkeypatch, name: s
             assert all(map(np.array_equal, mine, theirs))
 
 
-@pytest.mark.parametrize('kind', FIELDS)
+@pytest.mark.parametrize('kind', [
+    'hnn', 'vin', *(pytest.param(kind, marks=pytest.mark.long) for kind in FIELDS
+                    if kind not in ('hnn', 'vin'))])
 def test_each_family_of_fields_resumes_to_the_same_bits(tmp_path: Path, kind: str):
     torch.set_num_threads(1)  # as train does
     path = tmp_path / 'm.yaml'
@@ -116,7 +120,7 @@ def test_each_family_of_fields_resumes_to_the_same_bits(tmp_path: Path, kind: st
         # The first steps of L-BFGS are taken.
         keep._stopping = fit.step == 60
         keep(fit)
-    with pytest.raises(Interrupted, match='stopped at step 60, '):
+    with refused(Interrupted):
         Fit(stopped).run(pause)
     fit = Fit(resumed)
     keeper().load(fit)
@@ -139,15 +143,18 @@ def test_each_option_is_taken_or_refused_by_the_row_of_the_family(
             raise Begun
     monkeypatch.setattr(train, '_TASKS', dict.fromkeys(train._TASKS, Task))
     monkeypatch.setattr(torch.cuda, 'is_available', lambda: True)
+    # Not the installed file, whose folder depends on the machine.
+    path = Path(__file__).parents[2] / 'config' / 'training' / f'{config}.yaml'
     for option, more in (('device', ['cuda']), ('ensemble', ['3']), ('resume', [])):
-        asked = ['--config', config, '--out', str(tmp_path / 'm.safetensors'), f'--{option}',
+        asked = ['--config', str(path), '--out', str(tmp_path / 'm.safetensors'), f'--{option}',
                  *more]
         if option in TAKEN[config]:
             with pytest.raises(Begun):
                 train.main(asked)
         else:
-            with pytest.raises(ParameterError, match=f'--{option}: a .*; leave it out$'):
+            with refused(ParameterError):
                 train.main(asked)
+    assert not any(tmp_path.iterdir())
 
 
 def test_options_are_tried_with_every_family():
@@ -155,22 +162,6 @@ def test_options_are_tried_with_every_family():
     assert families == schemas._SCHEMAS.keys()
     fields = {kind for kind, schema in schemas._SCHEMAS.items() if schema is schemas.FieldConfig}
     assert fields == FIELDS.keys()
-
-
-@pytest.mark.parametrize(('config', 'option', 'message'), [
-    ('turning_pendulum', ['--ensemble', '3'],
-     'turning_pendulum.yaml: --ensemble: a lie_group has momenta or forces of its own'),
-    ('vin', ['--ensemble', '3'], '--ensemble: a vin has momenta .*; families: hnn, '),
-    ('two_joint_arm', ['--ensemble', '3'], '--ensemble: a rigid_body has the uncertainty of each'),
-    ('turning_pendulum', ['--device', 'cuda'], '--device: a lie_group is trained on the CPU'),
-    ('two_joint_arm', ['--device', 'cuda'], '--device: a rigid_body is trained on the CPU'),
-    ('dfki_double_pendulum', ['--device', 'cuda'], '--device: a mechanical is trained on the')])
-def test_option_that_a_family_does_not_take_is_refused_by_its_row(
-        tmp_path: Path, config: str, option: list[str], message: str):
-    name = 'variational_pendulum' if config == 'vin' else config
-    with pytest.raises(ParameterError, match=f'{message}.*; leave it out$') as problem:
-        train.main(['--config', name, '--out', str(tmp_path / 'm.safetensors'), *option])
-    assert '\n' not in str(problem.value) and not any(tmp_path.iterdir())
 
 
 def test_model_is_evaluated_by_the_log_and_the_configuration_it_was_trained_with(
@@ -200,31 +191,26 @@ def test_model_is_evaluated_by_motions_that_a_configuration_computes(files: Path
     assert 'follows the machine for at least' in capsys.readouterr().out
     del exact['data']['trajectory']
     (files / 'exact.yaml').write_text(dump_yaml(exact))
-    with pytest.raises(DataError, match='no motions, but single states; give data with times'):
+    with refused(DataError):
         evaluate.main(['harmonic_oscillator', '--config', str(files / 'exact.yaml')])
-    with pytest.raises(ParameterError, match='--data: expected measured motions, or'):
+    with refused(ParameterError):
         evaluate.main(['harmonic_oscillator'])
-    with pytest.raises(DataError, match='are motions of a body that turns'):
+    with refused(DataError):
         evaluate.main(['harmonic_oscillator', '--config', 'turning_pendulum'])
 
 
-@pytest.mark.parametrize(('kind', 'message'), [
-    ('lagrangian', r'log.csv \(.*: no accelerations, which the loss euler_lagrange learns from; '),
-    ('control_affine', 'learns what commands do, but the data hold none; ')])
+@pytest.mark.parametrize('kind', ['lagrangian', 'control_affine'])
 def test_log_that_lacks_what_a_family_learns_from_is_refused_in_one_line(
-        files: Path, kind: str, message: str):
+        files: Path, kind: str):
     (files / 'log.yaml').write_text(dump_yaml(
         LOG | {'family': {'kind': kind}, 'loss': FIELDS[kind].get('loss', {
             'kind': 'vector_field'})}))
-    with pytest.raises(DataError, match=message) as problem:
+    with refused(DataError):
         train.main(words(files, 'log', 'm'))
-    assert '\n' not in str(problem.value)
 
 
 def test_unknown_family_is_answered_with_all_there_are(tmp_path: Path):
     path = tmp_path / 'm.yaml'
     path.write_text('family: {kind: mechanicl}\n')
-    with pytest.raises(DataError, match=(
-            r"m.yaml:1: family.kind: unknown kind 'mechanicl'; did you mean mechanical\?; valid "
-            'kinds: control_affine, .*, lie_group, mechanical, rigid_body, ')):
+    with refused(DataError):
         load_config(path)

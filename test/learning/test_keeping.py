@@ -21,6 +21,7 @@ from hnn_vi_ros.learning.tasks import field, machine
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import complete_checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.model_card import Box, PredictionError
+from messages import refused
 import numpy as np
 import pytest
 
@@ -57,18 +58,15 @@ def test_ensemble_that_cannot_be_calibrated_is_kept_and_says_so(
     assert 'their spread was not calibrated (none: ' in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(('module', 'name', 'problem', 'kind', 'message'), [
-    (field, 'judge_energy', ModelError('no energy'), DataError,
-     'no energy; the model is trained, and'),
+@pytest.mark.parametrize(('module', 'name', 'problem', 'kind'), [
+    (field, 'judge_energy', ModelError('no energy'), DataError),
     (training, 'write_report', OSError(errno.ENOSPC, 'No space left on device', 'm.loss.png'),
-     RecordingError, 'm.loss.png: cannot be written: No space left on device; the model is')])
+     RecordingError)])
 def test_model_whose_evaluation_fails_is_kept(
-        tmp_path: Path, words: list, monkeypatch, module, name: str, problem, kind, message: str):
+        tmp_path: Path, words: list, monkeypatch, module, name: str, problem, kind):
     monkeypatch.setattr(module, name, failing(problem))
-    with pytest.raises(kind, match=message) as caught:
+    with refused(kind):
         main(words)
-    assert str(tmp_path / 'm.safetensors') in str(caught.value)
-    assert '\n' not in str(caught.value)
     assert load_checkpoint(tmp_path / 'm.safetensors').card.losses
 
 
@@ -82,7 +80,7 @@ def test_machine_whose_evaluation_fails_is_kept(tmp_path: Path, monkeypatch, mor
     monkeypatch.setattr(machine, 'with_energy_error', failing(
         StepFailure('not finite', 0.1, 0.01, 1.0, 20)))
     out = tmp_path / 'm.safetensors'
-    with pytest.raises(DataError, match='step failed .* the model is trained, and is in'):
+    with refused(DataError):
         main(['--config', str(tmp_path / 'belt.yaml'), '--data', str(tmp_path / 'belt.npz'),
               '--out', str(out), *more])
     assert len(load_checkpoint(out, ensembles=True).members) == 2 * bool(more)
@@ -105,7 +103,7 @@ def test_members_trained_before_one_that_fails_are_kept(
     assert load_checkpoint(file).card.name == 'm, member 1'
     assert f'members that were trained: {file}\n' in capsys.readouterr().out
     # Not found out after the next training.
-    with pytest.raises(HnnViRosError, match='m.member1.safetensors: exists already'):
+    with refused(HnnViRosError):
         main([*words, '--ensemble', '3'])
 
 
@@ -114,7 +112,7 @@ def test_model_that_cannot_be_written_where_it_should_be_is_kept_elsewhere(
     monkeypatch.setattr(loop, 'mkdtemp', lambda prefix: str(tmp_path))
     model = tmp_path / 'file' / 'm.safetensors'
     (tmp_path / 'file').touch()  # no folder, by now
-    with pytest.raises(ModelError, match='cannot be written: .*; the trained model is in '), \
+    with refused(ModelError), \
             kept(model, random_checkpoint([2, 4, 1], 0)):
         pytest.fail('it goes on')
     assert load_checkpoint(tmp_path / 'm.safetensors')
@@ -128,12 +126,12 @@ def test_completing_a_file_leaves_it_whole_where_that_fails(tmp_path: Path):
     complete_checkpoint(model, replace(checkpoint, card=card))
     assert load_checkpoint(model).card.name == 'other' and before != model.read_bytes()
     assert [file.name for file in tmp_path.iterdir()] == ['m.safetensors']
-    with pytest.raises(ModelError, match='cannot be written'):
+    with refused(ModelError):
         complete_checkpoint(tmp_path / 'none' / 'm.safetensors', checkpoint)
 
 
 def test_card_that_is_refused_is_told_in_one_line(tmp_path: Path):
-    with pytest.raises(DataError, match=r'interval of positive.*; the model is trained, and'), \
+    with refused(DataError), \
             kept(tmp_path / 'm.safetensors', random_checkpoint([2, 4, 1], 0)):
         Box(q=[[0.0, 0.0]], p=[[0.0, 1.0]])
 

@@ -30,6 +30,7 @@ import pytest
 import torch
 
 ROOT = Path(__file__).resolve().parents[2]
+TRAINING = ROOT / 'config' / 'training'
 AIR_TRACK_LOG = Path(os.environ.get('HNN_VI_ROS_AIR_TRACK_LOG') or (
     ROOT.parent / 'shared' / 'data' / 'schmidt_lipson_2009' / 'real_linear_h_1.txt'))
 
@@ -174,12 +175,14 @@ def test_existing_files_are_never_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize('argv', [
-    ['--config', 'none'], ['--config', 'none.yaml'], ['--config', 'air_track'],
+    ['--config', 'none'], ['--config', 'none.yaml'],
+    # Not the installed files, whose folder depends on the machine.
+    ['--config', str(TRAINING / 'air_track.yaml')],
     ['--config', 'air_track', '--data', 'none.txt'],
-    ['--config', 'harmonic_oscillator', '--data', 'log.txt'],
+    ['--config', str(TRAINING / 'harmonic_oscillator.yaml'), '--data', 'log.txt'],
     ['--config', 'harmonic_oscillator', '--seed', '-1'],
     ['--config', 'harmonic_oscillator', '--out', 'model.pt'],
-    ['--config', 'harmonic_oscillator', '--out', 'file/m.safetensors']])
+    ['--config', 'harmonic_oscillator', '--out', 'file/m.safetensors']], ids=range(8))
 def test_unusable_argument_gives_one_line_that_says_what_to_do(
         tmp_path, monkeypatch, argv):
     monkeypatch.chdir(tmp_path)
