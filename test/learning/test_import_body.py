@@ -10,6 +10,7 @@ from hnn_vi_ros.learning.import_checkpoint import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from lie_group_models import random_states
+from messages import refused
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -78,7 +79,7 @@ def imported(tmp_path: Path, layout: str, path: Path, *more: str) -> None:
           '--out', str(tmp_path / 'model.safetensors'), *more])
 
 
-@pytest.mark.parametrize('layout', SHAPES)
+@pytest.mark.parametrize('layout', ['so3', pytest.param('se3', marks=pytest.mark.long)])
 def test_imported_body_has_the_energy_and_gradient_of_its_source(tmp_path: Path, layout: str):
     networks = source(layout)
     imported(tmp_path, layout, save(tmp_path, networks))
@@ -139,29 +140,27 @@ def test_import_without_friction_or_of_other_networks(tmp_path: Path):
     model = load_checkpoint(tmp_path / 'model.safetensors')
     assert 'dissipation' not in model.networks and model.card.lie_group.diagonal == 'any'
     path = save(tmp_path, networks | {'Dw_net': friction, 'X_net': friction})
-    with pytest.raises(ModelError, match='body-5.tar: networks Dw_net, .*X_net.* layout so3 has'):
+    with refused(ModelError):
         imported(tmp_path, 'so3', path)
-    with pytest.raises(ModelError, match='layout se3 has M_net1, M_net2, V_net, g_net, and for'):
+    with refused(ModelError):
         imported(tmp_path, 'se3', path)
     networks['V_net'] = friction
-    with pytest.raises(ModelError, match='V_net has 9 inputs and 6 outputs, expected 9 and 1'):
+    with refused(ModelError):
         imported(tmp_path, 'so3', save(tmp_path, networks))
 
 
-@pytest.mark.parametrize('option, expected', [
-    (('--epsilon=nan',), '--epsilon nan: expected a finite number >= 0'),
-    (('--floor=-1',), '--floor -1.0: expected a finite number >= 0'),
-    (('--activation', 'sine'), 'have tanh'), (('--order', 'pq'), 'leave it'),
-    (('--coordinates', 'a,b'), '2 names, expected one')])
-def test_option_that_bodies_do_not_take_is_one_line(tmp_path: Path, option: tuple, expected: str):
-    with pytest.raises(ParameterError, match=expected):
+@pytest.mark.parametrize('option', [
+    ('--epsilon=nan',), ('--floor=-1',), ('--activation', 'sine'), ('--order', 'pq'),
+    ('--coordinates', 'a,b')])
+def test_option_that_bodies_do_not_take_is_one_line(tmp_path: Path, option: tuple):
+    with refused(ParameterError):
         imported(tmp_path, 'so3', save(tmp_path, source('so3')), *option)
 
 
 def test_epsilon_must_be_given_and_is_of_bodies_alone(tmp_path: Path):
     path = save(tmp_path, source('so3'))
     words = [str(path), '--activation', 'tanh', '--coordinates', 'body', '--box=-1:1']
-    with pytest.raises(ParameterError, match='--epsilon: give it with --layout so3'):
+    with refused(ParameterError):
         main([*words, '--layout', 'so3'])
-    with pytest.raises(ParameterError, match='of the layouts so3, se3 alone'):
+    with refused(ParameterError):
         main([*words, '--layout', 'hnn', '--epsilon=0.1'])

@@ -4,13 +4,13 @@
 
 from dataclasses import replace
 
-from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt
+from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt, motions_by_a_belt
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning import evaluate, train
+from hnn_vi_ros.learning import evaluate
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.runs import smoothed
 from hnn_vi_ros.learning.data.text import LogMotions
@@ -18,21 +18,26 @@ from hnn_vi_ros.learning.families.choices import Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
-from hnn_vi_ros.learning.tasks.machine import describe, learn
+from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from machines import compiled, shaken
 from mechanical_models import random_mechanical, saved
+from messages import refused
 import numpy as np
 import pytest
+from schemas import misfit
 from scipy.integrate import solve_ivp
 import torch
+from trainings import trained
 
 
-@pytest.mark.parametrize('motors', [1, 2, 3])
+@pytest.mark.parametrize('motors', [
+    pytest.param(1, marks=pytest.mark.long), 2, pytest.param(3, marks=pytest.mark.long)])
 def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
     structure = Structure(['continuous', 'revolute', 'prismatic'], [
         [1.0, 0.0, 0.0], [0.0, 1.0, -0.5]], [[0.0, 1.0, 0.0]], friction_features=[[1.0, 0.0, 0.0]])
@@ -40,21 +45,13 @@ def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
     t = 0.01 * np.arange(60)
     motion = smoothed('random', t, np.sin(rng.uniform(1.0, 5.0, 3) * t[:, None]), None,
                       np.sin(rng.uniform(1.0, 9.0, motors) * t[:, None]), 40.0)
-    network = MechanicalNetwork(structure, [6, 5], scales_of([motion], True), 3)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
-                                             generator=torch.Generator().manual_seed(1)))
-    config = MachineConfig.model_validate(BELT | {'coordinates': [
-        {'name': f'x{i}', 'kind': kind} for i, kind in enumerate(structure.kinds)]})
-    model = str(tmp_path / 'm.safetensors')
-    save_checkpoint(model, describe(network, config, [motion], 'none', {}, 'random', ''))
-    checkpoint = load_checkpoint(model)
+    network = shaken(MechanicalNetwork(structure, [6, 5], scales_of([motion], True), 3))
+    hamiltonian, model = compiled(network, [motion], tmp_path, input_map='learned')
+    checkpoint = hamiltonian.checkpoint
     input_map = np.array(checkpoint.card.mechanical.input_map)
     # The mean square of its columns is 1.
     assert input_map.shape == (3, motors)
     assert (input_map**2).sum() == pytest.approx(motors, rel=1e-14)
-    hamiltonian = MechanicalHamiltonian(checkpoint)
     effects = [EFFECTS['learned_friction'](model), EFFECTS['external_force'](model=model)]
     q, v = rng.uniform(-1.0, 1.0, (2, 4, 3))
     u = rng.uniform(-1.0, 1.0, (4, motors))
@@ -71,7 +68,7 @@ def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
         rates = -simulation.dH_dq, simulation.dH_dp
         expected = hamiltonian.hessian_vector(q[i], p[i], rates[1], rates[0])[1]
         assert np.abs(found[i] - expected).max() < 1e-11 * max(1.0, np.abs(expected).max())
-    with pytest.raises(ValueError, match=f'expected {motors} finite numbers'):
+    with refused(ValueError):
         simulation.set_command([1.0] * 4)
 
 
@@ -81,6 +78,7 @@ def build_simulation(hamiltonian: MechanicalHamiltonian, effects: list) -> Simul
                       np.zeros(d), effects)
 
 
+@pytest.mark.long
 def test_map_of_one_motor_on_two_joints_is_learned():
     config = MachineConfig.model_validate(BELT | {
         'loss': {'kind': 'forward', 'steps': 300, 'lbfgs_steps': 300}})
@@ -93,6 +91,7 @@ def test_map_of_one_motor_on_two_joints_is_learned():
     assert np.abs(masses - MASS).max() < 0.05
 
 
+@pytest.mark.long
 def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
     """Of a pendulum of 1 kg and 1 m under commands of half of its torques."""
     t = 0.01 * np.arange(400)
@@ -111,22 +110,15 @@ def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
         assert network.prior.values().numpy() == pytest.approx([0.5, 0.5 * 9.81], rel=5e-3)
 
 
-def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, capsys):
-    arrays = {}
-    for seed in (1, 2, 3):
-        motion = motion_by_a_belt(seed, 3.0)
-        arrays |= {f'{seed}/t': motion.t, f'{seed}/q': motion.q, f'{seed}/dq': motion.v,
-                   f'{seed}/tau': motion.tau}
-    data, out = str(tmp_path / 'belt.npz'), tmp_path / 'belt.safetensors'
-    np.savez(data, **arrays)
-    config = BELT | {'data': {'kind': 'arrays', 'test_runs': ['3']}, 'loss': {
-        'kind': 'trajectory', 'forward_steps': 200, 'forward_lbfgs_steps': 0,
-        'windows': [{'duration': 0.1, 'steps': 5}]}}
-    (tmp_path / 'belt.yaml').write_text(dump_yaml(config))
-    train.main(['--config', str(tmp_path / 'belt.yaml'), '--data', data, '--out', str(out)])
-    said = capsys.readouterr().out
+def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(
+        tmp_path, pytestconfig, capsys):
+    made = trained(pytestconfig, 'belt', BELT | {
+        'data': {'kind': 'arrays', 'test_runs': ['3', '4', '5', '6']}, 'loss': {
+            'kind': 'trajectory', 'forward_steps': 200, 'forward_lbfgs_steps': 0,
+            'windows': [{'duration': 0.1, 'steps': 5}]}}, motions_by_a_belt)
+    data, out = made.data, made.model
     # A rigid body has motors at its joints.
-    assert '| plain network |' in said and '| rigid body |' not in said
+    assert '| plain network |' in made.said and '| rigid body |' not in made.said
     card = load_checkpoint(out).card
     assert 'the mean square of its columns is 1' in card.dataset
     assert np.shape(card.mechanical.input_map) == (2, 1)
@@ -148,48 +140,43 @@ def test_arrays_with_one_motor_become_a_model_a_scene_and_a_verdict(tmp_path, ca
     # Commands of the motors are no forces on the joints.
     scene['effects'][1] = {'kind': 'external_force', 'coordinates': ['a', 'b']}
     (tmp_path / 'joints.yaml').write_text(dump_yaml(scene))
-    with pytest.raises(DataError, match='give it the model in place of coordinates'):
+    with refused(DataError):
         evaluate.main([str(tmp_path / 'joints.yaml'), '--data', f'{data}:3'])
 
 
-@pytest.mark.parametrize('changes, message', [
-    ({'prior': 'henon_heiles'}, 'has its own scale of energy'),
-    ({'input_map': 'network'}, "'identity' or 'learned'"),
-])
-def test_configuration_refuses_maps_that_cannot_be_learned(changes, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize('changes', [{'prior': 'henon_heiles'}, {'input_map': 'network'}])
+def test_configuration_refuses_maps_that_cannot_be_learned(changes):
+    with misfit():
         MachineConfig.model_validate(BELT | {'family': FAMILY | changes})
-    with pytest.raises(ValueError, match='take forward, discrete or trajectory'):
+    with misfit():
         MachineConfig.model_validate(BELT | {'loss': {'kind': 'inverse'}})
 
 
-@pytest.mark.parametrize('commands, message', [
-    (0.0, 'fixes no scale and tells nothing'), (1.0, 'only 1 are independent')])
-def test_commands_that_tell_nothing_of_a_map_are_refused(commands, message):
+@pytest.mark.parametrize('commands', [0.0, 1.0])
+def test_commands_that_tell_nothing_of_a_map_are_refused(commands):
     motion = motion_by_a_belt(1, 1.0)
     motion = replace(motion, tau=commands * np.hstack([motion.tau, 2.0 * motion.tau]))
-    with pytest.raises(DataError, match=message) as problem:
+    with refused(DataError):
         learn(MachineConfig.model_validate(BELT), [motion])
-    assert '\n' not in str(problem.value)
 
 
 def test_fewer_motors_than_joints_need_a_learned_map():
     config = MachineConfig.model_validate(
         BELT | {'family': FAMILY | {'input_map': 'identity'}})
-    with pytest.raises(DataError, match='1 columns of forces, expected 2.*input_map: learned'):
+    with refused(DataError):
         learn(config, [motion_by_a_belt(1, 1.0)])
 
 
 @pytest.mark.parametrize('input_map', [[[1.0]], [[1.0], [1.0, 2.0]], [[], []], [[1.0] * 3] * 2])
 def test_card_refuses_a_map_that_fits_no_coordinates(input_map):
-    with pytest.raises(ValueError, match='input_map must have 2 rows'):
+    with misfit():
         MechanicalCard(kinds=['revolute'] * 2, features=[[1.0, 0.0]], mass_features=[], floor=0.1,
                        mass_scale=[1.0, 1.0], friction=FrictionCard(viscous=[0.0, 0.0]),
                        input_map=input_map)
 
 
 def test_external_force_names_models_that_have_a_map(tmp_path):
-    with pytest.raises(ModelError, match='lie_group with input_map: learned; give coordinates'):
+    with refused(ModelError):
         EFFECTS['external_force'](model=saved(tmp_path, 'arm'))
     card = random_mechanical('arm').card
     model = replace(random_mechanical('arm'), card=card.model_copy(update={
@@ -197,7 +184,7 @@ def test_external_force_names_models_that_have_a_map(tmp_path):
     save_checkpoint(tmp_path / 'belt.safetensors', model)
     effect = EFFECTS['external_force'](model=str(tmp_path / 'belt.safetensors'))
     hamiltonian = MechanicalHamiltonian(random_mechanical('three'))
-    with pytest.raises(ValueError, match='maps 1 numbers to 2 coordinates; H has 3'):
+    with refused(ValueError):
         build_simulation(hamiltonian, [effect])
 
 
@@ -205,7 +192,7 @@ def test_logs_and_arrays_may_hold_fewer_motors_than_joints(tmp_path):
     columns = ['t', 'a', 'b', 'u']
     assert LogMotions(columns=columns, time='t', q=['a', 'b'], tau=['u']).tau == ['u']
     for key, names in (('v', ['u']), ('tau', ['u', 'v', 'w'])):
-        with pytest.raises(ValueError, match=f'{key} has {len(names)} columns, q has 2'):
+        with misfit():
             LogMotions(columns=[*columns, 'v', 'w'], time='t', q=['a', 'b'], **{key: names})
     t = 0.01 * np.arange(40)
     q, v = (np.stack(part, axis=1) for part in (
@@ -216,5 +203,5 @@ def test_logs_and_arrays_may_hold_fewer_motors_than_joints(tmp_path):
             (motion,), _ = read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
             assert motion.tau.shape == shape
             continue
-        with pytest.raises(DataError, match='or with fewer columns'):
+        with refused(DataError):
             read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)

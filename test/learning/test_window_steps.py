@@ -1,8 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of variational methods in torch, by which windows of motions are simulated."""
+"""Steps of variational methods in torch, and the losses of windows and of whole motions."""
 
+from copy import deepcopy
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 
 from hnn_vi_ros.effects import EFFECTS
@@ -12,14 +14,16 @@ from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
 from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
-from hnn_vi_ros.learning.tasks.machine import describe
-from hnn_vi_ros.models.checkpoint import save_checkpoint
-from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
+from hnn_vi_ros.learning.tasks.machine import describe, problem_of
+from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.simulation import Simulation
+from machines import compiled, shaken, slopes_along
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 import torch
 
 H = 0.01
@@ -43,29 +47,22 @@ def motion_of(d: int) -> Run:
 
 
 def random_network(structure: Structure) -> MechanicalNetwork:
-    network = MechanicalNetwork(
-        structure, [6, 5], scales_of([motion_of(len(structure.kinds))]), 3)
-    generator = torch.Generator().manual_seed(1)
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.add_(0.3 * torch.randn(parameter.shape, dtype=torch.float64,
-                                             generator=generator))
-    return network
+    return shaken(MechanicalNetwork(
+        structure, [6, 5], scales_of([motion_of(len(structure.kinds))]), 3))
 
 
-@pytest.mark.parametrize('structure', STRUCTURES)
-@pytest.mark.parametrize('method', [*METHODS])
+STAY = [*((method, 'arm') for method in METHODS), ('implicit_midpoint', 'three')]
+
+
+@pytest.mark.parametrize('method, structure', [*STAY, *(
+    pytest.param(*pair, marks=pytest.mark.long) for pair in product(METHODS, STRUCTURES)
+    if pair not in STAY)])
 def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, structure):
     network = random_network(STRUCTURES[structure])
-    d, model = network.d, str(tmp_path / 'm.safetensors')
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': f'x{i}', 'kind': kind}
-                        for i, kind in enumerate(network.structure.kinds)],
-        'data': {'kind': 'arrays'}, 'family': {'kind': 'mechanical', 'prior': 'none'}})
-    checkpoint = describe(network, config, [motion_of(d)], 'none', {}, 'random', '')
-    save_checkpoint(model, checkpoint)
+    d = network.d
+    hamiltonian, model = compiled(network, [motion_of(d)], tmp_path)
     simulation = Simulation(
-        MechanicalHamiltonian(checkpoint), INTEGRATORS[method](), H, np.zeros(d), np.zeros(d),
+        hamiltonian, INTEGRATORS[method](), H, np.zeros(d), np.zeros(d),
         [EFFECTS['external_force']([f'x{i}' for i in range(d)], timeout=100.0),
          EFFECTS['learned_friction'](model)])
     q, v, *tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (5, 4, d)))
@@ -81,28 +78,6 @@ def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, stru
             assert np.abs(found_q[i].numpy() - simulation.q).max() < 1e-13
             assert np.abs(found_p[i].numpy() - simulation.p).max() < 1e-13
             assert np.abs(found_v[i].numpy() - simulation.dH_dp).max() < 1e-12
-
-
-@pytest.mark.parametrize('structure', [*STRUCTURES, 'prior alone', 'spring alone'])
-def test_derivatives_that_are_written_out_are_those_of_the_momenta(structure):
-    # The forces of a spring do not depend on v, nor its mass on q.
-    given = STRUCTURES.get(structure.removesuffix(' alone'), Structure(
-        ['prismatic'], [[1.0]], [], prior='harmonic_oscillator'))
-    network = random_network(given if structure in STRUCTURES else replace(
-        given, residual=False, friction_features=None))
-    q, v, tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (3, 5, network.d)))
-    at = q.clone().requires_grad_(), v.clone().requires_grad_()
-    p, rate = network.momenta(*at, tau)
-    slopes = [torch.stack(torch.autograd.grad(part[:, i].sum(), at, retain_graph=True,
-                                              materialize_grads=True))
-              for part in (p, rate) for i in range(network.d)]
-    (p_q, p_v), (rate_q, rate_v) = (
-        torch.stack(rows, dim=2) for rows in (slopes[:network.d], slopes[network.d:]))
-    # Some ten operations on numbers of up to ten.
-    for found, expected in zip(
-            network.linearised(q, v, tau), (p, rate, p_v, p_q, rate_q, rate_v), strict=True):
-        size = max(1.0, expected.detach().abs().max().item())
-        assert (found - expected).abs().max() < 1e-13 * size
 
 
 @pytest.mark.parametrize('method', [*METHODS])
@@ -146,63 +121,18 @@ def loss_and_slopes(network: MechanicalNetwork, samples: Samples, rows: torch.Te
     return value.item(), torch.cat([slope.flatten() for slope in slopes])
 
 
-@pytest.mark.parametrize('method', [*METHODS])
-def test_derivatives_of_windows_are_those_of_their_loss(method):
-    network = random_network(STRUCTURES['arm'])
-    samples, rows = samples_of([motion_of(2)], H), torch.arange(0, 40, 4)
+@pytest.mark.parametrize('method, structure', [
+    *((method, 'arm') for method in METHODS), *(('implicit_midpoint', name) for name in STRUCTURES
+                                                if name != 'arm')])
+def test_derivatives_of_windows_are_those_of_their_loss(method, structure):
+    network = random_network(STRUCTURES[structure])
+    samples, rows = samples_of([motion_of(network.d)], H), torch.arange(0, 40, 4)
     windows = Windows(5, method, 0.1)
-    parameters = [*network.parameters()]
-    generator = torch.Generator().manual_seed(7)
-    directions = [torch.randn(part.shape, dtype=torch.float64, generator=generator)
-                  for part in parameters]
-
-    def moved(step: float) -> float:
-        with torch.no_grad():
-            for part, direction in zip(parameters, directions, strict=True):
-                part.add_(step * direction)
-            found = float(window_loss(network, samples, rows, windows))
-            for part, direction in zip(parameters, directions, strict=True):
-                part.sub_(step * direction)
-        return found
-    slopes = torch.autograd.grad(window_loss(network, samples, rows, windows), parameters,
-                                 allow_unused=True)
-    found = sum(float((slope * direction).sum())
-                for slope, direction in zip(slopes, directions, strict=True)
-                if slope is not None)
-    # A difference of order 4 errs by h^4 / 30 times a fifth derivative, of up to 1e6 here; its
-    # rounding is some 1e-15 / h.
-    step = 2e-4
-    expected = (8.0 * (moved(step) - moved(-step))
-                - (moved(2.0 * step) - moved(-2.0 * step))) / (12.0 * step)
+    found, expected = slopes_along(lambda: window_loss(network, samples, rows, windows),
+                                   [*filter(lambda one: one.requires_grad, network.parameters())],
+                                   2e-4)
+    # A difference of order 6, whose rounding is some 1e-15 over its step.
     assert found == pytest.approx(expected, rel=1e-8)
-
-
-def test_solutions_that_are_used_again_give_the_same_derivatives_in_forward_mode():
-    network = random_network(STRUCTURES['arm'])
-    q, v, tau = torch.tensor(np.random.default_rng(2).uniform(-1.0, 1.0, (3, 4, 2)))
-    weight = network.potential.linears[-1].weight
-
-    def end(solutions: Solutions, given: torch.Tensor) -> torch.Tensor:
-        return torch.func.functional_call(
-            Steps(network, solutions), {'network.potential.linears.2.weight': given}, (q, v, tau))
-    solutions = Solutions()
-    (slope,) = torch.autograd.grad(end(solutions, weight).sum(), weight)
-    columns = torch.func.jacfwd(lambda given: end(solutions.again(), given).sum())(
-        weight.detach())
-    # Both are linear in the same matrices.
-    assert (columns - slope).abs().max() < 1e-12 * slope.abs().max()
-
-
-class Steps(torch.nn.Module):
-
-    def __init__(self, network: MechanicalNetwork, solutions: Solutions):
-        super().__init__()
-        self.network, self.solutions = network, solutions
-
-    def forward(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        motion = simulated(self.network, 'implicit_midpoint', q, v, tau.expand(3, *tau.shape), H,
-                           solutions=self.solutions)
-        return motion.q[-1] + motion.p[-1]
 
 
 def machine_of(momenta, by_v) -> SimpleNamespace:
@@ -242,3 +172,60 @@ def test_equation_without_a_solution_is_no_number():
     assert p.isnan().flatten().tolist() == [True, False, True]
     assert float(p[1, 0]) == pytest.approx(2.0, rel=1e-14)
     assert solutions.alone == 2
+
+
+T = 0.02 * np.arange(301)
+CONFIG = MachineConfig.model_validate({
+    'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
+    'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant',
+               'friction': {'coulomb': 1, 'network': True}},
+    'hidden': [8], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 100, 'step_size': 0.04,
+        'batch': 32, 'windows': [{'duration': 0.2, 'steps': 20}]}})
+
+
+def pendulum(seed: int) -> Run:
+    """Return 6 s of a driven pendulum with friction, every 20 ms."""
+    rates, phases = np.random.default_rng(seed).uniform(0.5, 4.0, (2, 3))
+    tau = np.sin(T[:, None] * rates + phases).sum(axis=1)
+
+    def rate(t: float, z: np.ndarray) -> list[float]:
+        return [z[1], np.interp(t, T, tau) - 4.0 * np.sin(z[0]) - 0.4 * z[1]]
+    z = solve_ivp(rate, (0.0, T[-1]), [0.5, 0.0], t_eval=T, rtol=1e-9, atol=1e-9).y.T
+    return smoothed(f'run{seed}', T, *np.hsplit(z, 2), tau[:, None], 20.0)
+
+
+@pytest.fixture(scope='module')
+def records() -> tuple[Problem, Records]:
+    motions = [pendulum(1), pendulum(2)]
+    problem = problem_of(CONFIG, motions)
+    problem.fit()
+    found = Records(problem.module, CONFIG.windows, motions, lambda: describe(
+        problem.module, CONFIG, motions, '', {}, 'draft', ''), lambda: torch.zeros(()))
+    found.begin()
+    return problem, found
+
+
+@pytest.mark.parametrize('steps', [40, pytest.param(1000, marks=pytest.mark.long)])
+def test_gradient_of_motions_is_that_of_differences(records, steps: int):
+    problem, loss = records
+    parts = [part for name, part in problem.module.named_parameters() if 'linears' in name]
+    found, expected = slopes_along(lambda: loss.loss(steps), parts, 1e-3)
+    # What order 6 cuts off is below 1e-11 here; second derivatives of forces are differences.
+    assert found == pytest.approx(expected, rel=1e-8)
+
+
+def test_whole_motions_improve_and_end_no_worse(records):
+    problem, loss = records
+    before = loss.whole()
+    losses = Problem(problem.module, loss.stages()).fit()
+    assert [*losses] == ['records_0.25', 'records_0.5', 'records_1']
+    # Windows of 0.2 s leave small errors of forces, which 6 s add up: 1.0e-5, then 9e-8.
+    assert loss.whole() < 0.1 * before
+    # A stage that finds nothing better leaves the weights as they were.
+    best = deepcopy(problem.module.state_dict())
+    away = replace(loss.stages()[0], loss=lambda: sum(
+        part.square().sum() for part in problem.module.tensors().values()))
+    Problem(problem.module, [away]).fit()
+    after = problem.module.state_dict()
+    assert all(torch.equal(part, after[name]) for name, part in best.items())
