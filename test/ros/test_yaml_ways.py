@@ -114,19 +114,26 @@ PIECES = strategies.one_of(
         'origin: -1\n', 'first_step: ' + '9' * 200 + '\n', 'source: "a\\nb\\0"\n', 'x']))
 
 
+# Other examples each time, a hundred a part.
+PARTS = pytest.mark.parametrize('part', [
+    0, *(pytest.param(part, marks=pytest.mark.long) for part in (1, 2, 3))])
+
+
+@PARTS
 @given(way=strategies.sampled_from(['file', 'attachment', 'topic']),
        good=strategies.sampled_from([SCENE, RESOLVED]),
        changes=strategies.lists(strategies.tuples(
            strategies.integers(0, len(RESOLVED)), strategies.integers(0, 30), PIECES),
            min_size=1, max_size=3))
-@settings(max_examples=400, suppress_health_check=[
+@settings(max_examples=100, suppress_health_check=[
     HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes):
+def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes, part):
     for start, length, piece in changes:
         good = good[:start] + piece + good[start + length:]
     assert '\n' not in ways[way](good)
 
 
+@PARTS
 @given(way=strategies.sampled_from(['file', 'attachment', 'topic']), text=strategies.one_of(
     strategies.text(max_size=80), strategies.dictionaries(
         strategies.sampled_from(['hamiltonian', 'effects', 'integrator', 'step_size', 'source',
@@ -137,12 +144,13 @@ def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes):
             lambda inner: strategies.lists(inner, max_size=3) | strategies.dictionaries(
                 strategies.sampled_from(['kind', 'q', 'p', 'model', 'factory']), inner),
             max_leaves=8)).map(dump_yaml)))
-@settings(max_examples=300, suppress_health_check=[
+@settings(max_examples=100, suppress_health_check=[
     HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
-def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text):
+def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text, part):
     assert '\n' not in ways[way](text)
 
 
+@PARTS
 @given(text=strategies.one_of(
     strategies.text(max_size=50), strategies.lists(strategies.dictionaries(
         strategies.sampled_from(['history', 'depth', 'reliability', 'durability', 'deadline']),
@@ -152,7 +160,7 @@ def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text):
             strategies.dictionaries(strategies.sampled_from(['sec', 'nsec']), strategies.one_of(
                 strategies.integers(), strategies.text(max_size=3), strategies.none())))),
         max_size=2).map(dump_yaml)))
-@settings(max_examples=300)
-def test_any_recorded_qos_gives_a_profile(text):
+@settings(max_examples=100)
+def test_any_recorded_qos_gives_a_profile(text, part):
     assert isinstance(recorded_qos(text), QoSProfile)
     assert isinstance(qos_profiles(text), list)
