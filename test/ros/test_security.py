@@ -11,8 +11,8 @@ from ensembles import ensemble
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.services import ACTION, INTERFACES, service_name
 from hnn_vi_ros.ros.topics.messages import clock_message
-from peer import Peer, peer, SIMULATOR
-from processes import finish, standard_error, start, start_executable, wait_until
+from peer import Peer, peer, simulating, SIMULATOR
+from processes import finish, standard_error, start_executable, wait_until
 import pytest
 from rosgraph_msgs.msg import Clock
 
@@ -77,18 +77,32 @@ def describe(rights: dict[str, list[str]], node: str = SIMULATOR) -> str:
     return ElementTree.tostring(policy, encoding='unicode', xml_declaration=True) + '\n'
 
 
+def check(policy: Path, rights: dict[str, list[str]], whole: bool, renew: bool,
+          node: str = SIMULATOR) -> None:
+    """Assert that a policy allows these rights, and no others if they are the whole."""
+    if whole and renew:
+        policy.write_text(describe(rights, node), encoding='utf-8')
+    if whole:
+        assert policy.read_text(encoding='utf-8') == describe(rights, node), (
+            "make test ARGS='test/ros/test_security.py --policy' renews the policy")
+    for right, names in rights.items():
+        group = ElementTree.parse(policy).getroot().find(f".//profile/*[@{right}='ALLOW']")
+        assert {*names} <= {name.text for name in group}, right
+
+
+@pytest.mark.parametrize('scenes', [['quadrotor'], pytest.param(
+    ['arms.yaml', 'several.yaml', 'quadrotor'], marks=pytest.mark.long)], ids=['one', 'all'])
 def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
-        tmp_path: Path, request: pytest.FixtureRequest):
+        tmp_path: Path, request: pytest.FixtureRequest, scenes: list[str]):
     (tmp_path / 'arms.yaml').write_text(SCENE.format(robot=ROBOT))
     save_checkpoint(tmp_path / 'several.safetensors', ensemble(2))
     (tmp_path / 'several.yaml').write_text(ENSEMBLE)
     rights: dict[str, set[str]] = {}
-    for scene in ('arms.yaml', 'several.yaml', 'quadrotor'):
+    for scene in scenes:
         # No node follows the clock that it publishes.
         follows = scene == 'quadrotor'
-        process = start(tmp_path, scene=scene, record='false', rerun_sink='none',
-                        publish_clock=not follows, publish_accuracy='true', use_sim_time=follows)
-        with peer() as other:
+        with simulating(tmp_path, scene=scene, publish_clock=not follows, use_sim_time=follows,
+                        publish_accuracy='true') as (other, _):
             clock, ticks = other.node.create_publisher(Clock, '/clock', 10), count(1)
             # All of its topics are there once it publishes.
             other.spin_until(lambda other=other, clock=clock, ticks=ticks: clock.publish(
@@ -97,20 +111,19 @@ def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
             other.node.destroy_publisher(clock)
             for right, names in rights_in_the_graph(other).items():
                 rights.setdefault(right, set()).update(names)
-            process.send_signal(signal.SIGINT)
-            assert finish(process)[0] == 0
-    found = describe({right: sorted(names) for right, names in rights.items()})
-    if request.config.getoption('--policy'):
-        POLICY.write_text(found, encoding='utf-8')
-    assert POLICY.read_text(encoding='utf-8') == found, (
-        "make test ARGS='test/ros/test_security.py --policy' renews the policy")
+    check(POLICY, {right: sorted(names) for right, names in rights.items()}, len(scenes) > 1,
+          request.config.getoption('--policy'))
 
 
+@pytest.mark.parametrize('tasks', [
+    {'swing_up': 'joint_commands'}, pytest.param(
+        {'swing_up': 'joint_commands', 'hover': 'commands'}, marks=pytest.mark.long)],
+    ids=['one', 'all'])
 def test_policy_allows_exactly_what_the_controller_does_in_the_graph(
-        request: pytest.FixtureRequest):
+        request: pytest.FixtureRequest, tasks: dict[str, str]):
     node, policy = '/hnn_controller', POLICY.with_name('controller.policy.xml')
     rights: dict[str, set[str]] = {'publish': set(), 'subscribe': set(), 'reply': set()}
-    for task, commands in (('swing_up', 'joint_commands'), ('hover', 'commands')):
+    for task, commands in tasks.items():
         process = start_executable('controller', '--ros-args', '-p', f'task:={task}', '-p',
                                    f'commands:={commands}', '-p', 'use_sim_time:=true')
         with peer() as other:
@@ -123,10 +136,8 @@ def test_policy_allows_exactly_what_the_controller_does_in_the_graph(
                 rights[right] |= names
             process.send_signal(signal.SIGINT)
             assert finish(process)[0] == 0
-    found = describe({right: relative(names, node) for right, names in rights.items()}, node)
-    if request.config.getoption('--policy'):
-        policy.write_text(found, encoding='utf-8')
-    assert policy.read_text(encoding='utf-8') == found
+    check(policy, {right: relative(names, node) for right, names in rights.items()},
+          len(tasks) > 1, request.config.getoption('--policy'), node)
 
 
 def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
