@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction of drives: by direction and load, offsets, fading gains; delays; what is dropped."""
 
+from functools import cache
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
@@ -11,9 +12,10 @@ from hnn_vi_ros.learning.fit.steps import simulated
 from hnn_vi_ros.learning.tasks.machine import (
     estimated_delay, MachineTask, problem_of, whole)
 from hnn_vi_ros.models.mechanical_card import FrictionCard
+from messages import refused
 import numpy as np
-from pydantic import ValidationError
 import pytest
+from schemas import misfit
 import torch
 
 MASS, VISCOUS, COULOMB, OFFSET, FADE = 2.0, (1.5, 2.5), (0.5, 0.8), 0.3, 0.04
@@ -21,6 +23,7 @@ LOAD, SPACING, SPEED = 0.12, 0.01, 0.05
 WINDOWS = [{'duration': 0.2, 'steps': 1}, {'duration': 1.0, 'steps': 1}]
 
 
+@cache
 def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE, load: float = 0.0,
           size: float = 3.0) -> Run:
     """Return 20 s of a drive on a rail, by the classical method with 10 steps a sample."""
@@ -106,6 +109,7 @@ def test_fit_finds_friction_that_grows_with_the_load(geared):
     assert friction.coulomb[0].force == pytest.approx([COULOMB[0]], rel=0.05)
 
 
+@pytest.mark.long
 def test_load_friction_holds_under_larger_forces_than_were_learned_from(geared):
     faster, errors = drive(7, 0.0, 0.0, LOAD, size=6.0), []
     for setting, problem in (geared[::2], (config({'coulomb': 1, 'directed': True}), None)):
@@ -138,7 +142,7 @@ def test_delay_is_estimated_in_samples_and_parts():
 
 def test_delay_without_forces_is_refused():
     free = Run(**(vars(drive()) | {'tau': np.zeros((2001, 1))}))
-    with pytest.raises(DataError, match='data.delay: there are no forces to estimate it by'):
+    with refused(DataError):
         estimated_delay(config({'coulomb': 1}), [free])
 
 
@@ -153,16 +157,12 @@ def test_delay_is_told_by_the_model(tmp_path: Path):
     assert 'forces act 2 samples later' in card.dataset
 
 
-@pytest.mark.parametrize(('friction', 'family', 'message'), [
-    (ALL, {'kind': 'rigid_body', 'file': 'x.urdf'}, 'a rigid_body has offsets of its own')])
-def test_friction_that_cannot_be_fitted_is_refused(friction: object, family: dict, message: str):
-    given = config(ALL).model_dump()
-    own = {'kind': 'rigid_body'} if 'file' in family else given['family']
-    given['family'] = own | family | {'friction': friction}
-    with pytest.raises(ValidationError, match=message):
-        MachineConfig.model_validate(given | {'loss': None})
+def test_friction_that_a_robot_has_itself_is_refused():
+    family = {'kind': 'rigid_body', 'file': 'x.urdf', 'friction': ALL}
+    with misfit():
+        MachineConfig.model_validate(config(ALL).model_dump() | {'family': family, 'loss': None})
 
 
 def test_card_of_two_directions_needs_the_speed_between():
-    with pytest.raises(ValidationError, match='need switch'):
+    with misfit():
         FrictionCard(viscous=[1.0], viscous_back=[2.0])

@@ -15,7 +15,6 @@ from hnn_vi_ros.learning.families.priors import RigidTree
 from hnn_vi_ros.learning.fit.config import (
     ExcitationData, excited_motions, load_machine, MachineConfig)
 from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
-from hnn_vi_ros.learning.fit.rigid_body import fit_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn, problem_of
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
@@ -23,9 +22,9 @@ from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.rigid_body_card import (
     bodies_of, check_values, INERTIAL, pseudo_inertia, tree_card, values_of)
 from hnn_vi_ros.simulation import Simulation
+from messages import refused
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 import torch
 from urdf_robots import ROOT, TREE
 
@@ -94,7 +93,7 @@ def test_any_log_cholesky_parameters_are_those_of_a_body(robots):
             for row in table:
                 assert np.linalg.eigvalsh(pseudo_inertia(row[:INERTIAL]))[0] > 0.0
         table[0, 4] *= 10.0  # more than the two other moments together
-        with pytest.raises(ValueError, match='no body has the mass and moments'):
+        with refused(ValueError):
             check_values(tree.tree, table)
 
 
@@ -117,22 +116,6 @@ def heavier(tmp_path: Path) -> Path:
     path.write_text(ARM.read_text().replace('<mass value="1.2"/>', '<mass value="1.9"/>')
                     .replace('<mass value="2"/>', '<mass value="1.5"/>'))
     return path
-
-
-@pytest.mark.parametrize('seed', range(3))
-def test_number_that_begins_on_its_bound_does_not_hold_the_others(seed):
-    """A trust region that ends at a bound next to its centre takes no step at all."""
-    rng = np.random.default_rng(seed)
-    A = rng.normal(size=(20, 3)) * [1.0, 10.0, 100.0]
-    b = A @ [-1.0, *rng.normal(size=2)]
-    numbers = torch.nn.Module()
-    numbers.x = torch.nn.Parameter(torch.zeros(3, dtype=torch.float64))
-    found = fit_errors(numbers, lambda x: {'x': x}, np.zeros(3), np.array([0.0, -np.inf, -np.inf]),
-                       lambda _: torch.tensor(A) @ numbers.x - torch.tensor(b))
-    # The soft least squares of the other two, with the first on its bound, where it belongs.
-    soft = least_squares(lambda x: A[:, 1:] @ x - b, np.zeros(2), loss='soft_l1', x_scale='jac')
-    assert 0.0 <= found.x[0] < 1e-2
-    assert found.cost == pytest.approx(soft.cost, rel=1e-2)
 
 
 def test_parameters_of_an_arm_are_found_from_a_wrong_urdf(tmp_path):
@@ -232,33 +215,27 @@ def test_networks_add_to_the_body_what_was_chosen(residual):
     assert np.abs(-dH_dq - friction - rate).max() < 1e-12 * max(1.0, np.abs(dH_dq).max())
 
 
-@pytest.mark.parametrize('text, message', [
-    ('family: {kind: rigid_body, file: none.urdf}', 'none.urdf: no such file'),
-    (f'coordinates: [{{name: knee}}]\nfamily: {{kind: rigid_body, file: {ARM}}}',
-     "joints names 'knee': no such joint moves; moving joints: shoulder, elbow"),
-    (f'family: {{kind: rigid_body, file: {ARM}, residual: energy}}', 'residual'),
-    (f'family: {{kind: rigid_body, file: {ARM}}}\nloss: {{kind: forward}}',
-     'loss: forward does not train the family rigid_body; valid: trajectory, inverse'),
-    (f'family: {{kind: rigid_body, file: {ARM}, friction: {{network: true}}}}',
-     'take residual: friction'),
-    ('family: {kind: mechanical}\ncoordinates: [{name: a}]',
-     'excitation computes motions of a rigid_body'),
-])
-def test_configurations_of_no_robot_are_refused_by_name(text, message, tmp_path):
+@pytest.mark.parametrize('text', [
+    'family: {kind: rigid_body, file: none.urdf}',
+    f'coordinates: [{{name: knee}}]\nfamily: {{kind: rigid_body, file: {ARM}}}',
+    f'family: {{kind: rigid_body, file: {ARM}, residual: energy}}',
+    f'family: {{kind: rigid_body, file: {ARM}}}\nloss: {{kind: forward}}',
+    f'family: {{kind: rigid_body, file: {ARM}, friction: {{network: true}}}}',
+    'family: {kind: mechanical}\ncoordinates: [{name: a}]'], ids=range(6))
+def test_configurations_of_no_robot_are_refused_by_name(text, tmp_path):
     path = tmp_path / 'arm.yaml'
     path.write_text(f'data: {{kind: excitation}}\n{text}\n')
-    with pytest.raises(DataError, match='arm.yaml') as caught:
+    with refused(DataError):
         load_machine(path)
-    assert message in str(caught.value) and '\n' not in str(caught.value)
 
 
 def test_data_that_lack_forces_are_refused_by_name():
     motions = moved(0.0, runs=1, duration=1.0)
     few = [replace(motion, tau=motion.tau[:, :1]) for motion in motions]
-    with pytest.raises(DataError, match='1 columns of forces for 2 joints'):
+    with refused(DataError):
         learn(config_of(), few)
     none = [replace(motion, tau=motion.tau * [1.0, 0.0]) for motion in motions]
-    with pytest.raises(DataError, match='the data hold no force of elbow'):
+    with refused(DataError):
         learn(config_of(), none)
 
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Models of machines that are chosen by what goes furthest, and what they have seen."""
 
+from functools import cache
+
 from helpers import alarm_of
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.guards.bounds import BoxGuard
@@ -22,6 +24,7 @@ import torch
 CART, POLE, LENGTH, GRAVITY, VISCOUS = 1.3, 0.4, 0.6, 9.81, 0.2
 
 
+@cache
 def cart_and_pole(seed: int) -> Run:
     """Return a cart with a pole that is driven, by (x, angle from hanging), every 10 ms."""
     t = 0.01 * np.arange(600)
@@ -128,6 +131,7 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
                       rel=0.02))
 
 
+@cache
 def carriage(seed: int, back: float) -> Run:
     """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
     t = 0.01 * np.arange(500)
@@ -152,7 +156,8 @@ def sliding(**family: object) -> MachineConfig:
         'family': {'kind': 'mechanical', **family}})
 
 
-@pytest.mark.parametrize(('back', 'directed'), [(2.5, True), (1.0, False)])
+@pytest.mark.parametrize(('back', 'directed'), [
+    (2.5, True), pytest.param(1.0, False, marks=pytest.mark.long)])
 def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed: bool):
     motions = [carriage(seed, back) for seed in (1, 2, 3)]
     chosen, card = selected(sliding(), motions, problem_of)
@@ -171,6 +176,7 @@ def test_fit_of_a_weight_and_an_offset_that_are_one_force_is_not_lost_in_roundin
     assert card.prior.values['inertia1'] == pytest.approx(2.0, rel=0.05)
 
 
+@pytest.mark.long
 def test_friction_that_is_named_is_left_as_it_is():
     motions = [carriage(seed, 2.5) for seed in (1, 2, 3)]
     chosen, card = selected(sliding(friction={'coulomb': 1}), motions, problem_of)
