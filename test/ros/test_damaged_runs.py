@@ -21,8 +21,8 @@ from mcap.opcode import Opcode
 import pytest
 from recorded import record_run
 
-# Of each kind; from 50 on with the opcode of every record flipped in all ways.
-MUTATIONS = int(os.environ.get('HNN_VI_ROS_MUTATIONS', '2'))
+# Of each kind in `make test-long`; from 50 on with the opcode of every record flipped in all ways.
+MUTATIONS = int(os.environ.get('HNN_VI_ROS_MUTATIONS', '4'))
 TICKS = 60
 DATA = BagData.model_validate({'kind': 'bag', 'joints': ['angle'], 'commands': 'commands',
                                'stamps': 'log'})
@@ -65,20 +65,22 @@ def content_of(bag: Path) -> Counter[tuple[str, int, bytes]]:
     return Counter((reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages())
 
 
-def mutants(content: bytes, other: bytes) -> list[Mutant]:
+def mutants(content: bytes, other: bytes, count: int) -> list[Mutant]:
     rng = random.Random(17)
-    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(MUTATIONS)]
+    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(count)]
     joints, doubles = list(joined(content, other)), list(joined(content, content))
     flips = list(opcode_flips(content))
-    if MUTATIONS < 50:
-        joints, doubles, flips = joints[::3], doubles[::3], flips[::101]
+    if count < 50:
+        every = 3 if count > 1 else 12
+        joints, doubles, flips = joints[::every], doubles[::every], flips[::40 * every]
     return drawn + flips + joints + [found._replace(kind='double') for found in doubles]
 
 
 @pytest.mark.timeout(120 + 60 * MUTATIONS)
+@pytest.mark.parametrize('count', [1, pytest.param(MUTATIONS, marks=pytest.mark.long)])
 @pytest.mark.parametrize('end', ['killed', 'finished'])
 def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
-        bag, other, tmp_path, caplog, end):
+        bag, other, tmp_path, caplog, end, count):
     whole = content_of(bag)
     content = (bag / 'bag_0.mcap').read_bytes()
     if end == 'killed':
@@ -86,7 +88,7 @@ def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
     states = sum(count for (topic, *_), count in whole.items() if topic.endswith('/state'))
     rows = len(read_bags([bag], DATA).t)
     outcomes = Counter[tuple[str, ...]]()
-    for found in mutants(content, other):
+    for found in mutants(content, other, count):
         path = tmp_path / 'bag' / 'bag_0.mcap'
         shutil.rmtree(path.parent, ignore_errors=True)
         path.parent.mkdir()
