@@ -178,7 +178,7 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(made, drawn, tmp_
         with refused(ParameterError):
             evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, option, str(path)])
     (tmp_path / 'free.yaml').write_text(dump_yaml(SCENE | {'effects': []}))
-    with refused(DataError):
+    with pytest.raises(DataError, match='no effect external_force'):
         evaluate.main([str(tmp_path / 'free.yaml'), '--data', data])
 
 
