@@ -145,6 +145,7 @@ def test_motions_of_few_blocks_are_refused():
         kept_and_held([swing(4.9)], config())
 
 
+@pytest.mark.long
 def test_ensemble_of_a_machine_is_trained_calibrated_and_runs(
         tmp_path: Path, pytestconfig: pytest.Config, capsys: pytest.CaptureFixture):
     made = trained(pytestconfig, 'belts', BELT | {

@@ -246,6 +246,7 @@ def test_shipped_arms_have_a_training_run(name, count):
     assert len(config.structure().tree.bodies) == count
 
 
+@pytest.mark.long
 def test_auto_adds_no_networks_to_a_robot_that_is_one():
     config = config_of({'residual': 'auto', 'friction': {'coulomb': 1}}, hidden=[6], loss={
         'kind': 'trajectory', 'batch': 64, 'forward_steps': 20,

@@ -215,6 +215,7 @@ def test_gradient_of_motions_is_that_of_differences(records, steps: int):
     assert found == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.long
 def test_whole_motions_improve_and_end_no_worse(records):
     problem, loss = records
     before = loss.whole()
