@@ -17,6 +17,7 @@ from pathlib import Path
 import re
 import tempfile
 
+from hnn_vi_ros.files.resources import share_folder
 import pytest
 
 TESTS = Path(__file__).resolve().parent
@@ -26,6 +27,10 @@ RECORD = 'HNN_VI_ROS_MESSAGES'
 # Folders of one run: that of pytest's tmp_path, and others below the folder of temporary files.
 _FOLDER = re.compile(re.escape(tempfile.gettempdir())
                      + r'/(pytest-of-[^/ ]+/pytest-\d+/(popen-gw\d+/)?)?[^/\s\'"]+')
+# Of files that a test has made: bits that another processor would compute otherwise.
+_DIGEST = re.compile(r'\b[0-9a-f]{16}([0-9a-f]{48})?\b')
+# How much of a long name is shown depends on the length of the path before it.
+_RUN = re.compile(r'(\w)\1{49,}')
 _LONGEST_KEY = 120
 _calls: Counter[str] = Counter()
 
@@ -40,10 +45,13 @@ def refused(*kinds: type[BaseException]) -> Iterator[pytest.ExceptionInfo]:
 
 def assert_message(text: str) -> None:
     """Compare a message in one line with the row of the table for the running test."""
-    said = _FOLDER.sub('TMP', text).replace(f'{TESTS.parent}/', '')
+    # A checkout may lie in the folder of temporary files as well.
+    for folder in (share_folder(), TESTS.parent):
+        text = text.replace(f'{folder}/', '')
+    said = _RUN.sub(r'\1...', _DIGEST.sub('DIGEST', _FOLDER.sub('TMP', text)))
     assert '\n' not in said and len(said) < 2200, said
     file, _, case = os.environ['PYTEST_CURRENT_TEST'].rpartition(' (')[0].partition('::')
-    folder = (TESTS.parent / file).parent
+    table = (TESTS.parent / file).parent / TABLE
     key = f'{Path(file).name}::{case}'
     if len(key) > _LONGEST_KEY:
         key = f'{key[:_LONGEST_KEY]} {sha256(key.encode()).hexdigest()[:8]}'
@@ -52,11 +60,11 @@ def assert_message(text: str) -> None:
         key += f' #{_calls[file + key]}'
     if record := os.environ.get(RECORD):
         with Path(record, str(os.getpid())).open('a', encoding='utf-8') as notes:
-            notes.write(f'{folder.relative_to(TESTS)}\t{key}\t{said}\n')
+            notes.write(f'{table.parent.relative_to(TESTS)}\t{key}\t{said}\n')
         return
-    rows = read_table(folder / TABLE)
-    assert key in rows, f'no row {key} in {folder / TABLE}; `make messages` writes it: {said}'
-    assert said == rows[key]
+    rows = read_table(table)
+    assert key in rows, f'no row {key} in {table}; `make messages` writes it: {said}'
+    assert said == rows[key], f'{key}: the table has\n{rows[key]}\nand not\n{said}'
 
 
 @cache

@@ -16,7 +16,7 @@ from sources import PYTHON_FILES, ROOT
 
 
 @pytest.fixture
-def rare_collection() -> Iterator[None]:
+def rare_gc() -> Iterator[None]:
     """Collect garbage seldom: a fifth of the time of flake8 went into looking for it."""
     threshold = gc.get_threshold()
     gc.set_threshold(200_000)
@@ -46,7 +46,7 @@ def changed_sources(pytestconfig: pytest.Config
 
 @pytest.mark.flake8
 @pytest.mark.linter
-def test_python_files_satisfy_ament_flake8(changed_sources, rare_collection, monkeypatch, tmp_path):
+def test_python_files_satisfy_ament_flake8(changed_sources, rare_gc, monkeypatch, tmp_path):
     ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
     # It compares each file with every folder below the current one whose name begins with . or _,
     # of which .venv/ has thousands: from a folder without any.
@@ -61,7 +61,7 @@ def test_python_files_satisfy_ament_flake8(changed_sources, rare_collection, mon
 
 @pytest.mark.linter
 @pytest.mark.pep257
-def test_docstrings_satisfy_ament_pep257(changed_sources, rare_collection, capfd):
+def test_docstrings_satisfy_ament_pep257(changed_sources, rare_gc, capfd):
     ament_pep257 = pytest.importorskip('ament_pep257.main', reason='needs ament_pep257')
     with changed_sources('pep257') as files:
         code = ament_pep257.main(argv=files)

@@ -26,7 +26,7 @@ PRIVATE = {
     'bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
-        '_cache', '_cache_hits', '_cache_path', '_codegen', '_data_path', '_final_module',
+        '_cache', '_cache_path', '_codegen', '_data_path', '_final_module',
         '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
         '_linking_libraries', '_loopvect', '_module_pass_manager', '_open_for_write',
         '_opt_level', '_py_func', '_raise_if_finalized', '_reload_init', '_set_uuid',

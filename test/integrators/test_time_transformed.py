@@ -220,8 +220,8 @@ def test_potential_of_an_effect_is_part_of_the_transformed_hamiltonian():
 
 def test_fall_into_the_singularity_ends_in_a_typed_failure():
     """Straight at the centre no steps are short enough; the last good state is kept."""
-    simulation = Simulation(Uncompiled(HAMILTONIANS['kepler'](1.0)), TimeTransformed(exponent=2.0),
-                            0.1, [1.0, 0.0], [0.0, 0.0])
+    simulation = Simulation(HAMILTONIANS['kepler'](1.0), TimeTransformed(exponent=2.0), 0.1,
+                            [1.0, 0.0], [0.0, 0.0])
     with pytest.raises(StepFailure):
         simulation.advance(100)
     assert np.isfinite([*simulation.q, *simulation.p]).all()
