@@ -92,7 +92,7 @@ def orbit(eccentricity: float, end: str) -> InitialValueProblem:
                                np.array([0.0, math.sqrt(2.0 / r - 1.0)]))
 
 
-@pytest.mark.parametrize('tolerance', [Tolerance(ENERGY, 1e-3, 200.0),
+@pytest.mark.parametrize('tolerance', [long(Tolerance(ENERGY, 1e-3, 200.0)),
                                        Tolerance(PATH, 1e-4, 30.0)],
                          ids=lambda tolerance: tolerance.kind)
 @pytest.mark.parametrize('end', ['apocentre', long('pericentre')])

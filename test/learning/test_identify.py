@@ -81,8 +81,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(pendulum, tmp_path):
     assert np.sum(np.abs(errors) > 1.96) <= 5
 
 
-@pytest.mark.parametrize('case', long_after_first(identify_coverage.CASES),
-                         ids=lambda case: case.scene)
+@pytest.mark.long
+@pytest.mark.parametrize('case', identify_coverage.CASES, ids=lambda case: case.scene)
 def test_the_study_of_coverage_finds_what_made_its_logs(case):
     # All intervals of a log miss once in some hundreds: their errors share data.
     assert any(next(identify_coverage.held(case, 'white', 1, 3)))

@@ -79,6 +79,7 @@ def test_page_without_its_marks_is_one_line(docs: Path):
         turning_costs.write(docs, {}, [])
 
 
+@pytest.mark.long
 def test_reference_of_a_body_that_turns_is_known_to_round_off():
     case = turning_costs.cases()[0]
     reference = make_reference(case.hamiltonian, case.q, case.p, 1.0)
