@@ -25,6 +25,8 @@ step_size: 0.01
 initial_state: {q: [1.0], p: [0.0]}
 """
 SLOW_MODULE = """\
+import time
+
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 
 
