@@ -11,7 +11,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.simulator_node import SimulatorNode
 from messages import assert_message
-from peer import Peer, peer, SIMULATOR, wait_for_way_back
+from peer import Peer, peer, simulating, SIMULATOR, wait_for_way_back
 from processes import (
     finish, refusal, simulator_words, standard_error, start, start_executable, to_file, wait_until)
 import pytest
@@ -174,13 +174,14 @@ def test_clock_that_cannot_be_followed_is_one_line():
 
 
 def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
-    processes = [start(tmp_path, scene='exact_pendulum', duration=1.0, discovery_time=5.0,
-                       record_path=f'bag{i}') for i in range(2)]
-    ends = [finish(process) for process in processes]
-    assert [status for status, _, _ in ends] == [0, 0]
-    # The second to start has found the first by the time that it begins.
-    assert any('1 more of the graph are called /hnn_simulator: calls of services may reach' in
-               error for _, _, error in ends)
+    with simulating(tmp_path, scene='exact_pendulum', record_path='bag0') as (other, _):
+        other.wait_for_state('active')
+        second = start(tmp_path, scene='exact_pendulum', duration=1.0, discovery_time=5.0,
+                       record_path='bag1')
+        status, _, error = finish(second)
+    assert status == 0
+    # It has found the first by the time that it begins.
+    assert '1 more of the graph are called /hnn_simulator: calls of services may reach' in error
     assert all(check_replay(tmp_path / f'bag{i}').good for i in range(2))
 
 

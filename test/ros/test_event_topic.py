@@ -85,6 +85,8 @@ def assert_bridge_shows(folder, monkeypatch):
         node.destroy_node()
     finally:
         rclpy.try_shutdown()
-    assert [(text.partition(' (')[0], level) for text, level, _ in shown] == [
+    # A machine that is busy adds alarms of the pace.
+    events = [event for event in shown if not event[0].startswith('real-time overrun')]
+    assert [(text.partition(' (')[0], level) for text, level, _ in events] == [
         (when, 'INFO') for when, _ in EXPECTED]
-    assert [at[1] for *_, at in shown] == [52, 157]
+    assert [at[1] for *_, at in events] == [52, 157]

@@ -179,6 +179,8 @@ def test_recording_is_started_and_stopped_by_service(folder):
             again = other.trigger('start_recording')
             assert not again.success
             assert again.message == f'{folder / name}: is being recorded already'
+            # First those that were published before, and have not been heard yet.
+            other.spin(0.5)
             count = len(other.states)
             other.spin_until(lambda: len(other.states) > count + 50)
             answer = other.trigger('stop_recording')
