@@ -14,7 +14,7 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.learning.data.runs import Run, smoothed, steps_between
-from hnn_vi_ros.learning.scene_numbers.fit import fit
+from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
 from hnn_vi_ros.learning.scene_numbers.intervals import (
@@ -288,7 +288,17 @@ def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, ca
     assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
 
 
-def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
+def test_windows_that_are_done_are_not_simulated_and_change_no_others(pendulum, tmp_path):
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    prediction = Prediction(freed(pendulum, tmp_path, length=1.0), np.ones(1), windows)
+    starts = np.random.default_rng(2).normal(size=(len(windows.run), 2))
+    only = np.arange(len(starts)) % 2 == 1
+    for whole, part in zip(prediction.by_starts(starts), prediction.by_starts(starts, only),
+                           strict=True):
+        assert np.array_equal(part[only], whole[only]) and np.isnan(part[~only]).all()
+
+
+def test_outliers_move_a_robust_fit_less(pendulum, tmp_path, monkeypatch):
     # Of half as many samples, chance makes some logs of white noise look correlated.
     log = swing(pendulum, 2.0, 2)
     q = log.q.copy()
@@ -300,7 +310,15 @@ def test_outliers_move_a_robust_fit_less(pendulum, tmp_path):
     assert robust.standard_error < 0.7 * plain.standard_error
     # Of friction that the scene has not, no residual is cut off: all count, the largest ones less.
     damped = pendulum.with_overrides(effects=[{'kind': 'damping', 'rate': 0.3}])
-    solution, _, _ = fit(free, [swing(damped, 2.0, 4, None)], True, 0.5, True)
+    searches, descend, evaluate = [], Problem._descend, Problem._evaluate
+    monkeypatch.setattr(Problem, '_descend', lambda *arguments: (
+        searches.append(0), descend(*arguments))[1])
+    monkeypatch.setattr(Problem, '_evaluate', lambda *arguments: (
+        searches.append(searches.pop() + 1), evaluate(*arguments))[1])
+    solution, _, _ = fit(freed(pendulum, tmp_path, length=1.05),
+                         [swing(damped, 2.0, 4, None)], True, 0.5, True)
+    # Each start ends by itself.
+    assert max(searches) <= _INNER // 2
     assert solution.misfit < 3.0
 
 
