@@ -13,6 +13,7 @@ import time
 from hnn_vi_ros.run import compiled_beside as beside
 from hnn_vi_ros.run.compiled_beside import compiled_beside
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import assembly
 from hnn_vi_ros.simulation.build import build, compile_loop
 import pytest
 
@@ -60,12 +61,16 @@ def test_no_process_begins_for_a_loop_that_is_compiled(monkeypatch):
         pool.submit(start).result()
 
 
-def test_loop_that_is_compiled_alone_is_that_of_the_simulation():
+def test_loop_that_is_compiled_alone_is_that_of_the_simulation(monkeypatch):
+    loops, compile_entry = [], assembly.entry_point
+    monkeypatch.setattr(assembly, 'entry_point', lambda loop, *arguments: (
+        loops.append(loop), compile_entry(loop, *arguments))[1])
     parts = load_scene('damped_driven_pendulum').parts()
     compile_loop(parts)
-    simulation = build(parts)
-    simulation.compile()
-    assert len(simulation._loops[0].function.overloads) == 1
+    # Those of other scenes of this process are there as well.
+    known = len(loops[0].overloads)
+    build(parts).compile()
+    assert loops[1] is loops[0] and len(loops[0].overloads) == known
 
 
 @pytest.mark.long
