@@ -60,8 +60,8 @@ def scene() -> Parser:
                 'the others\nnames the schema by which editors complete and check them.'))
     # argparse would keep a group of exclusive options on one line, however long.
     parser.usage = (f'{parser.prog} --list | --explain NAME | --check NAME ... | --compile '
-                    '[NAME ...] | --schema |\n       --new [FILE] [--like SCENE | --formula H | '
-                    '--robot URDF] [--force]')
+                    '[NAME ...] [--no-rescue] |\n       --schema | --new [FILE] [--like SCENE | '
+                    '--formula H | --robot URDF] [--force]')
     task = parser.add_mutually_exclusive_group()
     task.add_argument('--list', action='store_true', help='name the shipped scenes')
     complete_by(task.add_argument('--explain', metavar='NAME', help=(
@@ -72,6 +72,9 @@ def scene() -> Parser:
     complete_by(task.add_argument('--compile', nargs='*', metavar='NAME', help=(
         'compile now, on all cores, what scenes run (default: all shipped ones), so that their '
         'first start need not')), 'scene')
+    parser.add_argument('--no-rescue', action='store_true', help=(
+        'with --compile: leave out what takes steps that fail, half of the time; a run compiles '
+        'that beside itself'))
     task.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check scenes'))
     task.add_argument('--new', action='store_true', help=(

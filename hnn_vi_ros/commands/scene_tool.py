@@ -35,13 +35,15 @@ def main(argv: list[str]) -> int:
         return write_new(options, parser)
     if options.file is not None:
         parser.error(f'say what to do with {options.file}: --explain, --check, --compile or --new')
+    if options.no_rescue and options.compile is None:
+        parser.error('--no-rescue is for --compile')
     for name in ('like', 'formula', 'robot', 'force'):
         if getattr(options, name):
             parser.error(f'--{name} is for a new scene: add --new')
     if options.check:
         return check(options.check)
     if options.compile is not None:
-        return compile_all(options.compile)
+        return compile_all(options.compile, not options.no_rescue)
     lines: Iterable[str]
     if options.list:
         lines = list_scenes()
@@ -76,13 +78,13 @@ def check(names: Sequence[str]) -> int:
     return status
 
 
-def compile_all(names: Sequence[str]) -> int:
+def compile_all(names: Sequence[str], rescue: bool) -> int:
     """Compile scenes, all shipped ones by default, and print a line for each."""
     from hnn_vi_ros.run.compiled_scenes import compile_scenes
     status = 0
     names = names or [
         name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
-    for scene in compile_scenes(names):
+    for scene in compile_scenes(names, rescue):
         if scene.problem:
             print(f'{called("scene")}: {scene.problem}', file=sys.stderr)
             status = 1

@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from operator import itemgetter
 import time
-from typing import Any
 import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
@@ -21,8 +20,6 @@ from hnn_vi_ros.trajectory.simulate import simulate
 
 # Processes, of 0.3 GB each: of more of them several would wait for the same.
 _MOST = 8
-_AROUND: list[dict[str, Any]] = [{'kind': 'damping', 'rate': 0.1},
-                                 {'kind': 'thermostat', 'temperature': 0.1, 'rate': 0.1}]
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class CompiledScene:
     problem: str = ''
 
 
-def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
+def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[CompiledScene]:
     """
     Compile what scenes run, in as many processes as there are cores, up to eight.
 
@@ -54,6 +51,9 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
     ----------
     names : sequence of str
         Shipped names or files.
+    rescue : bool, optional
+        Whether to compile also what takes steps that fail: half of the time, and a run that finds
+        it missing compiles it beside itself.
 
     Yields
     ------
@@ -63,7 +63,7 @@ def compile_scenes(names: Sequence[str]) -> Iterator[CompiledScene]:
     """
     with worker_processes(min(usable_processors(), _MOST, len(names))) as pool:
         with ignore_sigint_in_children():
-            futures = [pool.submit(_compile, name) for name in _in_turns(names)]
+            futures = [pool.submit(_compile, name, rescue) for name in _in_turns(names)]
         for future in as_completed(futures):
             yield future.result()
 
@@ -81,7 +81,7 @@ def _in_turns(names: Sequence[str]) -> list[str]:
     return [name for _, name in sorted(places, key=itemgetter(0))]
 
 
-def _compile(name: str) -> CompiledScene:
+def _compile(name: str, rescue: bool) -> CompiledScene:
     begin, problem = time.perf_counter(), ''
     try:
         with warnings.catch_warnings():
@@ -91,11 +91,8 @@ def _compile(name: str) -> CompiledScene:
             simulate(scene, 0.0)
             simulation = build(scene)
             simulation.compile()
-            simulation.compile_rescue()
-            # And its method as effects take it: its step, and the halves of it.
-            for effect in _AROUND:
-                with suppress(HnnViRosError):
-                    simulate(scene, 0.0, effects=[effect])
+            if rescue:
+                simulation.compile_rescue()
     except HnnViRosError as error:
         problem = str(error)
     return CompiledScene(name, time.perf_counter() - begin, problem)

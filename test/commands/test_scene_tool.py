@@ -259,3 +259,9 @@ def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys)
     captured = capsys.readouterr()
     assert captured.out.startswith('exact_pendulum: compiled in ')
     assert captured.err.startswith("scene: no scene 'nothing'")
+
+
+def test_no_rescue_is_for_compile(capsys):
+    with pytest.raises(SystemExit):
+        main(['--list', '--no-rescue'])
+    assert '--no-rescue is for --compile' in capsys.readouterr().err
