@@ -185,6 +185,9 @@ class ReplaySettings:
         'commands that a simulator heard')
     publish_clock: bool = parameter(False, "publish the bag's time on `/clock`, each 10 ms of it")
     start_paused: bool = parameter(False, 'begin paused')
+    longest_pause: float = parameter(
+        0.0, 'of a longer time without any message the rest is skipped; 0 skips nothing', 's',
+        0.0, 1e9)
     discovery_time: float = parameter(
         2.0, 'the first message waits at most this long for subscribers that are there already, '
         'so that they miss none', 's', 0.0, 60.0)

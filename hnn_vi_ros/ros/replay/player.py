@@ -17,6 +17,8 @@ import numpy as np
 _BATCHES, _MESSAGES, _BYTES = 16, 256, 2**18
 # Timing errors that are kept.
 _ERRORS = 1_000_000
+# What is longer than this many seconds of wall time between two messages looks like a hang.
+_SILENCE = 5.0
 # The time a step may take to be done [s].
 _LONGEST_STEP = 5.0
 
@@ -78,6 +80,10 @@ class Player(threading.Thread):
         Whether to begin again at the end.
     paused : bool
         Whether to begin paused.
+    longest_pause : float
+        Time between two messages of which the rest is skipped [s]; 0 skips nothing.
+    tell : callable or None
+        Takes a line about a pause that is waited for, or skipped.
 
     Attributes
     ----------
@@ -90,10 +96,12 @@ class Player(threading.Thread):
 
     def __init__(self, read: Callable[[], Iterator[Recorded]], publish: Callable[[Recorded], None],
                  tell_time: Callable[[int], None] | None, first: int, last: int,
-                 rate: float = 1.0, loop: bool = False, paused: bool = False):
+                 rate: float = 1.0, loop: bool = False, paused: bool = False,
+                 longest_pause: float = 0.0, tell: Callable[[str], None] | None = None):
         super().__init__(name='player', daemon=True)
         self._read, self._publish, self._tell_time = read, publish, tell_time
         self._first, self._last, self._rate, self._loop = first, last, rate, loop
+        self._longest_pause, self._tell = round(longest_pause * 1e9), tell
         self._changed = threading.Condition()
         self._paused, self._stopped, self._stepping = paused, False, False
         # The bag's time at a time of the steady clock [ns].
@@ -169,13 +177,15 @@ class Player(threading.Thread):
     def _play(self, messages: Iterator[Recorded]) -> bool:
         """Play a round from the start to the end; False if it was stopped."""
         self._clock_due = max(self._first, 1)
-        step = None
+        step, before = None, self._first
         for message in messages:
             # All messages of a step's time are one step.
             if step != message.time:
                 if step is not None:
                     self._end_step(step)
                 step = None
+                self._shorten(before, message.time)
+                before = message.time
                 if not self._wait(message.time):
                     return False
                 if self._stepping:
@@ -191,6 +201,20 @@ class Player(threading.Thread):
         if self._stepping:
             self._end_step(self._last)
         return going
+
+    def _shorten(self, before: int, after: int) -> None:
+        """Skip what is too long of the pause between two messages, and tell of a long one."""
+        pause, line = (after - before) * 1e-9, ''
+        if 0 < self._longest_pause < after - before:
+            skipped = after - before - self._longest_pause
+            with self._changed:
+                self._position += skipped
+            self._clock_due = max(self._clock_due, before + skipped)
+            line = f'{skipped * 1e-9:.6g} s are skipped'
+        elif pause / self._rate > _SILENCE:
+            line = f'{pause / self._rate:.6g} s to wait; the parameter longest_pause skips it'
+        if line and self._tell is not None:
+            self._tell(f'no message in the bag for {pause:.6g} s: {line}')
 
     def _end_step(self, stamp: int) -> None:
         self._show_clock(stamp)

@@ -146,7 +146,10 @@ class ReplayNode(RobustNode):
                 self._latched(first), self.reader.messages(self.publishers_of, first, last))),
             lambda message: self.publishers_of[message.channel].publish(message.data),
             None if clock is None else lambda stamp: clock.publish(clock_message(stamp)),
-            first, last, settings.rate, settings.loop, settings.start_paused)
+            first, last, settings.rate, settings.loop, settings.start_paused,
+            settings.longest_pause, self.get_logger().info)
+        self.get_logger().info(
+            f'{self.reader.path}: {(last - first) * 1e-9:.6g} s, at rate {settings.rate:g}')
         self.create_service(SetBool, '~/set_pause', self._on_set_pause)
         self.create_service(Trigger, '~/step', self._on_step)
         self._discovery = Discovery(lambda: sum(
