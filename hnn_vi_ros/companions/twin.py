@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.effects.commands import Command, Observation, select
+from hnn_vi_ros.effects.commands import Command, Observation, select, whole_turns
 from hnn_vi_ros.effects.splitting import largest_gain
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.momenta import momentum
@@ -111,6 +111,7 @@ class Twin:
         self._gain, self._damping = observer.gain, observer.damping
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
+        self._turning = simulation.system.turning[self._places]
         free = [choice.model_dump() for choice in scene.effects if choice.kind != 'observer']
         alone = scene.changed({'effects': free, 'events': [], 'uncertainty': None}).parts()
         with warnings.catch_warnings():
@@ -230,6 +231,9 @@ class Twin:
 
     def _observe(self, seen: Observation) -> None:
         position, velocity = select(seen, self.names)
+        if self._before is not None:
+            # Angles that turn over go on from the last observation.
+            position = position - whole_turns(position - self._before[1], self._turning)
         velocity = self._velocity(position, velocity, seen.delay)
         self._count += 1
         change = position - self._mean
@@ -237,7 +241,7 @@ class Twin:
         self._square = self._square + change * (position - self._mean)
         self._look(position, velocity, self._now + seen.delay)
         found = [(error, *self._judge(one, error, seen.delay)) for one in self._active()
-                 for error in (position - self._at(one.simulation, seen.delay),)]
+                 for error in (self._error(position, one.simulation, seen.delay),)]
         error, normalised, age = found[0] if found else (
             np.full(len(self.names), np.nan), np.nan, 0.0)
         now = self._now + seen.delay
@@ -247,7 +251,7 @@ class Twin:
             # At even times, whatever the rate of the observations.
             late = self._due <= now - self._every
             self._due = (now if late else self._due) + self._every
-        self.newest = Report(seen.delay, position - self._at(self._simulation, seen.delay),
+        self.newest = Report(seen.delay, self._error(position, self._simulation, seen.delay),
                              error, normalised, age)
         self.heard(self.newest)
 
@@ -281,10 +285,11 @@ class Twin:
         between[np.abs(between) > self._velocity_limit] = np.nan
         return np.where(np.isnan(velocity), between, velocity)
 
-    def _at(self, simulation: Simulation, delay: float) -> np.ndarray:
-        """Return the observed coordinates of a simulation at a time near now."""
+    def _error(self, position: np.ndarray, simulation: Simulation, delay: float) -> np.ndarray:
+        """Return observed less simulated coordinates, at a time near now."""
         q, v = simulation.q[self._places], simulation.dH_dp[self._places]
-        return q + delay * v
+        error: np.ndarray = position - (q + delay * v)
+        return error - whole_turns(error, self._turning)
 
     def _predict(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> None:
         """Begin a prediction at an observation; take unobserved numbers from the simulation."""

@@ -4,6 +4,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import listed
@@ -229,6 +230,11 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
         raise ValueError('a position is missing or not finite, or a velocity is infinite, or one '
                          f'is beyond {_LARGEST_OBSERVED:g}')
     return position, velocity
+
+
+def whole_turns(difference: np.ndarray, turning: np.ndarray) -> np.ndarray:
+    """Return the whole turns nearest to differences of positions, where angles turn over [rad]."""
+    return 2.0 * math.pi * np.where(turning, np.round(difference / (2.0 * math.pi)), 0.0)
 
 
 @inlined

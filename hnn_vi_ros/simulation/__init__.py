@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import warnings
 
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.commands import Command, NUMBERS
+from hnn_vi_ros.effects.commands import Command, NUMBERS, Observation, whole_turns
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
@@ -21,6 +21,7 @@ from hnn_vi_ros.integrators.base import (
 from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.integrators.taylor import TaylorWork
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
@@ -192,9 +193,19 @@ class Simulation:
 
     def set_command(self, command: Command, limited: bool = True) -> None:
         """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
-        self.motors.command(command, self.q.reshape(-1, self.hamiltonian.dimension)[0], limited)
+        q, v = (part.reshape(-1, self.hamiltonian.dimension)[0] for part in (self.q, self.dH_dp))
+        if isinstance(command, Observation):
+            command = self._at_nearest_turns(command, q + command.delay * v)
+        self.motors.command(command, q, limited)
         self._evaluate_gradient()
         self._update_gradient()
+
+    def _at_nearest_turns(self, seen: Observation, q: np.ndarray) -> Observation:
+        """Return an observation with angles that turn over at the turns nearest to these."""
+        names = columns(self.hamiltonian.coordinates)[0]
+        own = [names.index(name) if name in names else -1 for name in seen.names]
+        turning = np.array([k >= 0 and self.system.turning[k] for k in own])
+        return seen._replace(position=seen.position - whole_turns(seen.position - q[own], turning))
 
     @property
     def connected(self) -> bool:

@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+import math
 from operator import attrgetter
 from typing import Any, cast
 import warnings
@@ -16,6 +17,7 @@ from hnn_vi_ros.effects.commands import (
     POSITION)
 from hnn_vi_ros.effects.kernels import add_forces, join
 from hnn_vi_ros.effects.manifold import Manifold
+from hnn_vi_ros.effects.stops import Stops
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -24,7 +26,7 @@ from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS,
 from hnn_vi_ros.kernels.addresses import by_address, fill_energies, original, provide, Target
 from hnn_vi_ros.kernels.blocks import Block, flat, kind_of
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import check_state
+from hnn_vi_ros.phase_space import check_state, column_units
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -314,6 +316,27 @@ class System:
         other.kernel, other.integrator = self.kernel, self.integrator
         self.__dict__ = other.__dict__
         return True
+
+    @cached_property
+    def turning(self) -> np.ndarray:
+        """
+        Return which columns of q are angles that turn over, shape (d,).
+
+        Those in rad without stops, a turn of which changes no force, at a state without symmetry.
+        """
+        d = self.hamiltonian.dimension
+        q, p = np.cos(1.0 + np.arange(d)**2), np.sin(2.0 + np.arange(d)**2)
+        units = np.array(column_units(self.hamiltonian.coordinates)[0][:d])
+        turning = units == 'rad'
+        for parameters in self._parameters:
+            if isinstance(parameters, Stops):
+                turning[parameters.columns] = False
+        here = np.concatenate(self.hamiltonian.gradient(q, p)) if turning.any() else q
+        for k in np.flatnonzero(turning):
+            there = q + 2.0 * math.pi * (np.arange(d) == k)
+            turning[k] = np.allclose(np.concatenate(self.hamiltonian.gradient(there, p)), here,
+                                     rtol=0.0, atol=_ROUNDING * np.abs(here).max())
+        return turning
 
     @cached_property
     def places(self) -> np.ndarray:

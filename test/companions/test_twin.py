@@ -228,3 +228,35 @@ def test_prediction_begins_with_the_commands_that_hold_and_no_others(
         for one in (accompanied, machine):
             one.advance(EVERY)
     assert twin.newest.running > 0.3
+
+
+@pytest.mark.parametrize('gain', [0.0, 20.0])
+def test_angles_that_a_driver_keeps_within_a_turn_are_compared_modulo_a_turn(tmp_path, gain):
+    """A pendulum that turns over, seen between -pi and pi; the twin counts its turns."""
+    scene = scene_of(tmp_path, gain=gain, deviations=[0.5])
+    simulation, machine = build(scene), build(scene_of(tmp_path))
+    for one in (simulation, machine):
+        one.restart([1.0], [9.0])
+    twin = Twin(scene, simulation)
+    accompanied = Accompanied(simulation, [twin])
+    for _ in range(200):
+        observation = seen(machine)
+        wrapped = (observation.position + np.pi) % (2.0 * np.pi) - np.pi
+        accompanied.set_command(observation._replace(position=wrapped))
+        # y goes on at the observed velocity: off by g (10 ms)^2 / 2 there, and as much in q.
+        assert abs(twin.newest.error[0]) < 1e-3 and not twin.newest.normalised >= VALID
+        accompanied.advance(EVERY)
+        machine.advance(EVERY)
+    assert machine.q[0] > 4.0 * np.pi and abs(simulation.q[0] - machine.q[0]) < 1e-3
+
+
+def test_angles_turn_over_where_a_turn_changes_no_force_and_nothing_stops_them(tmp_path):
+    def turning(effects: str) -> bool:
+        path = tmp_path / 'scene.yaml'
+        path.write_text(SCENE.format(length=1.0, angle=1.0, observer=effects))
+        return bool(build(load_scene(path)).system.turning[0])
+
+    assert turning('')
+    assert not turning(', {kind: potential, formula: 2 * angle^2}')
+    assert not turning(', {kind: impact, coordinate: angle, position: -3.0}')
+    assert not build(load_scene('kepler')).system.turning.any()

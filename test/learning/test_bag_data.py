@@ -370,3 +370,42 @@ def test_configuration_without_its_bags_is_one_line(tmp_path, monkeypatch, more)
     Path('swing.yaml').write_text(CONFIG.replace('  mass', f'{more}  mass'))
     with refused(DataError):
         main(['--config', 'swing.yaml'])
+
+
+def positions(t: np.ndarray, q: np.ndarray) -> list[Message]:
+    messages = []
+    for time, position in zip(t, q, strict=True):
+        state = JointState(name=['swing'], position=[position])
+        state.header.stamp.sec = int(time)
+        state.header.stamp.nanosec = round((time - int(time)) * 1e9)
+        messages.append(('/joint_states', JOINTS, time, serialize_message(state)))
+    return messages
+
+
+def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path, caplog):
+    """A wheel at 7 rad/s, that swings by 0.5 rad; read as states and as runs of a machine."""
+    q = 7.0 * T + 0.5 * np.sin(OMEGA * T)
+    wrapped = (q + np.pi) % (2.0 * np.pi) - np.pi
+    whole = read_bags([write(tmp_path / 'a.mcap', positions(T, q))], bag())
+    assert not caplog.text
+    data = read_bags([write(tmp_path / 'b.mcap', positions(T, wrapped))], bag())
+    # 35 rad, counted from another turn, to their rounding, which the filter's rates take 1e2 times.
+    assert np.ptp(data.q - whole.q) < 1e-12 and np.abs(data.dp_dt - whole.dp_dt).max() < 1e-8
+    assert caplog.text.count('turns of swing counted') == 1
+
+
+@pytest.mark.parametrize('other', [2, 10])
+@pytest.mark.parametrize('read', [
+    lambda path: read_bags([path], bag()),
+    lambda path: read_bag_motions([path], BagMotions(kind='bag'), ['swing'])],
+    ids=['states', 'runs'])
+def test_second_publisher_of_positions_in_a_bag_is_told(tmp_path, caplog, read, other):
+    """It sends zeros, each second or tenth message; noise and one outlier are no publisher."""
+    rng = np.random.default_rng(3)
+    q = 0.3 + np.sin(OMEGA * T) + 1e-3 * rng.normal(size=T.size)
+    q[77] = 0.0
+    read(write(tmp_path / 'one.mcap', positions(T, q)))
+    assert 'jump away' not in caplog.text
+    q[::other] = 0.0
+    read(write(tmp_path / 'two.mcap', positions(T, q)))
+    assert caplog.text.count('positions jump away and back; if those are two sources') == 1

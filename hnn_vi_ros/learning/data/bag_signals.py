@@ -3,9 +3,11 @@
 """Signals of joints, from the topics of ROS 2 bags: joint states and arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
+import logging
 from pathlib import Path
 from typing import final, NamedTuple, TypeVar
 
+from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from hnn_vi_ros.bags.cdr import (
     decode_float64_multi_array, decode_joint_state, JointStates, MOMENTUM)
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
@@ -19,6 +21,10 @@ JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
 # Times agree with stamps that are off by less than this, in mean intervals.
 _DISAGREEMENT = 0.01
+# Steps this many times as large as usual, there and back, and how many of them are no chance.
+_JUMP, _JUMPS = 10.0, 3
+
+_LOGGER = logging.getLogger(__name__)
 
 Decoded = TypeVar('Decoded')
 
@@ -149,6 +155,30 @@ class SignalReader:
                 f'messages were recorded are up to {largest:.3g} s away from the stamps: they '
                 'cannot be paired. Use ~/state of the simulator, whose q and p have one stamp '
                 '(data.p: state); data.stamps: log takes those times as they are')
+
+    def warn_of_publishers(self, topic: str, q: np.ndarray) -> None:
+        """
+        Warn where messages of a topic seem to come from several publishers.
+
+        Parameters
+        ----------
+        topic : str
+            Its name, or the end of it, if only one topic ends so.
+        q : np.ndarray, shape (N, d)
+            Positions of the joints in the order of the recording, in which angles go on.
+
+        """
+        name = self._found(topic)[0]
+        offered = max(len(qos_profiles(self.bag.channels[number].metadata.get(
+            'offered_qos_profiles', ''))) for number in self._topics[name])
+        jumps = _jumps(q[np.isfinite(q).all(axis=1)])
+        seen = [f'{offered} publishers offered it'] if offered > 1 else []
+        if jumps >= _JUMPS:
+            seen.append(f'in {jumps} of its {len(q)} messages positions jump away and back')
+        if seen and not np.isnan(q).any():
+            _LOGGER.warning(
+                'warning: %s: %s: %s; if those are two sources of the same joints, record one of '
+                'them, or remap the other', self.path, name, ', and '.join(seen))
 
     def has(self, topic: str, field: str) -> bool:
         """Return whether the first message of a topic of joint states fills a field."""
@@ -368,3 +398,12 @@ class SignalReader:
         except (ValueError, UnicodeDecodeError) as problem:
             raise DataError(f'{self.path}: {topic}: the message at {message.time} ns cannot be '
                             f'read: {problem}') from problem
+
+
+def _jumps(q: np.ndarray) -> int:
+    """Return how many rows, shape (N, d), lie off while those around them agree."""
+    steps, across = np.diff(q, axis=0), np.abs(q[2:] - q[:-2])
+    usual = np.array([np.median(column[column > 0.0]) if column.any() else 0.0
+                      for column in across.T])
+    away = np.minimum(np.abs(steps[:-1]), np.abs(steps[1:]))
+    return int(((away > _JUMP * usual) & (away > 2.0 * across)).any(axis=1).sum())

@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, Signal, Sig
 from hnn_vi_ros.learning.data.dataset import (
     Block, Dataset, Derivatives, differentiate, joined, Mass, mass_matrix, Names, SavitzkyGolay,
     time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData, unwound
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import CubicSpline
@@ -165,8 +165,16 @@ def _signals(reader: SignalReader, data: BagData) -> dict[str, Signal]:
         if topic is not None and reader.is_state(topic):
             reader.check_resets(topic)
             topics[name] = topic, 'position', prefix
-    return {name: reader.read(topic, field, prefix)
-            for name, (topic, field, prefix) in topics.items() if topic is not None}
+    signals = {name: reader.read(topic, field, prefix)
+               for name, (topic, field, prefix) in topics.items() if topic is not None}
+    (t, q), rates = signals['q'], signals.get('dq_dt')
+    q, turning = unwound(
+        t, q, rates.values if rates is not None and np.array_equal(rates.t, t) else None)
+    for k in turning:
+        _LOGGER.warning('%s: turns of %s counted', reader.path, data.joints[k])
+    assert data.q is not None, 'found by _topics'
+    reader.warn_of_publishers(data.q, q)
+    return signals | {'q': Signal(t, q)}
 
 
 def _motions(reader: SignalReader, data: BagData) -> Iterator[dict[str, np.ndarray]]:
@@ -359,6 +367,7 @@ def _run(name: str, reader: SignalReader, forces: str, data: BagMotions, joints:
          ) -> MeasuredRun:
     t, values = reader.states(data.topic)
     q, v, tau = values.swapaxes(0, 1)
+    reader.warn_of_publishers(data.topic, unwound(t, q, v)[0])
     notes: list[str] = []
     if forces not in ('', EFFORT):
         tau, notes = _commanded(reader, forces, t, data)
