@@ -9,6 +9,7 @@ import math
 import os
 from pathlib import Path
 import re
+import sys
 
 from hnn_vi_ros.command_line import command, Parser
 from hnn_vi_ros.errors import ModelError, SceneError
@@ -95,7 +96,15 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     urdf = _find(file)
     out = Path(f'{urdf.stem}.yaml') if out is None else out
     robot = read_urdf(urdf)
-    locked = held(robot)
+    reasons = held(robot)
+    locked = {name: place for name, (place, _) in reasons.items()}
+    told = '; '.join(f'{name} at {place:g}: {why}' for name, (place, why) in reasons.items())
+    if reasons and not any(joint.moves and joint.name not in locked
+                           for link in robot.links.values() for joint in link.joints):
+        raise ModelError(f'{urdf}: no joint moves ({told}); give joints their limits, make them '
+                         'continuous, or leave lower and upper out')
+    if told:
+        print(f'held, as locked in the scene says: {told}', file=sys.stderr)
     try:
         tree = RigidBodyTree(str(urdf), locked=locked)
         # Rotors change how fast it falls, not where it rests.
@@ -118,9 +127,9 @@ def _find(file: str) -> Path:
         raise ModelError(str(problem)) from problem
 
 
-def held(robot: Robot) -> dict[str, float]:
+def held(robot: Robot) -> dict[str, tuple[float, str]]:
     """
-    Return the joints that are to be held, and where.
+    Return the joints that are to be held, where, and why.
 
     Those that follow others, those whose limits leave no room, and of many the last ones.
     """
@@ -131,9 +140,17 @@ def held(robot: Robot) -> dict[str, float]:
         waiting += reversed(robot.links[joint.child].joints)
         low, high = joint.bounds
         if joint.moves:
-            if joint.mimics is not None or moving == MOST_JOINTS or (
-                    low is not None and low == high):
-                locked[joint.name] = float(np.clip(0.0, low, high)) if low is not None else 0.0
+            why = ''
+            if joint.mimics is not None:
+                why = f'it follows {joint.mimics}'
+            elif low is not None and low == high:
+                # So exports of CAD say that there are none.
+                why = f'limits {low:g} and {high:g} leave no room'
+            elif moving == MOST_JOINTS:
+                why = f'at most {MOST_JOINTS} joints move'
+            if why:
+                place = float(np.clip(0.0, low, high)) if low is not None else 0.0
+                locked[joint.name] = place, why
             else:
                 moving += 1
     return locked

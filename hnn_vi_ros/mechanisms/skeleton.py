@@ -4,10 +4,15 @@
 
 from collections.abc import Sequence
 from functools import partial
+import html
+import os
 from pathlib import Path
+import re
 from typing import TYPE_CHECKING
+from xml.sax.saxutils import quoteattr
 
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import package_file, SCHEME
 from hnn_vi_ros.files.xml_text import parse_xml
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Link, Robot, SLIDING
@@ -19,6 +24,9 @@ if TYPE_CHECKING:
 
 # Radii of bones and joints, over the size of the robot.
 _BONE, _JOINT = 0.012, 0.025
+# Larger files of a shape are not shown [bytes].
+_LARGEST_SHAPE = 256_000_000
+_FILENAME = re.compile(r'''\bfilename\s*=\s*("[^"]*"|'[^']*')''')
 
 
 def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:
@@ -106,23 +114,64 @@ def _draw(robot: Robot, coordinates: Sequence[str], q: np.ndarray, reach: float
     return parts
 
 
-def lacking_shapes(robot: Robot) -> str:
-    """Return in a line that a robot has no shapes, or meshes that are not there; else nothing."""
+def shapes_of(robot: Robot) -> tuple[str, str]:
+    """
+    Return the URDF of a robot that names no file but its meshes and textures, and what it lacks.
+
+    Files are found by their whole paths. Only regular files of limited size count, in the folder
+    of the URDF or in the package that holds it or that they name: those who open them would
+    wait for a FIFO, never come to the end of a device, and show any file of this machine.
+
+    Parameters
+    ----------
+    robot : Robot
+        Read from a file.
+
+    Returns
+    -------
+    tuple of (str, str)
+        The text, and a line on shapes that are not there, empty if all are.
+
+    """
+    files = {name: _shape_file(name, Path(robot.where))
+             for name in {html.unescape(found[1:-1]) for found in _FILENAME.findall(robot.text)}}
+
+    def whole(found: re.Match[str]) -> str:
+        path, fault = files[html.unescape(found[1][1:-1])]
+        return f'filename={quoteattr("" if fault else str(path))}'
+
     shapes = [shape for link in parse_xml(robot.text.encode(), robot.where, ModelError).named(
         'link') for visual in link.named('visual') for geometry in visual.named('geometry')
         for shape in geometry.children]
-    if not shapes:
-        return f'{robot.where}: no <visual> to draw; its skeleton is shown'
     meshes = [shape.attributes.get('filename', '') for shape in shapes if shape.tag == 'mesh']
-    gone = [name for name in meshes if not _is_there(name, Path(robot.where).parent)]
-    return '' if not gone else (f'{robot.where}: {len(gone)} of {len(meshes)} meshes are not '
-                                f'there, as {gone[0]}; its skeleton is shown')
+    lacking, problem = [name for name in meshes if files.get(name, ('', 'unnamed'))[1]], ''
+    if lacking:
+        problem = (f'{len(lacking)} of {len(meshes)} meshes cannot be shown, as {lacking[0]}: '
+                   f'{files.get(lacking[0], ("", "no filename"))[1]}')
+    elif not shapes:
+        problem = 'no <visual> to draw'
+    return _FILENAME.sub(whole, robot.text), (
+        f'{robot.where}: {problem}; its skeleton is shown' if problem else '')
 
 
-def _is_there(name: str, folder: Path) -> bool:
+def _shape_file(name: str, urdf: Path) -> tuple[Path, str]:
+    """Return the file of a shape, and why it cannot be used, empty if it can."""
+    folder = Path(os.path.abspath(urdf)).parent
     try:
         path = package_file(name) if name.startswith(SCHEME) else \
             folder / name.removeprefix('file://')
-    except ValueError:
-        return False
-    return path.is_file()
+    except ValueError as problem:
+        return Path(), str(problem)
+    packages = [one for one in (path.parent, *path.parents) if (one / 'package.xml').is_file()]
+    own = next((one for one in (folder, *folder.parents) if (one / 'package.xml').is_file()), None)
+    inside = [folder.resolve() in path.resolve().parents]
+    # In a workspace that was built with links, files of a package are links to their sources.
+    inside += [one in Path(os.path.normpath(path)).parents
+               for one in [own, *(packages if name.startswith(SCHEME) else [])] if one]
+    if not any(inside):
+        return path, 'neither in the folder of the URDF nor in its package'
+    if not path.is_file():
+        return path, no_file(path)
+    size = path.stat().st_size
+    return path, '' if size <= _LARGEST_SHAPE else (
+        f'{size / 1e6:.0f} MB, at most {_LARGEST_SHAPE / 1e6:.0f} MB are shown')

@@ -4,6 +4,7 @@
 
 from collections.abc import Iterator, Sequence
 import math
+from tempfile import NamedTemporaryFile
 from typing import Any, final
 
 from hnn_vi_ros.effects import EFFECTS
@@ -13,7 +14,7 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism, SILVER
-from hnn_vi_ros.mechanisms.skeleton import bones, lacking_shapes, moved, tip_of
+from hnn_vi_ros.mechanisms.skeleton import bones, moved, shapes_of, tip_of
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import Bounds, fitted, frame_of
@@ -60,8 +61,12 @@ class RobotPicture:
 
     def __init__(self, robot: Robot, coordinates: Sequence[str], recording: rr.RecordingStream):
         self._recording = recording
+        text, self.problem = shapes_of(robot)
         try:
-            tree = UrdfTree.from_file_path(robot.where, entity_path_prefix=_WORLD[1:])
+            with NamedTemporaryFile('w', suffix='.urdf', encoding='utf-8') as file:
+                file.write(text)
+                file.flush()
+                tree = UrdfTree.from_file_path(file.name, entity_path_prefix=_WORLD[1:])
             tree.log_urdf_to_recording(recording)
         except (OSError, RuntimeError, ValueError) as problem:
             raise RecordingError(f'{robot.where}: rerun cannot show this robot: '
@@ -78,7 +83,6 @@ class RobotPicture:
             for name in {**dict.fromkeys(coordinates), **robot.locked} if name in own]
         self._moving = [own[name] for name in coordinates if name in own]
         self._reach, self._usual = _reach_of(robot), _usual_effort(robot)
-        self.problem = lacking_shapes(robot)
         if self.problem:
             self._draw_skeleton(robot)
 

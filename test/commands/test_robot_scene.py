@@ -97,7 +97,33 @@ def test_joints_that_cannot_move_or_are_too_many_are_held():
     text = chain([1.0] * 14, [1.0] * 14).replace(
         'name="j2" type="continuous"', 'name="j2" type="revolute"').replace(
         '<parent link="l1"/>', '<parent link="l1"/><limit lower="0.5" upper="0.5"/>')
-    assert held(parse_urdf(text.encode(), 'robot')) == {'j2': 0.5, 'j14': 0.0}
+    assert held(parse_urdf(text.encode(), 'robot')) == {
+        'j2': (0.5, 'limits 0.5 and 0.5 leave no room'),
+        'j14': (0.0, 'at most 12 joints move')}
+
+
+# As exports of CAD have limits where none were set.
+NO_ROOM = '<limit lower="0" upper="0" effort="0" velocity="0"/>'
+
+
+@pytest.mark.parametrize('joints', [1, 2])
+def test_joint_with_limits_of_zero_is_named_with_what_was_done(joints, tmp_path, capsys):
+    text = chain([1.0] * joints, [1.0] * joints).replace(
+        f'name="j{joints}" type="continuous">', f'name="j{joints}" type="revolute">{NO_ROOM}')
+    (tmp_path / 'robot.urdf').write_text(text)
+    if joints == 1:
+        with refused(ModelError):
+            write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+    else:
+        write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+        assert capsys.readouterr().err == (
+            'held, as locked in the scene says: j2 at 0: limits 0 and 0 leave no room\n')
+
+
+def test_joint_that_follows_another_is_held_and_told(tmp_path, capsys):
+    (tmp_path / 'robot.urdf').write_text(TREE)
+    write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+    assert 'follower at 0: it follows finger' in capsys.readouterr().err
 
 
 def test_units_of_slides_are_those_of_lengths(tmp_path):

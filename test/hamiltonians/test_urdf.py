@@ -126,6 +126,17 @@ def test_misspelt_name_of_what_has_physical_meaning_is_answered_with_the_nearest
     assert_message(outcome(tmp_path, text))
 
 
+@pytest.mark.parametrize('old, new', [
+    ('<link name="base"', '<link drake_ignore="true" name="base"'),
+    ('<joint name="hip"', '<joint drake_ignore="true" colour="blue" name="hip"'),
+    ('<axis xyz="1 2 -2"', '<axis xyz="1 2 -2" gazebo_frame="hip"')])
+def test_attributes_of_other_tools_are_skipped_and_told(old, new):
+    assert old in TREE
+    with pytest.warns(UserWarning, match='of other tools than URDF, not read'):
+        robot = parse_urdf(TREE.replace(old, new).encode(), 'robot.urdf')
+    assert [*robot.links] == [*parse_urdf(TREE.encode(), 'robot.urdf').links]
+
+
 def test_axis_of_a_joint_that_does_not_move_may_lack_its_direction(tmp_path):
     for axis in ('<axis/>', '<axis xyz="0 0 0"/>'):
         text = TREE.replace('<parent link="hand"/>', f'<parent link="hand"/>{axis}', 1)

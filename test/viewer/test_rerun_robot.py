@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot of a URDF in a rerun recording: its shapes, and joints that move as simulated."""
 
+import os
 from pathlib import Path
 import subprocess
 import sys
@@ -129,7 +130,10 @@ def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: 
 @pytest.mark.parametrize('visual, said', [
     ('', 'no <visual> to draw'),
     ('<visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>',
-     '2 of 2 meshes are not there, as package://nowhere/arm.dae')])
+     '2 of 2 meshes cannot be shown, as package://nowhere/arm.dae: package://nowhere/arm.dae: no '
+     "package 'nowhere'"),
+    ('<visual><geometry><mesh filename="gone.stl"/></geometry></visual>',
+     '2 of 2 meshes cannot be shown, as gone.stl: no such file')])
 def test_robot_without_its_meshes_is_drawn_as_its_skeleton(visual, said, tmp_path: Path):
     file = tmp_path / 'arm.urdf'
     file.write_text(chain([1.0, 1.0], [0.7, 0.5]).replace('<inertial>', f'{visual}<inertial>'))
@@ -139,6 +143,68 @@ def test_robot_without_its_meshes_is_drawn_as_its_skeleton(visual, said, tmp_pat
     still = {chunk.entity_path for chunk in RrdReader(tmp_path / 'arm.rrd').stream()
              if chunk.is_static}
     assert {f'/world/skeleton/{link}' for link in ('l1', 'l2')} <= still
+
+
+TRIANGLE = """\
+solid one
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid one
+"""
+
+
+@pytest.mark.parametrize('name', ['arm.stl', 'file://{folder}/arm.stl', 'meshes/&#97;rm.stl'])
+def test_meshes_in_the_folder_of_the_urdf_are_recorded(name, tmp_path: Path):
+    (tmp_path / 'meshes').mkdir()
+    for folder in (tmp_path, tmp_path / 'meshes'):
+        (folder / 'arm.stl').write_text(TRIANGLE)
+    assert recorded_meshes(tmp_path, name.format(folder=tmp_path)) == [TRIANGLE.encode()]
+
+
+@pytest.mark.parametrize('kind, said', [
+    ('other', 'neither in the folder of the URDF nor in its package'),
+    ('link', 'neither in the folder of the URDF nor in its package'),
+    ('fifo', 'is no regular file'), ('device', 'neither in the folder'),
+    ('large', '300 MB, at most 256 MB are shown')])
+def test_files_that_are_no_meshes_of_the_robot_are_not_opened(kind, said, tmp_path: Path):
+    """A file elsewhere may be a secret; a FIFO, a device or a huge file would not end."""
+    folder = tmp_path / 'robot'
+    folder.mkdir()
+    (tmp_path / 'secret.stl').write_text(TRIANGLE)
+    name = {'other': '../secret.stl', 'device': 'file:///dev/zero'}.get(kind, 'arm.stl')
+    if kind == 'fifo':
+        os.mkfifo(folder / 'arm.stl')
+    elif kind == 'link':
+        (folder / 'arm.stl').symlink_to(tmp_path / 'secret.stl')
+    elif kind == 'large':
+        with (folder / 'arm.stl').open('wb') as stream:
+            stream.truncate(300_000_000)
+    with pytest.warns(UserWarning, match=said):
+        assert recorded_meshes(folder, name) == []
+
+
+def test_meshes_of_the_package_that_holds_the_urdf_are_recorded(tmp_path: Path):
+    (tmp_path / 'package.xml').write_text('<package/>')
+    for folder in ('urdf', 'meshes'):
+        (tmp_path / folder).mkdir()
+    (tmp_path / 'meshes' / 'arm.stl').write_text(TRIANGLE)
+    assert recorded_meshes(tmp_path / 'urdf', '../meshes/arm.stl') == [TRIANGLE.encode()]
+
+
+def recorded_meshes(folder: Path, name: str) -> list[bytes]:
+    """Return the files that a recording holds of a robot with a mesh of that name."""
+    visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    file = folder / 'robot.urdf'
+    file.write_text(chain([1.0], [0.7]).replace('<inertial>', f'{visual}<inertial>'))
+    record(folder / 'robot.rrd', RigidBodyTree(str(file)), np.zeros((2, 1)))
+    batches = [chunk.to_record_batch() for chunk in RrdReader(folder / 'robot.rrd').stream()]
+    return [bytes(blob) for batch in batches if 'Asset3D:blob' in batch.schema.names
+            for row in batch.column('Asset3D:blob').to_pylist() for blob in row]
 
 
 def test_bones_lead_from_joint_to_joint():
@@ -153,10 +219,12 @@ def test_bones_lead_from_joint_to_joint():
     assert parts['j2 joint'].center == pytest.approx(lower.points[:, 1])
 
 
-def test_robot_whose_file_is_gone_is_told_and_the_rest_is_shown(tmp_path: Path):
+def test_robot_that_rerun_cannot_read_is_told_and_the_rest_is_shown(tmp_path: Path):
     file = tmp_path / 'arm.urdf'
-    file.write_text(ARM.read_text())
+    # Shapes are not looked at here.
+    file.write_text(ARM.read_text().replace('<geometry>', '<geometry><box size="no"/>', 1))
     robot = RigidBodyTree(str(file))
+    # It is shown as it was read.
     file.unlink()
     found = record(tmp_path / 'arm.rrd', robot, np.zeros((2, 2)))
     (text,), (level,) = (found['/events'][f'TextLog:{name}'][0] for name in ('text', 'level'))

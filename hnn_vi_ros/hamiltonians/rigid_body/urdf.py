@@ -8,10 +8,11 @@ zero, such as a quaternion in a file of version 1.0, is refused: it would be ano
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 from pathlib import Path
 import re
+import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files.regular_file import no_file
@@ -52,6 +53,10 @@ _FOREIGN: dict[str, tuple[str, ...]] = {
     'link': ('concave',), 'joint': ('dont_collapse',), 'inertia': ('iyx', 'izx', 'izy'),
     'axis': ('rpy',), 'limit': ('command_effort', 'current', 'gear_velocity', 'twist'),
     'dynamics': ('D', 'K', 'mu_coulomb', 'mu_viscous', 'spring_reference', 'spring_stiffness')}
+# What has a meaning somewhere is misplaced elsewhere.
+_WORDS = {*_ATTRIBUTES, *(name for names in _ATTRIBUTES.values() for name in names)}
+# What attributes of tools that read URDFs begin with, on any element.
+_TOOLS = ('drake_', 'gazebo_', 'mujoco_', 'isaac_')
 
 
 def read_urdf(path: Path) -> Robot:
@@ -90,7 +95,10 @@ def parse_urdf(text: bytes, where: str) -> Robot:
     if version not in _VERSIONS:
         raise ModelError(f'{where}:{root.line}: robot version={version[:40]!r} cannot be read; '
                          f'valid: {", ".join(_VERSIONS)}')
-    _check_known(root, where, version)
+    foreign = [*_foreign(root, where, version)]
+    if foreign:
+        warnings.warn(f'{foreign[0]}{f" and {len(foreign) - 1} more" * (len(foreign) > 1)}: of '
+                      'other tools than URDF, not read', stacklevel=4)
     joints = [_joint(element, where, version) for element in between]
     _check_names([_name(element, where) for element in links], 'link', where)
     _check_names([joint.name for joint in joints], 'joint', where)
@@ -120,23 +128,34 @@ def _read(path: Path) -> bytes:
         raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
 
 
-def _check_known(element: Element, where: str, version: str, label: str = 'robot') -> None:
-    """Raise for attributes that are not known, and for elements that are misspelt or misplaced."""
+def _foreign(element: Element, where: str, version: str, label: str = 'robot'
+             ) -> Iterator[str]:
+    """
+    Yield the attributes that are of other tools.
+
+    Raise for others that are not known, and for elements that are misspelt or misplaced.
+    """
     tag, place = element.tag, f'{where}:{element.line}: {label}'
     valid, inside = _ATTRIBUTES[tag], _ELEMENTS.get(tag, ())
     for name in element.attributes:
         # Those of namespaces are theirs.
-        if name not in (*valid, *_FOREIGN.get(tag, ()), 'xmlns') and ':' not in name:
-            raise ModelError(f'{place}: unknown attribute {name[:60]!r}'
-                             f'{did_you_mean(name, valid, 0.6)}; valid: {listed(valid) or "none"}')
+        if name in (*valid, *_FOREIGN.get(tag, ()), 'xmlns') or ':' in name:
+            continue
+        hint = did_you_mean(name, valid, 0.6)
+        if name.startswith(_TOOLS) or (
+                tag in ('robot', 'link', 'joint') and not hint and name not in _WORDS):
+            yield f'{place}: attribute {name[:60]!r}'
+        else:
+            raise ModelError(f'{place}: unknown attribute {name[:60]!r}{hint}; valid: '
+                             f'{listed(valid) or "none"}')
     if 'quat_xyzw' in element.attributes and version == '1.0':
         raise ModelError(f'{place}: quat_xyzw is of version 1.1, and this file of 1.0, in which '
                          'others do not read it; write <robot version="1.1">, or rpy in its place')
     for child in element.children:
         if child.tag in inside:
             named = f'{child.tag} {child.attributes.get("name", "")!r}'
-            _check_known(child, where, version,
-                         named if tag == 'robot' else f'{label}: {child.tag}')
+            yield from _foreign(child, where, version,
+                                named if tag == 'robot' else f'{label}: {child.tag}')
         elif (hint := did_you_mean(child.tag.lower(), inside)) or (
                 child.tag in _ATTRIBUTES and (tag, child.tag) != ('link', 'origin')):
             raise ModelError(f'{where}:{child.line}: {label}: <{child.tag[:60]}> means nothing '
