@@ -131,6 +131,7 @@ class Simulation:
         self.command_names, self.command_size = self.motors.names, self.motors.size
         self.usual_gradients = system.integrator.usual_gradients
         self._follow: Loop | None = None
+        self._most_followed = 1
         if not self._kernel.compiled:
             warnings.warn(
                 f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
@@ -328,9 +329,19 @@ class Simulation:
         taken = np.empty(rows_in, dtype=np.int64)
         if self._follow is None:
             self._follow = Loop(follow_each, self._kernel, self._rescue.methods[0])
-        self._follow(self.step_size, hold, count, self._z, self._z1, self._memories[0],
-                     self._flat, rows, self.system.effect_state.command, self.system.places,
-                     law or Law.none(c), commands, path, taken)
+        law, first, steps = law or Law.none(c), 0, max(1, hold * count)
+        while first < rows_in:
+            part = slice(first, first + max(1, self._most_followed // steps))
+            begin, first = time.perf_counter(), part.stop
+            self._follow(self.step_size, hold, count, self._z, self._z1, self._memories[0],
+                         self._flat, rows[part], self.system.effect_state.command,
+                         self.system.places, law.of(part), commands[part], path[part],
+                         taken[part])
+            if first < rows_in:
+                seconds = time.perf_counter() - begin
+                self._most_followed = max(1, int(
+                    self._most_followed * min(_GROWTH, _STRETCH / seconds)))
+                heed()
         return path, taken
 
     def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,

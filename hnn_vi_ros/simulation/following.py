@@ -38,6 +38,10 @@ class Law(NamedTuple):
         limit = np.full(size, np.inf)
         return cls(np.zeros((0, 0, 0, 0)), np.zeros((0, 0, 0)), -limit, limit)
 
+    def of(self, part: slice) -> 'Law':
+        """Return that of some of the trajectories."""
+        return self._replace(gains=self.gains[part], about=self.about[part])
+
 
 def follow_each(step: Step, kernel: Kernel, h: float, options: Parameters, hold: int, count: int,
                 z: Point, z1: Point, memory: Parameters, arrays: tuple[np.ndarray, ...],
