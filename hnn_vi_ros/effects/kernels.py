@@ -98,10 +98,12 @@ def _with_forces(base_energy: Energy, base_gradient: Gradient, base_hessian_vect
                                 product_q[a:b], product_p[a:b])
             product_q[b:end] = 0.0
             product_p[b:end] = 0.0
-            length = max(largest(v_q[a:b]), largest(v_p[a:b]))
-            if differ and length > 0.0:
-                size = max(largest(q[a:b]), largest(p[a:b]))
-                spacing = _SPACING * (size if size > 0.0 else 1.0) / length
+            # Shares of the coordinates, and of a velocity of 1: momenta have no scale.
+            size = largest(q[a:b])
+            reach = max(largest(v_q[a:b]) / (size if size > 0.0 else 1.0), largest(product_p[a:b]))
+            reach = reach if reach > 0.0 else largest(v_p[a:b])
+            if differ and reach > 0.0:
+                spacing = _SPACING / reach
                 for sign in (-1.0, 1.0):
                     for i in range(d):
                         space[4, i] = q[a + i] + sign * spacing * v_q[a + i]
