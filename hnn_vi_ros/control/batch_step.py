@@ -8,6 +8,7 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.commands import NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
+from hnn_vi_ros.gradients.dependences import derivative
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
@@ -43,8 +44,6 @@ class BatchStep:
         Steps that each command lasts.
     duration : float
         Time that a command is held [s].
-    places : np.ndarray, shape (c, d)
-        How each number of a command acts on each coordinate.
 
     Raises
     ------
@@ -75,7 +74,6 @@ class BatchStep:
         takes = NUMBERS in self._system.motors.takes
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
-        self.places = self._system.places.copy() if takes else np.zeros((0, self.dimension))
         self._run: DifferentiableRun | None = None
 
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
@@ -171,6 +169,23 @@ class BatchStep:
         return (path[:, -1].reshape(shape), by[..., :n].reshape(*shape, n),
                 by[..., n:].reshape(*shape, self.commands))
 
+    @property
+    def places(self) -> np.ndarray:
+        """
+        Return how each number of a command acts on each coordinate, shape (c, d).
+
+        Raises
+        ------
+        UnsupportedSystem
+            That depends on state and command; see ``field_derivatives``.
+
+        """
+        if self._acting.feels:
+            raise UnsupportedSystem(
+                'what commands do depends on state and command, by a model of motors or by '
+                'friction under load; take field_derivatives(z, u)[1] in place of places')
+        return self._system.places if self.commands else np.zeros((0, self.dimension))
+
     def field(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """Return z' of one state, shape (2 d,), under a command, shape (c,)."""
         q, p, d = *self._enter(z, u, time), self.dimension
@@ -189,7 +204,13 @@ class BatchStep:
             kernel.hessian_vector(kernel.parameters, q, p, v_q, v_p, along_q, along_p)
             by_z[:, column] = np.concatenate(
                 [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
-        return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
+        if not self._acting.feels:
+            return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
+        u = np.asarray(u, dtype=np.float64)
+        size = np.abs(u).max(initial=0.0) or 1.0
+        by_u = [derivative(lambda step, k=k: self.field(
+            z, u + step * np.eye(u.size)[k], time), abs(u[k]) or size) for k in range(u.size)]
+        return by_z, np.array(by_u).reshape(-1, 2 * d).T
 
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Make a command act from a time on; return q and p with the channels of forces."""

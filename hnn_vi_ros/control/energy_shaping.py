@@ -53,7 +53,9 @@ class EnergyShaping:
 
     def __init__(self, balance: Balance, gain: float = 1.0, stiffness: float = 0.0):
         self._balance, self._gain, self._stiffness = balance, gain, stiffness
-        self._hamiltonian, self._places = balance.steps.hamiltonian, balance.steps.places
+        self._hamiltonian, d = balance.steps.hamiltonian, balance.steps.dimension
+        # How commands act next to the goal.
+        self._places = balance.steps.field_derivatives(*balance.at)[1][d:].T
         self._energy = float(self._hamiltonian.energy(*np.split(balance.at[0], 2)))
         self.mode, self.cost = 'energy', math.nan
 

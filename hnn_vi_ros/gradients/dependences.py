@@ -3,6 +3,7 @@
 """Dependences of runs on more than their states: how H' changes, by differences of H'."""
 
 from collections.abc import Callable, Sequence
+import operator
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.errors import SceneError
@@ -183,6 +184,20 @@ class _Slope:
         largest = float(np.abs(slope).max(initial=0.0)) or 1e-300
         return (slope, float(np.abs(slope - other).max(initial=0.0)) / largest,
                 self._rounding * size / self._spacing / largest)
+
+
+def derivative(function: Callable[[float], np.ndarray], size: float) -> np.ndarray:
+    """Return that of a function of a number at 0, by differences narrower than its size."""
+    found = []
+    for k in range(_TRIALS):
+        spacing = _SPACING * size * _NARROWER**k
+        values = [(weights, function(offset * spacing)) for offset, weights in MIDDLE.items()]
+        high, low = (np.sum([weights[i] * value for weights, value in values], axis=0) / spacing
+                     for i in (0, 1))
+        found.append((np.abs(high - low).max(initial=0.0), high))
+        if found[-1][0] <= _AGREEMENT * np.abs(high).max(initial=0.0):
+            break
+    return min(found, key=operator.itemgetter(0))[1]
 
 
 def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
