@@ -149,7 +149,7 @@ class Quadratic(Cost):
                  r: ArrayLike):
         self._hamiltonian = hamiltonian
         self._z, self._u = (np.array(part, dtype=np.float64) for part in at)
-        self._q, self._r = (_weights(name, matrix, at.size) for name, matrix, at in (
+        self._q, self._r = (checked_weights(name, matrix, at.size) for name, matrix, at in (
             ('q', q, self._z), ('r', r, self._u)))
         self._of_state = bool(self._q.any())
 
@@ -170,14 +170,16 @@ class Quadratic(Cost):
                          2.0 * by_u, _each(2.0 * self._q, z), _each(2.0 * self._r, z))
 
 
-def _weights(name: str, matrix: ArrayLike, n: int) -> np.ndarray:
-    """Return a matrix of weights, or raise ValueError."""
+def checked_weights(name: str, matrix: ArrayLike, n: int, positive: bool = False) -> np.ndarray:
+    """Return a symmetric matrix of weights without negative eigenvalues, or raise ValueError."""
     found = np.array(matrix, dtype=np.float64)
-    if found.shape != (n, n) or np.abs(found - found.T).max(initial=0.0) > 1e-9 * np.abs(
-            found).max(initial=0.0) or np.linalg.eigvalsh(found).min(initial=0.0) < -1e-9 * np.abs(
-            found).max(initial=0.0):
-        raise ValueError(f'{name} must be symmetric without negative eigenvalues, and of shape '
-                         f'({n}, {n})')
+    rounding = 1e-9 * np.abs(found).max(initial=0.0)
+    if found.shape != (n, n) or not np.isfinite(found).all() \
+            or np.abs(found - found.T).max(initial=0.0) > rounding \
+            or np.linalg.eigvalsh(found).min(initial=np.inf) < -rounding \
+            or (positive and np.linalg.eigvalsh(found).min(initial=np.inf) <= 0.0):
+        kind = 'with positive' if positive else 'without negative'
+        raise ValueError(f'{name} must be symmetric {kind} eigenvalues, and of shape ({n}, {n})')
     return found
 
 

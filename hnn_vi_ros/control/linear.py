@@ -7,15 +7,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.control.batch_step import BatchStep
+from hnn_vi_ros.control.costs import checked_weights
 from hnn_vi_ros.errors import listed, optional, StateError
 from hnn_vi_ros.hamiltonians import momenta
-from hnn_vi_ros.phase_space import columns, momentum_name
+from hnn_vi_ros.phase_space import angle_columns, columns, momentum_name
 from hnn_vi_ros.scene import Scene
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
 
-_ITERATIONS, _TOLERANCE = 50, 1e-12
+_ITERATIONS = 50
+# Changes of the state, relative to its scale, at which the search ends; what may be left of the
+# velocities and the forces, relative to theirs.
+_SETTLED, _LEFT = 1e-12, 1e-10
 
 # A scene, or steps of one that are made already.
 Model = BatchStep | Scene | str | Path
@@ -57,6 +61,10 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     """
     Return a state at rest, shape (2 d,), and the command that holds it, shape (c,).
 
+    By Newton's method, with rows and columns in scales of the scene itself: at rest, no coordinate
+    moves in a step by 1e-10 of its scale, and no force differs from zero by more than 1e-10 of its
+    terms. The scale of an angle is 1 rad, that of other coordinates the largest of ``near``.
+
     Parameters
     ----------
     scene : BatchStep, Scene, str or Path
@@ -73,7 +81,7 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     StateError
         None is found from there.
     ValueError
-        No coordinate has such a name.
+        No coordinate has such a name, or ``near`` is not d finite numbers.
 
     """
     steps = _steps(scene)
@@ -82,24 +90,51 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     if set(chosen) - set(names):
         raise ValueError(f'free = {chosen} must be among the coordinates: {listed(names)}')
     q, u = np.array(near, dtype=np.float64), np.zeros(steps.commands)
+    if q.shape != (d,) or not np.isfinite(q).all():
+        raise ValueError(f'near = {q.tolist()!s:.80}: expected {d} finite coordinates: '
+                         f'{listed(names)}')
     moves = np.r_[[names.index(name) for name in chosen], d:2 * d].astype(int)
-    z = np.append(q, momentum(steps, q, np.zeros(d)))
+    if commands:
+        moves = np.r_[moves, 2 * d:2 * d + u.size]
+    x, begin = np.r_[q, momentum(steps, q, np.zeros(d)), u], q
     for _ in range(_ITERATIONS):
-        by_z, by_u = steps.field_derivatives(z, u)
-        matrix = np.hstack([by_z[:, moves], by_u]) if commands else by_z[:, moves]
+        field, matrix, rows, columns = _scaled(steps, x, begin)
         # The smallest change of all that solves the linear equations.
-        change = np.linalg.lstsq(matrix, -steps.field(z, u), rcond=None)[0]
-        z[moves] += change[:moves.size]
-        u += change[moves.size:] if commands else 0.0
-        size = max(1.0, np.abs(z).max(), np.abs(u).max(initial=0.0))
-        if np.abs(change).max() <= _TOLERANCE * size:
+        change = np.linalg.lstsq(matrix[:, moves], -field, rcond=None)[0]
+        x[moves] += columns[moves] * change
+        if not np.abs(change).max(initial=0.0) > _SETTLED or not np.isfinite(x).all():
             break
-    scale = np.abs(by_z).max() * max(1.0, np.abs(z).max()) + np.abs(u).max(initial=0.0)
-    rest = np.abs(steps.field(z, u)).max()
-    if not rest <= 1e-10 * scale:
-        raise StateError(f'no equilibrium is found from q = {q.tolist()}: at {z[:d].tolist()} '
-                         f"z' is still {rest:.3g}; begin elsewhere, or free more")
-    return z, u
+        # Coordinates have no scale at zero; the first change gives them one.
+        begin = begin if begin.any() else x[:d].copy()
+    field, _, rows, _ = _scaled(steps, x, begin)
+    if not (np.abs(field) <= _LEFT).all():
+        raise StateError(f'no equilibrium is found from q = {q.tolist()}: at {x[:d].tolist()} '
+                         f"z' is still {(rows * field).tolist()}; begin elsewhere, or free more")
+    return x[:2 * d], x[2 * d:]
+
+
+def _scaled(steps: BatchStep, x: np.ndarray, begin: np.ndarray
+            ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return z' at (z, u) and its derivatives by both in scales, and these of rows and columns."""
+    d = steps.dimension
+    z, u, angles = x[:2 * d], x[2 * d:], angle_columns(steps.hamiltonian.coordinates)
+    field, matrix = steps.field(z, u), np.hstack(steps.field_derivatives(z, u))
+    rows, columns = np.ones(2 * d), np.ones(x.size)
+    columns[:d] = np.where(angles, 1.0, np.abs(begin[~angles]).max(initial=0.0) or 1.0)
+    rows[:d] = columns[:d] * steps.hold / steps.duration
+    columns[d:2 * d] = _inverse((np.abs(matrix[:d, d:2 * d]) / rows[:d, None]).max(axis=0))
+    # The terms of each force: at the scale of each coordinate, of H alone, and of commands.
+    terms = np.abs(matrix[d:]) * np.r_[columns[:d], np.abs(x[d:])]
+    alone = getattr(steps.hamiltonian, 'base', steps.hamiltonian).gradient(z[:d], z[d:])[0]
+    rows[d:] = _inverse(_inverse(np.maximum.reduce([
+        *terms.T, np.abs(field[d:]), np.abs(alone)])))
+    columns[2 * d:] = _inverse((np.abs(matrix[:, 2 * d:]) / rows[:, None]).max(axis=0))
+    return field / rows, matrix * columns / rows[:, None], rows, columns
+
+
+def _inverse(scales: np.ndarray) -> np.ndarray:
+    """Return one over each scale; 1 for those that are zero."""
+    return 1.0 / np.where(scales > 0.0, scales, 1.0)
 
 
 def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = None
@@ -184,10 +219,12 @@ def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool
     Raises
     ------
     ValueError
-        Commands cannot stabilise the model.
+        Commands cannot stabilise the model, or Q is not symmetric without negative eigenvalues,
+        or R not with positive ones.
 
     """
-    weights = np.asarray(q, dtype=np.float64), np.asarray(r, dtype=np.float64)
+    states, inputs = b.shape
+    weights = checked_weights('q', q, states), checked_weights('r', r, inputs, positive=True)
     solve = linalg.solve_discrete_are if discrete else linalg.solve_continuous_are
     try:
         cost = solve(a, b, *weights)

@@ -5,8 +5,11 @@
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import (
     BatchStep, find_equilibrium, linearise, lqr, momentum, state_space, velocity)
-from hnn_vi_ros.errors import StateError
+from hnn_vi_ros.errors import StateError, UnsupportedSystem
+from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import Scene
+from mechanical_models import random_mechanical
+from messages import refused
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -16,6 +19,69 @@ FORCE = {'kind': 'external_force', 'coordinates': ['angle']}
 
 def pendulum(*effects: dict, method: str = 'rk4') -> Scene:
     return load_scene('exact_pendulum').with_overrides(0.01, method, effects=[FORCE, *effects])
+
+
+def formula(H: str, near: list[float], unit: str = 'm', *effects: dict, **numbers: float) -> Scene:
+    """Return a scene of a formula of coordinates x, y, ... that is stepped by rk4."""
+    coordinates = [{'name': name, 'q_unit': unit} for name in 'xyz'[:len(near)]]
+    return Scene.build(
+        hamiltonian={'kind': 'formula', 'coordinates': coordinates, 'H': H, 'parameters': numbers},
+        effects=effects, integrator='rk4', step_size=0.001,
+        initial_state=(near, [0.0] * len(near)))
+
+
+# A pendulum of 1 g on 5 cm, of 4.9e-4 N m and 2.5e-6 kg m2.
+SMALL = {'m': 1e-3, 'l': 0.05, 'g': 9.81}
+SWUNG = 'p_x^2/(2*m*l^2) - m*g*l*cos(x)'
+
+
+def test_a_small_pendulum_does_not_stand_under_more_torque_than_its_weight_holds():
+    pull = {'kind': 'potential', 'formula': '-s*m*g*l*x', 'parameters': {**SMALL, 's': 1.02}}
+    together = formula(f'{SWUNG} - s*m*g*l*x', [1.5], 'rad', **SMALL, s=1.02)
+    for scene in (together, formula(SWUNG, [1.5], 'rad', pull, **SMALL)):
+        for near in (0.3, 1.5, 1.57, np.pi / 2):
+            with pytest.raises(StateError, match='no equilibrium is found'):
+                find_equilibrium(scene, [near])
+
+
+@pytest.mark.parametrize('share', [0.5, 0.98, -0.3])
+def test_a_small_pendulum_leans_by_the_arcsine_of_its_torque(share):
+    scene = formula(f'{SWUNG} - s*m*g*l*x', [0.1], 'rad', **SMALL, s=share)
+    z, _ = find_equilibrium(scene, [0.1])
+    # The derivative of the arcsine, times rounding.
+    assert abs(z[0] - np.arcsin(share)) < 1e-15 / np.sqrt(1.0 - share**2)
+
+
+def test_atoms_of_argon_rest_where_the_potential_of_lennard_and_jones_is_least():
+    numbers = {'m': 6.63e-26, 'e': 1.65e-21, 's': 3.4e-10}
+    pair = formula('p_x^2/(2*m) + p_y^2/(2*m) + 4*e*((s/(y - x))^12 - (s/(y - x))^6)',
+                   [0.0, 1.2 * numbers['s']], **numbers)
+    z, _ = find_equilibrium(pair, [0.0, 1.2 * numbers['s']])
+    assert (z[1] - z[0]) / numbers['s'] == pytest.approx(2.0**(1 / 6), rel=1e-12)
+    with pytest.raises(StateError, match='no equilibrium is found'):
+        # Beyond the point of inflection every step leads further away.
+        find_equilibrium(pair, [0.0, 1.5 * numbers['s']])
+
+
+def test_a_charge_at_rest_in_a_magnetic_field_has_a_momentum_of_its_own():
+    scene = formula('(p_x - b*y)^2/(2*m) + (p_y + b*x)^2/(2*m) + k*((x - a)^2 + y^2)/2',
+                    [1e-6, 1e-6], b=1e-20, m=1e-26, k=1e-9, a=2e-6)
+    z, _ = find_equilibrium(scene, [1e-6, 1e-6])
+    assert z == pytest.approx([2e-6, 0.0, 0.0, -2e-26], abs=1e-38) \
+        and z[:2] == pytest.approx([2e-6, 0.0], abs=1e-18)
+
+
+def test_numbers_that_are_none_are_refused():
+    with refused(ValueError):
+        find_equilibrium(pendulum(), [np.nan])
+    with refused(ValueError):
+        find_equilibrium(pendulum(), [1.0, 2.0])
+    a, b = linearise(pendulum(), ([np.pi, 0.0], [0.0]))
+    for q, r, discrete in ((np.eye(2), [[0.0]], False), (np.eye(2), [[0.0]], True),
+                           (np.eye(2), [[np.nan]], True), (-np.eye(2), [[1.0]], False),
+                           (np.eye(3), [[1.0]], False), (np.eye(2), [[1.0, 0.0]], True)):
+        with refused(ValueError):
+            lqr(a, b, q, r, discrete)
 
 
 def test_a_and_b_of_a_damped_pendulum_are_the_formulas():
@@ -28,6 +94,38 @@ def test_a_and_b_of_a_damped_pendulum_are_the_formulas():
     mass = 1.0 / a[0, 1]
     assert a == pytest.approx(np.array([[0.0, 1.0 / mass], [-stiffness, -0.2]]), abs=1e-12)
     assert stiffness < 0.0 and np.array_equal(b, [[0.0], [1.0]])
+
+
+@pytest.mark.parametrize('speed', [0.0, 0.005])
+def test_a_of_a_small_pendulum_has_the_slope_of_its_friction(speed):
+    inertia = SMALL['m'] * SMALL['l']**2
+    scene = formula(SWUNG, [0.1], 'rad', {
+        'kind': 'joint_friction', 'friction': {'x': 1e-6}, 'speed': 0.01}, **SMALL)
+    a, _ = linearise(scene, ([0.1, inertia * speed], []))
+    slope = 1e-6 / 0.01 / np.cosh(speed / 0.01)**2 / inertia
+    # Differences over 6e-6 rad/s: their square, relative to that of the speed of the friction.
+    assert a[1, 1] == pytest.approx(-slope, rel=1e-6)
+
+
+@pytest.mark.parametrize(('load', 'fade'), [(0.3, 0.0), (0.0, 0.05), (0.0, 0.0)])
+def test_b_is_the_derivative_by_commands_that_are_more_than_forces(load, fade, tmp_path):
+    force, gain = {'kind': 'external_force', 'coordinates': ['angle']}, 1.0
+    if fade:
+        path = tmp_path / 'map.safetensors'
+        save_checkpoint(path, random_mechanical('joint', input_map=[[1.4]], fade=[fade]))
+        force, gain = {'kind': 'external_force', 'model': str(path)}, 1.4 / (1.0 + 2.0 * fade)**2
+    friction = {'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'speed': 0.1,
+                'load': {'angle': load}}
+    steps = BatchStep(load_scene('exact_pendulum').with_overrides(
+        0.01, 'rk4', effects=[force, *[friction] * (load > 0.0)]))
+    z = np.append([0.4], momentum(steps, [0.4], [0.2]))
+    for linear in (linearise(steps, (z, [2.0])), steps.field_derivatives(z, [2.0])):
+        assert linear[1][:, 0] == pytest.approx([0.0, gain - load * np.tanh(2.0)], rel=1e-10)
+    if load or fade:
+        with refused(UnsupportedSystem):
+            _ = steps.places
+    else:
+        assert steps.places == [[1.0]]
 
 
 def test_a_of_a_double_pendulum_is_its_mass_matrix_and_weights():
