@@ -206,11 +206,12 @@ class BatchStep:
                 [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
         if not self._acting.feels:
             return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
-        u = np.asarray(u, dtype=np.float64)
-        size = np.abs(u).max(initial=0.0) or 1.0
-        by_u = [derivative(lambda step, k=k: self.field(
-            z, u + step * np.eye(u.size)[k], time), abs(u[k]) or size) for k in range(u.size)]
-        return by_z, np.array(by_u).reshape(-1, 2 * d).T
+        command = np.asarray(u, dtype=np.float64)
+        sizes = np.where(command, np.abs(command), np.abs(command).max() or 1.0)
+
+        def along(unit: np.ndarray, size: float) -> np.ndarray:
+            return derivative(lambda step: self.field(z, command + step * unit, time), size)
+        return by_z, np.array([*map(along, np.eye(command.size), sizes)]).T
 
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Make a command act from a time on; return q and p with the channels of forces."""
