@@ -7,8 +7,8 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 import numpy as np
 
 _ITERATIONS, _HALVINGS = 50, 20
-# Residuals relative to the larger of 1 and the velocities: at the first the search ends, at the
-# second, the rounding of a gradient with room, its result is accepted.
+# Residuals relative to the velocities, to H_pp p and to the rounding of H_p: at the first the
+# search ends, at the second, with room, its result is accepted.
 _AIM, _TOLERANCE = 1e-12, 1e-10
 
 
@@ -41,13 +41,16 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
     units = np.eye(q.shape[-1]).reshape(-1, *(q.ndim - 1) * [1], q.shape[-1])
     units = np.broadcast_to(units, (len(units), *q.shape))
     zeros, at = np.zeros(units.shape), np.broadcast_to(q, units.shape)
-    scale = np.maximum(1.0, np.abs(v).max(axis=-1, keepdims=True))
+    rounding = hamiltonian.kernel.gradient_scale[1]
     missing = v - hamiltonian.gradient(q, p)[1]
     for _ in range(_ITERATIONS):
         size = np.abs(missing).max(axis=-1, keepdims=True)
+        columns = hamiltonian.hessian_vector(at, np.broadcast_to(p, units.shape), zeros, units)[1]
+        terms = np.maximum(np.abs(v), (np.abs(columns) * np.moveaxis(np.abs(p), -1, 0)[..., None]
+                                       ).sum(axis=0))
+        scale = np.maximum(rounding, terms.max(axis=-1, keepdims=True))
         if (size <= _AIM * scale).all():
             return p
-        columns = hamiltonian.hessian_vector(at, np.broadcast_to(p, units.shape), zeros, units)[1]
         try:
             change = np.linalg.solve(np.moveaxis(columns, 0, -1), missing[..., None])[..., 0]
         except np.linalg.LinAlgError:

@@ -185,6 +185,16 @@ def test_momentum_and_velocity_are_inverse():
     assert velocity(steps, q, momentum(steps, q, v)) == pytest.approx(v, abs=1e-12)
 
 
+@pytest.mark.parametrize('v', [1e-13, 3e-20])
+def test_tiny_velocities_have_momenta(v):
+    mass = 1.0 / velocity('exact_pendulum', [0.3], [1.0])
+    assert momentum('exact_pendulum', [0.3], [v]) == pytest.approx(mass * v, rel=1e-12, abs=0.0)
+    # In a magnetic field, beside a far larger momentum that moves nothing.
+    field = formula('(p_x - b*y)^2/(2*m) + p_y^2/(2*m)', [0.0, 1e-3], b=1.0, m=1e-20)
+    p = momentum(field, [0.0, 0.0], [v, 0.0])
+    assert p == pytest.approx([1e-20 * v, 0.0], rel=1e-12, abs=0.0)
+
+
 def test_python_control_takes_the_linear_model():
     pytest.importorskip('control', minversion='0.10', reason='python-control is not installed')
     scene, at = pendulum(), ([np.pi, 0.0], [0.0])
