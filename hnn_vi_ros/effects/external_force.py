@@ -22,7 +22,8 @@ class ExternalForce(Force, Commanded):
     """
     The last commanded force on some coordinates, until the next command or its time-out.
 
-    The time-out is simulated time; it keeps a controller that has died from pushing forever
+    The time-out is simulated time, in whole steps: a command acts in all steps that begin before
+    it. It keeps a controller that has died from pushing forever
     (watchdog). With a learned input map, the command u of a model's motors drives all
     coordinates: g(q) u, A u, or B u in the frame of a body. For a body named body, body_x to
     body_z are forces along the axes of space, body_fx to body_fz along its own axes, and body_rx

@@ -84,7 +84,8 @@ class Graph:
         """Return what has a name."""
         return self._node('name', name)
 
-    def _value(self, a: int) -> float | None:
+    def value(self, a: int) -> float | None:
+        """Return that of a number, None for other nodes."""
         kind, *rest = self.nodes[a]
         return rest[0] if kind == 'number' else None
 
@@ -95,7 +96,7 @@ class Graph:
 
     def scaled(self, c: float, a: int) -> int:
         """Return c a."""
-        value, (inner, rest) = self._value(a), self._factor(a)
+        value, (inner, rest) = self.value(a), self._factor(a)
         if value is not None:
             return self.number(c * value)
         c *= inner
@@ -105,7 +106,7 @@ class Graph:
 
     def plus(self, a: int, b: int) -> int:
         """Return a + b."""
-        x, y = self._value(a), self._value(b)
+        x, y = self.value(a), self.value(b)
         if x is not None and y is not None:
             return self.number(x + y)
         if x == 0.0:
@@ -122,44 +123,44 @@ class Graph:
 
     def product(self, a: int, b: int) -> int:
         """Return a b, with numbers in front."""
-        for value, other in ((self._value(a), b), (self._value(b), a)):
+        for value, other in ((self.value(a), b), (self.value(b), a)):
             if value is not None:
                 return self.scaled(value, other)
         (c, a), (d, b) = self._factor(a), self._factor(b)
         for whole, other in ((a, b), (b, a)):
             kind, *rest = self.nodes[whole]
-            if kind == 'over' and self._value(rest[0]) == 1.0:
+            if kind == 'over' and self.value(rest[0]) == 1.0:
                 return self.scaled(c * d, self.over(other, rest[1]))
         return self.scaled(c * d, self.power(a, 2) if a == b else self._node(
             'product', *sorted((a, b))))
 
     def over(self, a: int, b: int) -> int:
         """Return a / b; a division by a number is a product with its inverse."""
-        value = self._value(b)
+        value = self.value(b)
         if value:
             return self.scaled(1.0 / value, a)
         if value == 0.0:
             raise ValueError('a division by zero')
-        if self._value(a) == 0.0:
+        if self.value(a) == 0.0:
             return a
         (c, a), (d, b) = self._factor(a), self._factor(b)
         if a == b:
             return self.number(c / d)
-        number = self._value(a)
+        number = self.value(a)
         if number is not None:
             c, a = c * number, self.number(1.0)
         return self.scaled(c / d, self._node('over', a, b))
 
     def power(self, a: int, n: int) -> int:
         """Return a to a whole power n >= 0."""
-        value = self._value(a)
+        value = self.value(a)
         if value is not None:
             return self.raised(a, self.number(float(n)))
         return (self.number(1.0), a)[n] if n < 2 else self._node('power', a, n)
 
     def raised(self, a: int, b: int) -> int:
         """Return a to the power b."""
-        base, exponent = self._value(a), self._value(b)
+        base, exponent = self.value(a), self.value(b)
         if exponent is None:
             return self._node('raised', a, b)
         if base is not None:
@@ -175,7 +176,7 @@ class Graph:
 
     def apply(self, function: str, a: int) -> int:
         """Return a function of a."""
-        value = self._value(a)
+        value = self.value(a)
         if value is not None:
             with np.errstate(all='ignore'):
                 return self.number(float(_CALLS[function](value)))
@@ -301,7 +302,7 @@ class Graph:
                 if rest[1] not in inverses:
                     inverses[rest[1]] = f'i{rest[1]}'
                     lines.append(f'i{rest[1]} = 1.0 / {text[rest[1]]}')
-                made = inverses[rest[1]] if self._value(rest[0]) == 1.0 else \
+                made = inverses[rest[1]] if self.value(rest[0]) == 1.0 else \
                     f'{text[rest[0]]} * {inverses[rest[1]]}'
             text[a] = f't{a}'
             lines.append(f't{a} = {made}')

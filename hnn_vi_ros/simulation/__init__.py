@@ -129,6 +129,12 @@ class Simulation:
         self.conservative, self.motors = system.conservative, system.motors
         self.takes_commands = NUMBERS in self.motors.takes
         self.command_names, self.command_size = self.motors.names, self.motors.size
+        timeout = min((getattr(effect, 'timeout', np.inf) for effect in effects
+                       if NUMBERS in getattr(effect, 'takes', ())), default=np.inf)
+        if timeout < self.step_size:
+            warnings.warn(f'external_force: a command acts in whole steps of {step_size:g} s, '
+                          f'longer than its timeout of {timeout:g} s; use a smaller step_size',
+                          stacklevel=2)
         self.usual_gradients = system.integrator.usual_gradients
         self._follow: Loop | None = None
         self._most_followed = 1
