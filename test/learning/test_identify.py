@@ -288,6 +288,31 @@ def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, ca
     assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
 
 
+@pytest.mark.parametrize('idle', [True, False])
+def test_what_acted_before_a_record_is_found_with_the_delay(idle, tmp_path, capsys):
+    late, random = 0.06, np.random.default_rng(3)
+    force = np.repeat(3.0 * random.normal(size=25), 4)
+    force[:4] = 4.0
+    motion = hnn_vi_ros.simulate(commanded('gauss4', 0.01), 1.98, every=2, commands=lambda t: [
+        0.0 if idle and t < late - 1e-9 else
+        float(force[max(0, int((t - late) / 0.02 + 1e-6))])])
+    v = load_scene('exact_pendulum').create_hamiltonian().gradient(motion.q, motion.p)[1]
+    q, v = (part + noise * random.normal(size=part.shape)
+            for part, noise in ((motion.q, 1e-4), (v, 1e-3)))
+    np.savez(tmp_path / 'log.npz', t=motion.t, q=q, dq=v, tau=force[:len(motion.t), None])
+    (tmp_path / 'scene.yaml').write_text(
+        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
+        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
+        'initial_state: {q: [0.5], p: [0.0]}\n')
+    main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'log.npz'), '--inputs', 'held',
+          '--free', 'input_delay', 'damping.rate', '--json', str(tmp_path / 'found.json')])
+    said, found = capsys.readouterr().out, json.loads((tmp_path / 'found.json').read_text())
+    assert f'Before each run {"none" if idle else "its first force"} had acted' in said
+    for name, truth in (('input_delay', late), ('damping.rate', 0.3)):
+        assert found[name]['low'] < truth < found[name]['high']
+        assert found[name]['high'] - found[name]['low'] < 0.02
+
+
 def test_windows_that_are_done_are_not_simulated_and_change_no_others(pendulum, tmp_path):
     windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
     prediction = Prediction(freed(pendulum, tmp_path, length=1.0), np.ones(1), windows)

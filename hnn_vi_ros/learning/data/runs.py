@@ -126,6 +126,8 @@ class Run:
         Whether each force acts until the next; else it goes over into it.
     accelerations : bool
         Whether they were measured; else they were estimated.
+    idle : bool
+        Whether no force acted before the first sample, or the first one did.
 
     """
 
@@ -139,6 +141,7 @@ class Run:
     a_smooth: np.ndarray
     held: bool = False
     accelerations: bool = False
+    idle: bool = False
 
     @property
     def forces(self) -> np.ndarray:

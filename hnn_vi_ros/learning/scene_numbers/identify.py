@@ -26,7 +26,7 @@ from hnn_vi_ros.learning.data.runs import Run, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.scene_numbers.free_numbers import (
-    free_scene, FreeScene, STATES, write_fitted)
+    DELAY, free_scene, FreeScene, STATES, write_fitted)
 from hnn_vi_ros.learning.scene_numbers.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.scene_numbers.windows import check_times, Windows
@@ -114,6 +114,7 @@ class Identified(NamedTuple):
     hamiltonian: Hamiltonian
     data: str
     inputs: 'Inputs | None'
+    before: str
 
 
 class Inputs(NamedTuple):
@@ -195,7 +196,8 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
             if name not in wanted:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
-    solution, problem, stages = fit(free, motions, velocities, options.horizon, options.robust)
+    fitted, before = _fit(free, motions, velocities, options)
+    solution, problem, stages = fitted
     estimates = estimates_of(solution, problem, free, hamiltonian.coordinates,
                              STATES in options.free)
     profiles = {name: profile(solution, problem, free, one) for one in estimates.estimates
@@ -206,11 +208,38 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     if driven:
         held = motions[0].held
         taken, other = ('held', 'interpolated')[::1 if held else -1]
-        misfit = _misfit_with(solution, problem, read_motions(
-            data[0], data[1].model_copy(update={'inputs': other}), names, options.data)[0])
+        others, _ = read_motions(
+            data[0], data[1].model_copy(update={'inputs': other}), names, options.data)
+        misfit = _misfit_with(solution, problem, [
+            replace(motion, idle=solution.windows.motions[0].idle) for motion in others])
         inputs = Inputs(taken, other, held or data[1].inputs is not None, solution.freedom * (
             1.0 - (misfit / solution.misfit)**2), misfit)
-    return Identified(free, solution, estimates, stages, hamiltonian, description, inputs)
+    return Identified(free, solution, estimates, stages, hamiltonian, description, inputs, before)
+
+
+Fitted = tuple[Solution, Problem, list[tuple[float, float]]]
+
+
+def _fit(free: FreeScene, motions: Sequence[Run], velocities: bool, options: Namespace
+         ) -> tuple[Fitted, str]:
+    """
+    Return a fit, and what acted before the first samples, as far as they depend on it.
+
+    Where forces come late, those of the first moments were commanded before the record: the first
+    one of it, or none. That which fits better is taken.
+    """
+    late = DELAY in [number.place for number in free.numbers]
+    if not late or not any(motion.tau[0].any() for motion in motions):
+        return fit(free, motions, velocities, options.horizon, options.robust), ''
+    fits = [fit(free, [replace(motion, idle=idle) for motion in motions], velocities,
+                options.horizon, options.robust) for idle in (False, True)]
+    length = max(set(dict(fits[0][2])) & set(dict(fits[1][2])))
+    own, idle = (dict(stages)[length] for _, _, stages in fits)
+    ways = 'its first force had acted', 'none had acted'
+    better = int(idle < own)
+    return fits[better], (
+        f'Before each run {ways[better]}, as fits better than that {ways[1 - better]} (residuals '
+        f'{min(own, idle):.4g} of the noise for {max(own, idle):.4g})')
 
 
 def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Run]) -> float:
@@ -347,13 +376,14 @@ def _inputs(found: Identified) -> list[str]:
     """Return what forces do between samples, and which way fits better."""
     if found.inputs is None:
         return []
+    before = [found.before] if found.before else []
     taken, other, stated, evidence, misfit = found.inputs
     known = '' if stated else ', which the data do not say'
     own = f'{misfit:.3g} of the noise for {found.solution.misfit:.3g}'
     verdict = f'{other}, they fit better (residuals {own}): check, and take --inputs {other}' \
         if evidence > _EVIDENCE else f'{other}, they fit worse (residuals {own})' \
         if evidence < -_EVIDENCE else f'{other}, they fit as well'
-    return [f'Forces between samples are taken as {taken}{known}; {verdict}']
+    return [f'Forces between samples are taken as {taken}{known}; {verdict}', *before]
 
 
 def _noise(found: Identified) -> list[str]:

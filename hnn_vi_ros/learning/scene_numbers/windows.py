@@ -32,9 +32,10 @@ def impulse(motion: Run, times: np.ndarray) -> np.ndarray:
     """
     Return the integral of the measured forces up to times from the first sample on [s].
 
-    Each force goes over into the next; the first one acts before the first sample, the last one
-    after the last.
+    Each force goes over into the next; the first one acts before the first sample unless the run
+    began idle, the last one after the last.
     """
+    times = np.maximum(times, 0.0) if motion.idle else times
     tau, spacing = motion.tau, motion.spacing
     whole = np.concatenate([np.zeros((1, tau.shape[1])),
                             np.cumsum(motion.forces * spacing, axis=0)])
@@ -294,7 +295,8 @@ class Prediction:
                 table, duration = tables[run], self._h
             # Steps begin where a force does, or well after: by rounding also a little before.
             row = np.floor(t / duration + 1e-9).astype(int)
-            found.append(table[np.clip(row, 0, len(table) - 1)])
+            acts = (row >= 0) | (not (motion.held and motion.idle))
+            found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
         return np.array(found)
 
     def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
