@@ -143,6 +143,9 @@ class Effect(ABC):
         Whether it draws random numbers.
     limits : bool
         Whether its parameters are stops at the limits of joints, which commands must respect.
+    by_motors : bool or None
+        Whether the numbers of a command are those of a model's motors for it, not of coordinates;
+        None where it reads none.
     drawn : bool
         Whether the viewer draws its force as an arrow: it takes microseconds of plain Python.
     knots : int
@@ -160,6 +163,7 @@ class Effect(ABC):
     turns: ClassVar[bool] = False
     random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
+    by_motors: bool | None = None
     drawn: ClassVar[bool] = False
     knots: ClassVar[int] = 0
     excludes: ClassVar[Mapping[Place, str]] = MappingProxyType({})

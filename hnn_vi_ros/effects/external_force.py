@@ -72,6 +72,7 @@ class ExternalForce(Force, Commanded):
         self.names, self.timeout = tuple(coordinates or ()), float(timeout)
         self.initial = initial
         self.held, self.feels_command = model is None, model is not None
+        self.by_motors = model is not None
         self.takes = frozenset({NUMBERS} if model else {NUMBERS, EFFORT})
         # The input map of a model depends on q.
         self.depends_on_state = model is not None

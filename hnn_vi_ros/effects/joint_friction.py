@@ -73,6 +73,7 @@ class JointFriction(Force):
         self.source, self.speed = from_, float(speed)
         self.damping, self.friction, self.load = damping, friction, load
         self.feels_command = bool(load)
+        self.by_motors = False if load else None
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> JointFrictionParameters:

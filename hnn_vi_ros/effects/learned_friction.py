@@ -66,6 +66,8 @@ class LearnedFriction(Force):
         self._model = checkpoint
         self.feels_command = card.mechanical is not None and \
             card.mechanical.friction.load is not None
+        if self.feels_command and card.mechanical is not None:
+            self.by_motors = card.mechanical.input_map is not None
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState
                 ) -> 'LearnedFrictionParameters':

@@ -418,6 +418,13 @@ class System:
             if effect.single and kinds[index] in kinds[:index]:
                 raise EffectError(
                     index, f'a scene takes one {effect_name(effect)} only; join the two')
+            if effect.by_motors is False and any(one.by_motors for one in self._effects):
+                motors = next(one for one in self._effects if one.by_motors)
+                raise EffectError(
+                    index, f'{self.labels[index]} takes the numbers of a command for forces on '
+                    f'coordinates, {effect_name(motors)} for those of the motors of its model; '
+                    'give both coordinates, or take learned_friction and external_force of one '
+                    'model')
             for place, reason in effect.excludes.items():
                 for other in self._in(place):
                     raise EffectError(

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Limits and friction of joints: where their numbers come from, and an arm that falls on them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from helpers import Uncompiled
@@ -11,10 +12,13 @@ from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.models.mechanical_card import FrictionCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
+from mechanical_models import random_mechanical
 from messages import refused
 from numba import typeof
 import numpy as np
@@ -126,6 +130,24 @@ def test_friction_grows_with_the_commanded_force_while_it_acts(tmp_path):
 def test_numbers_that_do_not_fit_the_robot_are_refused(kind, arguments, tmp_path):
     with refused(EffectError):
         System(tree(tmp_path), [EFFECTS[kind](**arguments)], INTEGRATORS['gauss4']())
+
+
+@pytest.mark.parametrize('friction', ['joint', 'learned'])
+def test_friction_under_load_reads_commands_as_the_force_does(friction, tmp_path):
+    path, hamiltonian = tmp_path / 'map.safetensors', HAMILTONIANS['pendulum']()
+    model = random_mechanical('joint', input_map=[[1.4]])
+    save_checkpoint(path, replace(model, card=model.card.model_copy(update={
+        'mechanical': model.card.mechanical.model_copy(update={
+            'friction': FrictionCard(viscous=[0.1], switch=[0.1], load=[0.2])})})))
+    by_motors = EFFECTS['external_force'](model=str(path))
+    by_names = EFFECTS['external_force'](['angle'])
+    if friction == 'joint':
+        own, fits, other = EFFECTS['joint_friction'](load={'angle': 0.2}), by_names, by_motors
+    else:
+        own, fits, other = EFFECTS['learned_friction'](str(path)), by_motors, by_names
+    System(hamiltonian, [fits, own], INTEGRATORS['rk4']())
+    with refused(EffectError):
+        System(hamiltonian, [other, own], INTEGRATORS['rk4']())
 
 
 @pytest.mark.parametrize('kind', ['joint_limits', 'joint_friction'])
