@@ -20,11 +20,12 @@ from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, 
 from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
+from hnn_vi_ros.ros.plumbing.stamps import LATEST, nanoseconds, Stamps
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
 from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
 from hnn_vi_ros.ros.topics.hearing import Hearing
-from hnn_vi_ros.ros.topics.inputs import Input, nanoseconds, NEWEST, read_observation
+from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
 import numpy as np
 from rclpy.duration import Duration
@@ -34,7 +35,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header
+from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # Commands whose plans' times count for the figures of diagnostics, which come so often [s].
@@ -107,6 +108,7 @@ class ControllerNode(ManagedNode):
         self._topic = f'{name}/{self.settings.commands}'
         refuse_unknown(self, CONTROLLER_PARAMETERS, [
             Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
+            Endpoint(f'{name}/scene', 'subscription'),
             Endpoint(self._topic, 'publisher'), Endpoint(DIAGNOSTICS.topic, 'publisher'),
             Endpoint('~/plan', 'publisher')],
             arguments)
@@ -120,7 +122,9 @@ class ControllerNode(ManagedNode):
         settings, begin = self.settings, time.monotonic()
         assignment: Assignment = await self.in_thread(
             lambda: _warm(assign(settings.task, settings.scene)))
-        self._assignment, self._silence = assignment, assignment.task.silence
+        self._assignment = assignment
+        # States that a task of long periods does not answer are no silence.
+        self._silence = max(assignment.task.silence, assignment.task.period)
         self._time = assignment.task.plan_time or assignment.task.period
         self._commands = create_publisher(
             self, JointState if settings.commands == 'joint_commands' else Float64MultiArray,
@@ -133,6 +137,10 @@ class ControllerNode(ManagedNode):
         self._hearing = Hearing(self)
         turning = assignment.hamiltonian.rotations
         self._states = f'{settings.simulator}/state' if turning else 'joint_states'
+        self._stamp, self._stamps = 0, Stamps(lambda: self.get_clock().now().nanoseconds)
+        # A simulator that was reset publishes its scene: its stamps may be older from now on.
+        self._hearing.hear(Input(f'{settings.simulator}/scene', String, frozenset(), None, NEWEST),
+                           lambda message: self._stamps.reset())
         self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
                            self._on_state)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
@@ -149,7 +157,10 @@ class ControllerNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer states from now on."""
         self._forget()
-        self._active, self._heard, self._silent = True, math.inf, False
+        self._stamps.reset()
+        self._active, self._silent, self._refused = True, False, False
+        # Wall times at which the last state came, and the last one that was answered [s].
+        self._heard = self._answered = math.inf
         self.get_logger().info(f'answers {self._states} on {self._topic}')
         return SUCCESS
 
@@ -182,25 +193,22 @@ class ControllerNode(ManagedNode):
         return self._assignment
 
     def _forget(self) -> None:
-        """Begin at the next state, whatever was before."""
+        """Answer the next state, whatever was before."""
         self._assigned.prediction.forget()
-        self._stamp, self._due = -1, -1
+        self._due = -1
         self._lags: deque[float] = deque(maxlen=_LAGS)
 
     def _on_state(self, message: JointState) -> None:
         begin, assigned = time.monotonic(), self._assigned
         if not self._active:
             return
+        self._heard, self._refused = begin, True
         q, v = state_of(message, assigned.hamiltonian)
-        stamp = nanoseconds(message.header.stamp)
-        if self._silent:
-            self.get_logger().info(f'{self._states}: states again, after '
-                                   f'{begin - self._heard:.3g} s')
-        self._heard, self._silent = begin, False
+        stamp = self._stamps.accept(nanoseconds(message.header.stamp))
+        self._refused = False
         if stamp < self._stamp:
-            # The simulator has begun anew.
+            # The simulator has begun anew, or the clock was set back.
             self._forget()
-        self._stamp = stamp
         if stamp < self._due:
             return
         period = round(assigned.task.period * 1e9)
@@ -217,10 +225,14 @@ class ControllerNode(ManagedNode):
         sooner = min(begin, t + min(self._lags)) + assigned.task.plan_time - time.monotonic()
         if sooner > 0.0:
             time.sleep(sooner)
+        self._stamp = stamp
         self._send(np.clip(u, -assigned.limits, assigned.limits))
         assigned.prediction.send(t, self._last)
+        if self._silent:
+            self.get_logger().info(f'{self._states}: states again, after '
+                                   f'{begin - self._answered:.3g} s')
         # A long plan is no silence.
-        self._heard = time.monotonic()
+        self._answered, self._silent = time.monotonic(), False
         self._times.append(spent)
         self._sent += 1
         self._late += spent > self._time
@@ -231,7 +243,7 @@ class ControllerNode(ManagedNode):
         """Publish the states of the last plan, which begins at a time [s]; none without one."""
         hamiltonian, controller = self._assigned.hamiltonian, self._assigned.controller
         message = JointTrajectory(joint_names=columns(hamiltonian.coordinates)[0])
-        message.header.stamp = Time(nanoseconds=max(0, round(begin * 1e9))).to_msg()
+        message.header.stamp = Time(nanoseconds=min(round(begin * 1e9), LATEST)).to_msg()
         if isinstance(controller, Planner) and controller.plan is not None \
                 and np.isfinite(controller.plan).all():
             q, p = np.split(controller.plan, 2, axis=1)
@@ -249,7 +261,7 @@ class ControllerNode(ManagedNode):
             numbers = dict.fromkeys(assigned.numbers, 0.0) | dict(zip(names, u, strict=True))
             message = Float64MultiArray(data=[*numbers.values()])
         else:
-            stamp = Time(nanoseconds=max(0, self._stamp)).to_msg()
+            stamp = Time(nanoseconds=self._stamp).to_msg()
             message = JointState(header=Header(stamp=stamp), name=names, effort=u)
         self._commands.publish(message)
 
@@ -258,20 +270,31 @@ class ControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Stop or hold, and say so once, when no state comes any more."""
-        if not self._active or time.monotonic() - self._heard < self._silence:
+        if not self._active or time.monotonic() - self._answered < self._silence:
             return
+        cause = self._cause
+        self._stamps.settle(paused=not cause)
         hold = self._assigned.task.on_silence == 'hold' and self._sent
         if not self._silent:
             self._silent = True
             self._assigned.prediction.forget()
             self.get_logger().warning(
-                f'{self._states}: no usable state for {self._silence:g} s: '
+                f'{self._states}: no usable state for {self._silence:g} s{cause}: '
                 f'{"the last command is repeated" if hold else "commands are zero"} until one '
                 'comes')
             if not hold:
                 self._rest()
         if hold:
             self._send(self._last)
+
+    @property
+    def _cause(self) -> str:
+        """Return why states that come are not answered; nothing where none come."""
+        if time.monotonic() - self._heard >= self._silence:
+            return ''
+        why = self._hearing.reasons.get(self._states, '') if self._refused else (
+            'their stamps rise by less than a period; raise silence for a slow simulator')
+        return f' ({why})'
 
     def _report(self) -> None:
         """Publish how the controller does."""
@@ -282,8 +305,9 @@ class ControllerNode(ManagedNode):
         if not self._active:
             message = 'inactive'
         elif self._silent:
-            level, message = WARN, f'no usable state for {time.monotonic() - self._heard:.3g} s'
-        elif self._heard == math.inf:
+            level, message = WARN, (f'no usable state for {time.monotonic() - self._answered:.3g} '
+                                    f's{self._cause}')
+        elif self._answered == math.inf:
             level, message = WARN, 'no usable state yet'
         elif late:
             level, message = WARN, (f'{late} plans since the last report took longer than their '
@@ -297,7 +321,7 @@ class ControllerNode(ManagedNode):
             'delay [s]': assigned.prediction.delay, 'commands [1]': self._sent,
             'late [1]': self._late, 'states_ignored [1]': ignored,
             'ignored_because': self._hearing.reasons.get(self._states, '')})],
-            max(0, self._stamp), record=False)
+            self._stamp, record=False)
 
 
 def _warm(assignment: Assignment) -> Assignment:

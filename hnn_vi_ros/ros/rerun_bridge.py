@@ -23,12 +23,13 @@ from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, 
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
+from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.ros.topics.inputs import nanoseconds, places_of
+from hnn_vi_ros.ros.topics.inputs import places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene

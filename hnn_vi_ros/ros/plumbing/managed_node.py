@@ -14,6 +14,7 @@ from hnn_vi_ros.errors import did_you_mean, HnnViRosError
 from hnn_vi_ros.ros.plumbing.graph import THREAD_TURN
 from hnn_vi_ros.ros.plumbing.qos_overrides import PREFIX
 from hnn_vi_ros.ros.plumbing.rclpy_internals import answer_changes, log, RCLError, state_machine
+from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.plumbing.starting import plain_ros_errors
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState
@@ -101,14 +102,14 @@ class RobustNode(Node):
 
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
         def on_clock(message: Clock) -> None:
-            seconds, nanoseconds = message.clock.sec, message.clock.nanosec
-            if seconds >= 0 and nanoseconds < 10**9:
-                callback(message)
-                self.after_clock()
-            else:
+            try:
+                nanoseconds(message.clock)
+            except ValueError as problem:
                 self.get_logger().error(
-                    f'/clock: message ignored: {seconds} s and {nanoseconds} ns: expected at '
-                    'least 0 s and less than 10^9 ns', throttle_duration_sec=1.0)
+                    f'{CLOCK_TOPIC}: message ignored: {problem}', throttle_duration_sec=1.0)
+                return
+            callback(message)
+            self.after_clock()
         return on_clock
 
 

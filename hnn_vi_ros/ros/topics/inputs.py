@@ -11,16 +11,12 @@ from hnn_vi_ros.effects.commands import (
     printable, VELOCITY)
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 import numpy as np
 from rclpy.qos import qos_profile_sensor_data, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
-
-
-def nanoseconds(time: Any) -> int:
-    """Return a time or a duration of ROS [ns]."""
-    return int(time.sec * 10**9 + time.nanosec)
 
 
 def places_of(coordinates: Sequence[Coordinate], given: Sequence[str], field: str) -> list[int]:

@@ -1,0 +1,186 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which states a controller answers, by their stamps, and what it makes of the others."""
+
+from collections.abc import Callable, Iterator
+from itertools import count
+from types import SimpleNamespace
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.ros import controller_node
+from hnn_vi_ros.ros.controller_node import ControllerNode
+from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
+from messages import refused
+from processes import wait_until
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+SECOND, SILENCE, PERIOD = 10**9, 0.2, 0.01
+EPOCH = 1_700_000_000 * SECOND
+WARN = DiagnosticStatus.WARN
+
+
+def state(stamp: int, angle: float = 0.3) -> JointState:
+    message = JointState(name=['angle'], position=[angle], velocity=[0.0])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, SECOND)
+    return message
+
+
+class Driven:
+    """A controller whose clock, timers and messages are those of a test."""
+
+    def __init__(self, node: ControllerNode):
+        self.node, self.time, self.log, self.told = node, 0.0, [], []
+        self.commands: list[JointState] = []
+        node._commands = SimpleNamespace(publish=self.commands.append)
+        node.get_logger = lambda: SimpleNamespace(**{
+            level: lambda text, **more: self.log.append(text)
+            for level in ('info', 'warning', 'error')})
+        node._diagnostics._send = lambda payload, stamp: self.told.append(
+            deserialize_message(payload, DiagnosticArray).status[0])
+        node._sent = 0
+        node._hearing.ignored.clear()
+        node.on_activate(None)
+        self._scene, self._states = (one.callback for one in node._hearing._subscriptions)
+
+    def hear(self, *messages: JointState, apart: float = PERIOD) -> list[float]:
+        """Hear states, so much wall time apart [s]; return the efforts of the commands."""
+        before = len(self.commands)
+        for message in messages:
+            self.time += apart
+            self._states(serialize_message(message))
+            self.node._watch()
+        return [command.effort[0] for command in self.commands[before:]]
+
+    def reset(self) -> None:
+        """Hear that the simulator was reset."""
+        self._scene(serialize_message(String()))
+
+    @property
+    def status(self) -> DiagnosticStatus:
+        self.node._report()
+        return self.told[-1]
+
+
+@pytest.fixture(scope='module')
+def controller(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControllerNode]:
+    """Return a node that is configured and active."""
+    task = tmp_path_factory.mktemp('task') / 'task.yaml'
+    task.write_text(shipped_file('task', 'swing_up').read_text())
+    arguments = ['--ros-args', '-p', f'task:={task}']
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        node, executor = ControllerNode(arguments), SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.create_task(node.autostart)
+        wait_until(lambda: executor.spin_once(timeout_sec=0.1) or node._active)
+        assert node._silence == SILENCE and node._assigned.task.period == PERIOD
+        yield node
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def driven(controller: ControllerNode, monkeypatch: pytest.MonkeyPatch) -> Driven:
+    """Return it with a clock of the test, without a state so far."""
+    found = Driven(controller)
+    monkeypatch.setattr(controller_node, 'time', SimpleNamespace(
+        monotonic=lambda: found.time, sleep=lambda seconds: None))
+    monkeypatch.setattr(controller, 'get_clock', lambda: SimpleNamespace(now=lambda: (
+        SimpleNamespace(nanoseconds=EPOCH + round(found.time * 1e9)))))
+    return found
+
+
+def rising(start: int) -> Iterator[JointState]:
+    return (state(start + k * SECOND // 100) for k in count())
+
+
+def take(states: Iterator[JointState], number: int) -> list[JointState]:
+    return [next(states) for _ in range(number)]
+
+
+@pytest.mark.parametrize('first', [(), (5 * SECOND,), (EPOCH - SECOND,)])
+def test_state_without_stamp_is_of_its_arrival(driven: Driven, first: tuple[int, ...]):
+    heard = driven.hear(*map(state, first), *[state(0)] * 100)
+    assert len(heard) == 100 + len(first) and driven.status.level == DiagnosticStatus.OK
+    # That of the command too.
+    assert nanoseconds(driven.commands[-1].header.stamp) == EPOCH + round(driven.time * 1e9)
+
+
+def test_one_zero_before_stamps_that_rise_is_time_zero(driven: Driven):
+    assert len(driven.hear(*take(rising(0), 100))) == 100
+    assert [nanoseconds(one.header.stamp) for one in driven.commands[:2]] == [0, SECOND // 100]
+
+
+@pytest.mark.parametrize('stamp_at', [
+    lambda k: 5 * SECOND, lambda k: EPOCH, lambda k: EPOCH - k * SECOND // 100,
+    # Microseconds in the place of milliseconds.
+    lambda k: EPOCH + 10_000 * k], ids=['frozen', 'frozen epoch', 'falling', 'slow'])
+def test_stamps_that_do_not_rise_end_the_command_within_the_silence(
+        driven: Driven, stamp_at: Callable[[int], int]):
+    heard = driven.hear(*(state(stamp_at(k)) for k in range(200)))
+    # The first state counts; each other one is ignored.
+    assert heard[0] != 0.0 and heard[1:] == [0.0]
+    assert sum('no usable state for 0.2 s (' in line for line in driven.log) == 1
+    status = driven.status
+    assert status.level == WARN and 'no usable state for' in status.message
+    assert 'stamp' in status.message
+
+
+def test_command_that_is_none_is_no_answer(driven: Driven, monkeypatch: pytest.MonkeyPatch):
+    states = rising(SECOND)
+    assert len(driven.hear(*take(states, 10))) == 10
+    assignment = driven.node._assigned
+    monkeypatch.setattr(driven.node, '_assignment', assignment._replace(
+        controller=lambda q, v, t: [float('nan')]))
+    assert driven.hear(*take(states, 100)) == [0.0]
+
+
+def test_two_publishers_do_not_make_it_answer_each_message(driven: Driven):
+    far, near = rising(100 * SECOND), rising(5 * SECOND)
+    heard = driven.hear(*(state for pair in zip(take(far, 200), take(near, 200), strict=True)
+                          for state in pair), apart=PERIOD / 2)
+    assert len(heard) == 200 and min(map(abs, heard)) > 0.0
+    # The one that is left is heard after a silence.
+    assert len(driven.hear(*take(near, 100))) > 70
+
+
+def test_older_stamps_are_answered_after_a_reset_or_a_silence(driven: Driven):
+    assert len(driven.hear(*take(rising(100 * SECOND), 10))) == 10
+    driven.reset()
+    assert len(driven.hear(*take(rising(50 * SECOND), 10))) == 10
+    # A clock that was set back, which nothing announces.
+    heard = driven.hear(*take(rising(SECOND), 100))
+    assert heard[0] == 0.0 and len(heard) == pytest.approx(1 + 100 - SILENCE / PERIOD, abs=2)
+    # Another simulator, after the end of the one before.
+    driven.time += 1.0
+    driven.node._watch()
+    assert len(driven.hear(*take(rising(SECOND // 100), 10))) == 10
+
+
+@pytest.mark.parametrize('stamp', [(5, 2**32 - 1), (2**31 - 1, 2**32 - 1), (-1, 0), (-2**31, 5)])
+def test_stamp_that_is_none_is_ignored_and_the_last_one_ends_nothing(
+        driven: Driven, stamp: tuple[int, int], monkeypatch: pytest.MonkeyPatch):
+    wrong, states = state(0), rising(SECOND)
+    wrong.header.stamp.sec, wrong.header.stamp.nanosec = stamp
+    with refused(ValueError):
+        nanoseconds(wrong.header.stamp)
+    assert len(driven.hear(next(states), wrong, next(states))) == 2
+    assert any('message ignored: a time of' in line for line in driven.log)
+    monkeypatch.setattr(driven.node._plans, 'get_subscription_count', lambda: 1)
+    assert len(driven.hear(state(2**31 * SECOND - 1))) == 1
+    assert driven.status.level == DiagnosticStatus.OK
+
+
+def test_stamps_say_which_is_not_later():
+    stamps = Stamps(lambda: EPOCH)
+    assert [stamps.accept(stamp) for stamp in (0, SECOND, 0)] == [0, SECOND, EPOCH]
+    with refused(ValueError):
+        stamps.accept(SECOND)
