@@ -25,11 +25,11 @@ It publishes the topics of the bag and, with publish_clock, /clock. Services: ~/
 _BRIDGE = """\
 It subscribes to the topics of the simulator, and offers nothing."""
 _CONTROLLER = """\
-It hears joint_states, or /hnn_simulator/state of bodies that turn, and commands
-/hnn_simulator/joint_commands, or /hnn_simulator/commands. It publishes /diagnostics. Services:
-those of its lifecycle."""
+It hears joint_states, or hnn_simulator/state of bodies that turn, and commands
+hnn_simulator/joint_commands, or hnn_simulator/commands, in its namespace. It publishes
+/diagnostics. Services: those of its lifecycle."""
 _LISTENER = """\
-It subscribes to /hnn_simulator/energy, and has no parameters."""
+It subscribes to hnn_simulator/energy, and has no parameters."""
 
 
 def simulator() -> Parser:

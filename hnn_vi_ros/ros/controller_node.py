@@ -16,7 +16,7 @@ from hnn_vi_ros.effects.commands import select
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros import arguments as command_lines
-from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
@@ -103,8 +103,7 @@ class ControllerNode(ManagedNode):
     def __init__(self, arguments: Sequence[str] = ()):
         super().__init__('hnn_controller')
         self.settings = declare_parameters(self, ControllerSettings)
-        name = self.settings.simulator
-        check_node_name('simulator', name)
+        name = self._simulator = node_name(self, 'simulator', self.settings.simulator)
         self._topic = f'{name}/{self.settings.commands}'
         refuse_unknown(self, CONTROLLER_PARAMETERS, [
             Endpoint('joint_states', 'subscription'), Endpoint(f'{name}/state', 'subscription'),
@@ -136,10 +135,10 @@ class ControllerNode(ManagedNode):
             self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
         self._hearing = Hearing(self)
         turning = assignment.hamiltonian.rotations
-        self._states = f'{settings.simulator}/state' if turning else 'joint_states'
+        self._states = f'{self._simulator}/state' if turning else 'joint_states'
         self._stamp, self._stamps = 0, Stamps(lambda: self.get_clock().now().nanoseconds)
         # A simulator that was reset publishes its scene: its stamps may be older from now on.
-        self._hearing.hear(Input(f'{settings.simulator}/scene', String, frozenset(), None, NEWEST),
+        self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
                            lambda message: self._stamps.reset())
         self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
                            self._on_state)

@@ -16,7 +16,7 @@ class Listener(RobustNode):
     def __init__(self) -> None:
         super().__init__('hnn_listener', automatically_declare_parameters_from_overrides=True)
         self._count = 0
-        self.create_subscription(Float64, '/hnn_simulator/energy', self._on_energy, 10)
+        self.create_subscription(Float64, 'hnn_simulator/energy', self._on_energy, 10)
 
     def _on_energy(self, message: Float64) -> None:
         if self._count % 100 == 0:

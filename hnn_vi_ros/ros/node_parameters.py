@@ -15,6 +15,7 @@ from hnn_vi_ros.ros.settings import (
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
@@ -162,13 +163,14 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     return settings(**values)
 
 
-def check_node_name(role: str, name: str) -> None:
-    """Raise ParameterError if the parameter that names the node of a role names none."""
+def node_name(node: Node, role: str, name: str) -> str:
+    """Return the full name of another node, given relative to a node; ParameterError if none."""
     try:
         validate_topic_name(name)
-    except InvalidTopicNameException as problem:
-        raise ParameterError(f'parameter {role} = {name!r}: expected the full name of a node, '
-                             f'such as /hnn_{role}') from problem
+        return expand_topic_name(name, node.get_name(), node.get_namespace())
+    except (InvalidTopicNameException, ValueError) as problem:
+        raise ParameterError(f'parameter {role} = {name!r}: expected the name of a node, such as '
+                             f'hnn_{role}, in this namespace, or /left/hnn_{role}') from problem
 
 
 class Parameters:

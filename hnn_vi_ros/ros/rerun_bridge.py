@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import repeat
 import math
 from pathlib import Path
@@ -19,17 +20,18 @@ from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.mechanisms import MECHANISMS
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.ros import arguments
-from hnn_vi_ros.ros.node_parameters import check_node_name, declare_parameters, refuse_unknown
+from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
-from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription, Endpoint
+from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors, ros_process
 from hnn_vi_ros.ros.recording import SERVER_PORT, VIEWER_URL
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.settings import BRIDGE_PARAMETERS, BridgeSettings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
-from hnn_vi_ros.ros.topics.inputs import places_of
+from hnn_vi_ros.ros.topics.hearing import Hearing
+from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
@@ -201,7 +203,7 @@ class RerunBridge(RobustNode):
                 'hnn_rerun_bridge', automatically_declare_parameters_from_overrides=True,
                 parameter_overrides=[Parameter('trust_code', value=True)] if trust_code else [])
         self._settings = declare_parameters(self, BridgeSettings)
-        self._topics = self._find_topics()
+        self._topics, self._hearing = self._find_topics(), Hearing(self)
         refuse_unknown(self, BRIDGE_PARAMETERS, [
             Endpoint(name, 'subscription') for name in self._topics], arguments)
         self.target = target_of(self._settings)
@@ -213,23 +215,24 @@ class RerunBridge(RobustNode):
 
     def listen(self) -> None:
         """Subscribe to the scene, the state, and what is told of it."""
-        for topic, (kind, callback, qos, raw) in self._topics.items():
-            create_subscription(self, kind, topic, callback, qos, raw=raw)
-        self.get_logger().info(f'waiting for {self._settings.simulator}/scene')
+        for topic, (kind, take, qos, raw) in self._topics.items():
+            self._hearing.hear(Input(topic, kind, frozenset(), None, qos), take, raw)
+        self.get_logger().info(f'waiting for {next(iter(self._topics))}')
 
     def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
         """Return message type, callback, QoS and whether bytes are wanted, by topic."""
-        simulator = self._settings.simulator
-        check_node_name('simulator', simulator)
-        check_node_name('controller', self._settings.controller)
+        simulator, controller = (node_name(self, role, getattr(self._settings, role))
+                                 for role in ('simulator', 'controller'))
 
         def tell(message: DiagnosticArray) -> None:
             self._show(BridgePicture.tell, message, simulator)
 
         return {
             f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
-            f'{simulator}/state': (JointState, self._on_state, _QUEUE, True),
-            f'{self._settings.controller}/plan': (JointTrajectory, self._on_plan, _QUEUE, False),
+            f'{simulator}/state': (JointState, lambda payload: self._show(
+                BridgePicture.show, decode_state(payload)), _QUEUE, True),
+            f'{controller}/plan': (JointTrajectory, partial(
+                self._show, BridgePicture.plan), _QUEUE, False),
             DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
             EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
 
@@ -272,23 +275,8 @@ class RerunBridge(RobustNode):
                           or not (isinstance(target, Path) and target.exists()))
             self._picture = BridgePicture(scene, target, 'bridge')
             shown = f'port {target}' if isinstance(target, int) else target
-            self.get_logger().info(f'showing {self._settings.simulator} on {shown}')
-
-    def _on_state(self, payload: bytes) -> None:
-        """Show a sample."""
-        try:
-            self._show(BridgePicture.show, decode_state(payload))
-        except ValueError as problem:
-            self.get_logger().error(f'~/state is no state: {problem}', throttle_duration_sec=1.0)
-
-    def _on_plan(self, message: JointTrajectory) -> None:
-        """Show a controller's plan, or say why that is none."""
-        try:
-            self._show(BridgePicture.plan, message)
-        except ValueError as problem:
-            self.get_logger().error(
-                f'{self._settings.controller}/plan: message ignored: {problem}',
-                throttle_duration_sec=1.0)
+            simulator = next(iter(self._topics)).removesuffix('/scene')
+            self.get_logger().info(f'showing {simulator} on {shown}')
 
     def _show(self, show: Callable[..., None], *what: Any) -> None:
         """Hand something to a method of BridgePicture, if there is a picture."""

@@ -156,9 +156,9 @@ class Settings:
 class BridgeSettings:
     """The parameters of the rerun bridge."""
 
-    simulator: str = parameter('/hnn_simulator', 'full name of the simulator node')
+    simulator: str = parameter('hnn_simulator', 'name of the simulator node')
     controller: str = parameter(
-        '/hnn_controller', 'full name of the controller node, whose plans are shown')
+        'hnn_controller', 'name of the controller node, whose plans are shown')
     rerun_sink: str = parameter(
         'connect', 'where the picture goes: to a file, to a running viewer, to viewers that '
         'connect', choices=('file', 'connect', 'serve'))
@@ -203,7 +203,8 @@ class ControllerSettings:
     task: str = parameter('swing_up', 'name of a shipped task, or path of a task file (.yaml)')
     scene: str = parameter('', "the model, a scene by its name or path; empty takes the task's")
     simulator: str = parameter(
-        '/hnn_simulator', 'full name of the node that takes the commands: a simulator')
+        'hnn_simulator', 'name of the node that takes the commands, a simulator; relative to the '
+        'namespace unless it begins with /')
     commands: str = parameter(
         'joint_commands', 'topic of that node: joint_commands, efforts of the driven joints by '
         'name, or commands, the numbers of all of them', choices=('joint_commands', 'commands'))

@@ -4,6 +4,8 @@
 
 from collections import Counter
 from collections.abc import Callable
+import math
+import time
 from typing import Any
 
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription
@@ -16,6 +18,8 @@ from rclpy.subscription import Subscription
 LARGEST_MESSAGE = 1 << 20
 # The reason for ignoring a message has room for the names of twelve joints, and a remedy.
 LONGEST_REASON = 500
+# Wall time between two lines on messages of a topic that are ignored [s].
+_REPEATED = 1.0
 
 
 class Hearing:
@@ -41,8 +45,10 @@ class Hearing:
         self._subscriptions: list[Subscription] = []
         self.ignored: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
+        # When the log takes the next line on a topic [s].
+        self._due: dict[str, float] = {}
 
-    def hear(self, one: Input, take: Callable[[Any], None]) -> Subscription:
+    def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False) -> Subscription:
         """
         Hear a topic; what cannot be used is reported and ignored.
 
@@ -52,6 +58,8 @@ class Hearing:
             Which.
         take : callable
             Uses a message, or raises ValueError and changes nothing.
+        raw : bool, optional
+            Whether it takes the bytes of a message.
 
         """
         topic = one.topic
@@ -60,14 +68,15 @@ class Hearing:
             try:
                 if len(payload) > LARGEST_MESSAGE:
                     raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
-                take(deserialize_message(payload, one.message_type))
+                take(payload if raw else deserialize_message(payload, one.message_type))
             except (ValueError, RuntimeError) as problem:
                 # RuntimeError: the bytes are no message of this type.
                 self.ignored[topic] += 1
                 reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
-                self._node.get_logger().error(
-                    f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)',
-                    throttle_duration_sec=1.0)
+                if (now := time.monotonic()) >= self._due.get(topic, -math.inf):
+                    self._due[topic] = now + _REPEATED
+                    self._node.get_logger().error(
+                        f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)')
 
         subscription = create_subscription(
             self._node, one.message_type, topic, on_message, one.qos, raw=True)
