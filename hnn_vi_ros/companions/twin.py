@@ -85,6 +85,8 @@ class Twin:
         Names of the observed coordinates.
     newest : Report or None
         Of the last observation.
+    timeout : float
+        How long an observation holds [s].
     heard : callable
         Called with each report.
     times : deque of float
@@ -107,7 +109,7 @@ class Twin:
         ((place, observer),) = ((i, choice) for i, choice in enumerate(scene.effects)
                                 if choice.kind == 'observer')
         self.names, self._deviations = list(observer.coordinates), observer.deviations
-        self._timeout, self._velocity_limit = observer.timeout, observer.velocity_limit
+        self.timeout, self._velocity_limit = observer.timeout, observer.velocity_limit
         self._gain, self._damping = observer.gain, observer.damping
         names = columns(simulation.hamiltonian.coordinates)[0]
         self._places = [names.index(name) for name in self.names]
@@ -154,7 +156,7 @@ class Twin:
         """See Companion."""
         for prediction in self._active():
             if prediction.began is not None and (
-                    self._now - prediction.began > _LONGEST + self._timeout):
+                    self._now - prediction.began > _LONGEST + self.timeout):
                 # For how long it was valid nobody has seen.
                 prediction.began = None
                 continue
@@ -278,7 +280,7 @@ class Twin:
         """Return velocities, by the observation before where none were; NaN without."""
         now, before = self._now + delay, self._before
         self._before = now, position
-        if before is None or not 0.0 < now - before[0] <= self._timeout:
+        if before is None or not 0.0 < now - before[0] <= self.timeout:
             return velocity
         between = (position - before[1]) / (now - before[0])
         # Two observations at almost the same time give only noise.

@@ -5,17 +5,24 @@
 from collections.abc import Iterator
 from pathlib import Path
 import signal
+import time
+from types import SimpleNamespace
 
 from diagnostic_msgs.msg import DiagnosticArray
 from ensembles import ensemble
+from hnn_vi_ros.companions.twin import Report
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.companions import TwinTopic
+from hnn_vi_ros.ros.topics.diagnostics import OK, WARN
 from hnn_vi_ros.ros.topics.inputs import read_observation
+from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from messages import refused
 import numpy as np
 from peer import peer, simulating, SIMULATOR, stamp
 from processes import finish, read_bag, standard_error, start
+import pytest
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
@@ -44,6 +51,60 @@ def test_observation_of_a_message_is_now_or_at_its_stamp():
     assert read_observation(observation([1.0], velocity=[0.5]), 4 * 10**9).delay == 0.0
     with refused(ValueError):
         read_observation(observation([1.0, 2.0]), 0)
+
+
+SECOND = 10**9
+
+
+@pytest.mark.parametrize(('ros', 'at', 'expected'), [
+    (1_700_000_000.0, 1_699_999_999.98, 4.98), (105.0, 104.98, 4.98), (1_700_000_000.0, 4.9, 4.9),
+    (105.0, 4.9, 4.9), (105.0, 0.0, 0.0), (1_700_000_000.0, 1_699_999_990.0, 1e-9)],
+    ids=['epoch', 'clock that began before', 'simulated', 'simulated beside a clock', 'now',
+         'long ago'])
+def test_observation_is_stamped_by_simulated_time_or_by_that_of_ros(
+        ros: float, at: float, expected: float):
+    join = ObservationJoiner(['x0'], 0.5, lambda: 5 * SECOND, lambda: round(ros * SECOND))
+    # A float of seconds since the epoch has 0.24 us.
+    assert stamp(join(observation([1.0], at=round(at * SECOND)))) / SECOND == pytest.approx(
+        expected, abs=5e-7)
+
+
+def test_parts_of_an_observation_are_joined_by_name_within_a_tolerance():
+    now = [5 * SECOND]
+    join = ObservationJoiner(['a', 'b'], 0.5, lambda: now[0], lambda: 0)
+    whole = observation([1.0, 2.0], ('b', 'a'), at=SECOND)
+    assert join(whole) is whole
+    assert join(observation([1.0, 9.0], ('a', 'grip'), velocity=[0.5, 0.0], at=4 * SECOND)) is None
+    found = join(observation([2.0], ('b',), at=4 * SECOND + 20_000_000))
+    assert (found.name, stamp(found)) == (['a', 'b'], 4 * SECOND + 20_000_000)
+    # What is older has moved on since.
+    assert found.position.tolist() == [1.0 + 0.5 * 0.02, 2.0]
+    assert found.velocity[0] == 0.5 and np.isnan(found.velocity[1])
+    # Without stamps, by their arrival; each part counts once.
+    assert join(observation([1.0], ('a',))) is None and join(observation([1.5], ('a',))) is None
+    assert join(observation([2.0], ('b',))).position.tolist() == [1.5, 2.0]
+    assert join(observation([1.0], ('a',))) is None
+    now[0] += SECOND
+    with refused(ValueError):
+        join(observation([1.0], ('a',)))
+    with refused(ValueError):
+        join(observation([2.0], ('b',), at=5 * SECOND + 600_000_000))
+
+
+def test_twin_without_observations_for_its_time_out_is_a_warning_once():
+    now, warned = [SECOND], []
+    twin = SimpleNamespace(names=['x0'], newest=None, timeout=0.5, times=[], failed=0, outside=0.0,
+                           valid_prediction_time=np.nan, valid_time=lambda outside: np.nan)
+    topic = TwinTopic(twin, lambda *message: None, lambda: (0, ''), lambda: now[0], warned.append)
+    assert topic.status()[1:3] == (WARN, 'no observation yet')
+    twin.newest = Report(0.0, np.zeros(1), np.zeros(1), 0.0, 0.0)
+    for _ in range(2):
+        twin.heard(twin.newest)
+        assert topic.status()[1:3] == (OK, 'follows the machine')
+        now[0] += SECOND
+        for _ in range(2):
+            assert topic.status()[1:3] == (WARN, 'no observation for 1 s')
+    assert warned == ['~/observations: no observation for 1 s: the simulation goes on alone'] * 2
 
 
 def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observations(
@@ -138,7 +199,9 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
             count = len(other.states)
 
             def is_back(count: int = count) -> bool:
-                machine.publish(right)
+                # By two drivers, whose clock is that of the machine.
+                for part, name in zip(right.position, right.name, strict=True):
+                    machine.publish(observation([part], (name,), at=time.time_ns()))
                 other.spin(0.02)
                 # As far off as gravity, of some 20 N m, takes a spring of 300 N m/rad.
                 return len(other.states) > count + 20 and np.abs(np.subtract(

@@ -25,6 +25,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EVENT, OK, state_values, Status
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
+from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
@@ -76,7 +77,7 @@ class Run:
             self._twin, partial(topics.send, PREDICTION_ERROR), lambda: (
                 topics.hearing.ignored[OBSERVATIONS.topic],
                 topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
-            lambda: self.sampler.stamp)
+            lambda: self.sampler.stamp, lambda text: self.tell(text, 'WARN'))
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
         # The initial states of the scene itself, of the run since its last reset, and of the next.
@@ -95,7 +96,10 @@ class Run:
         topics.open(
             Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
                      settings.frame_id, bool(self.scene.events), self._spread),
-            lambda: self.sampler.stamp, self.recording.write_other)
+            lambda: self.sampler.stamp, self.recording.write_other,
+            *[] if self._twin is None else [ObservationJoiner(
+                self._twin.names, self._twin.timeout, lambda: self.sampler.stamp,
+                lambda: node.get_clock().now().nanoseconds)])
         self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)

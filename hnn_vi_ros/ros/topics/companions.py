@@ -12,6 +12,7 @@ from hnn_vi_ros.guards.bounds import SpreadGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
+from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import encode_numbers, named_numbers
 
 
@@ -91,12 +92,16 @@ class TwinTopic:
         Returns how many observations could not be used, and why the last one could not.
     stamp : callable
         Returns that of the state [ns].
+    warn : callable
+        Logs a warning.
 
     """
 
     def __init__(self, twin: Twin, send: Callable[[bytes, int], None],
-                 ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int]):
+                 ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int],
+                 warn: Callable[[str], None]):
         self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
+        self._warn, self._newest, self._silent = warn, 0, False
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
         self._template = Template(named_numbers(labels))
         twin.heard = self._publish
@@ -108,13 +113,21 @@ class TwinTopic:
         now = self._stamp()
         self._template.set_stamp(max(0, now + round(report.delay * 1e9)))
         self._send(self._template.serialized(), now)
+        self._newest, self._silent = now, False
 
     def status(self) -> Status:
         """Return how well the machine is followed."""
         twin, report = self._twin, self._twin.newest
         ignored, why = self._ignored()
-        level, message = OK, 'no observation yet'
-        if report is not None:
+        level, message, age = OK, '', 1e-9 * (self._stamp() - self._newest)
+        if report is None:
+            level, message = WARN, 'no observation yet'
+        elif age > twin.timeout:
+            level, message = WARN, f'no observation for {age:.3g} s'
+            if not self._silent:
+                self._silent = True
+                self._warn(f'{OBSERVATIONS.topic}: {message}: the simulation goes on alone')
+        else:
             median = twin.valid_prediction_time
             message = 'follows the machine' if math.isnan(median) else (
                 f'predicts the machine for {median:.3g} s')

@@ -13,7 +13,8 @@ from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.hearing import Hearing
-from hnn_vi_ros.ros.topics.inputs import body_of, command_of, Input, INPUTS, WRENCH
+from hnn_vi_ros.ros.topics.inputs import (
+    body_of, command_of, Input, INPUTS, OBSERVATIONS, WRENCH)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
@@ -21,6 +22,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 # All that there can be: what a scene does not call for is known, but does not exist.
@@ -61,7 +63,8 @@ class Topics:
         self._create(None)
 
     def open(self, material: Material, stamp: Callable[[], int],  # noqa: A003
-             record: Callable[[Topic, int, bytes], None]) -> None:
+             record: Callable[[Topic, int, bytes], None],
+             join: Callable[[JointState], JointState | None] = lambda message: message) -> None:
         """
         Make what depends on the scene: messages, odometry, markers, a robot, and commands.
 
@@ -73,10 +76,12 @@ class Topics:
             Returns that of the state [ns].
         record : callable
             Takes a message that is not part of a sample: its topic, its stamp and its bytes.
+        join : callable, optional
+            Returns the observation that a message of the machine completes, if it does.
 
         """
         simulation = material.simulation
-        self._material, self._stamp, self._record = material, stamp, record
+        self._material, self._stamp, self._record, self._join = material, stamp, record, join
         self._create(material)
         self._describe(output for output in self._outputs if output.recorded)
         self._encoders = self._make(self._outputs)
@@ -168,6 +173,8 @@ class Topics:
             heard.topic_name, one.message_type, heard.qos_profile)
 
     def _take(self, one: Input, message: Any) -> None:
+        if one is OBSERVATIONS and (message := self._join(message)) is None:
+            return
         stamp = self._stamp()
         assert one.read is not None, 'it holds commands'
         self._material.simulation.set_command(one.read(message, stamp))
