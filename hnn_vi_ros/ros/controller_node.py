@@ -13,12 +13,15 @@ from hnn_vi_ros.bags.cdr import MOMENTUM
 from hnn_vi_ros.control.planning import Planner
 from hnn_vi_ros.control.task import assign, Assignment
 from hnn_vi_ros.effects.commands import select
+from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
-from hnn_vi_ros.ros.plumbing.graph import freeze_memory, wait_for_delivery
-from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer, SUCCESS
+from hnn_vi_ros.ros.plumbing.graph import (
+    crowded, freeze_memory, Lasting, nodes_of, wait_for_delivery)
+from hnn_vi_ros.ros.plumbing.managed_node import (
+    CLOCK_TOPIC, follows_clock, ManagedNode, steady_timer, SUCCESS)
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.plumbing.stamps import LATEST, nanoseconds, Stamps
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, ros_process
@@ -134,8 +137,11 @@ class ControllerNode(ManagedNode):
         self._diagnostics = DiagnosticsPublisher(
             self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
         self._hearing = Hearing(self)
+        self._warn_of_crowd, self._warn_of_stranger = (
+            Lasting(self.get_logger().warning) for _ in range(2))
         turning = assignment.hamiltonian.rotations
         self._states = f'{self._simulator}/state' if turning else 'joint_states'
+        self._answered = math.inf
         self._stamp, self._stamps = 0, Stamps(lambda: self.get_clock().now().nanoseconds)
         # A simulator that was reset publishes its scene: its stamps may be older from now on.
         self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
@@ -295,12 +301,26 @@ class ControllerNode(ManagedNode):
             'their stamps rise by less than a period; raise silence for a slow simulator')
         return f' ({why})'
 
+    @property
+    def _stranger(self) -> str:
+        """Return that commands go to another node than states come from; nothing if not."""
+        sources = nodes_of(self.get_publishers_info_by_topic(self._states))
+        commanded = nodes_of(self.get_subscriptions_info_by_topic(self._topic))
+        if not sources or {*sources} & {*commanded} or self._answered == math.inf:
+            return ''
+        states, topic = map(self.resolve_topic_name, (self._states, self._topic))
+        return (f'{states} comes from {listed(sources)}, and {topic} goes to '
+                f'{listed(commanded) or "no node"}: is the parameter simulator right?')
+
     def _report(self) -> None:
         """Publish how the controller does."""
         assigned, controller = self._assigned, self._assigned.controller
         late, self._reported_late = self._late - self._reported_late, self._late
         ignored = self._hearing.ignored[self._states]
         level, message = OK, f'{assigned.task.controller.kind}: {controller.mode}'
+        stranger = self._warn_of_stranger(self._stranger)
+        crowd = self._warn_of_crowd(crowded(
+            self, [self._states, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
         if not self._active:
             message = 'inactive'
         elif self._silent:
@@ -311,6 +331,11 @@ class ControllerNode(ManagedNode):
         elif late:
             level, message = WARN, (f'{late} plans since the last report took longer than their '
                                     f'time, {self._time:g} s, and act late')
+        elif crowd or (stranger and not self._commands.get_subscription_count()):
+            level, message = WARN, crowd or stranger
+        elif stranger:
+            # Right where a broadcaster publishes the states, as with ros2_control.
+            message += f'; {stranger}'
         times = np.array(self._times) if self._times else np.full(1, np.nan)
         self._diagnostics.publish([Status('control', level, message, {
             'mode': controller.mode, 'cost': float(controller.cost),

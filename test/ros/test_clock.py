@@ -174,12 +174,18 @@ def test_clock_that_cannot_be_followed_is_one_line():
 
 
 def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
-    with simulating(tmp_path, scene='exact_pendulum', record_path='bag0') as (other, _):
+    given = {'scene': 'motor_pendulum', 'publish_clock': True}
+    with simulating(tmp_path, record_path='bag0', **given) as (other, _):
         other.wait_for_state('active')
-        second = start(tmp_path, scene='exact_pendulum', duration=1.0, discovery_time=5.0,
-                       record_path='bag1')
+        for _ in range(2):
+            other.node.create_publisher(JointState, f'{SIMULATOR}/joint_commands', 1)
+        second = start(
+            tmp_path, duration=4.0, discovery_time=5.0, record_path='bag1', **given)
         status, _, error = finish(second)
     assert status == 0
+    for topic, node in (('/joint_states', SIMULATOR), ('/clock', SIMULATOR),
+                        (f'{SIMULATOR}/joint_commands', '/peer')):
+        assert f'{topic} has 2 publishers, {node}, {node}: ' in error
     # It has found the first by the time that it begins.
     assert '1 more of the graph are called /hnn_simulator: calls of services may reach' in error
     assert all(check_replay(tmp_path / f'bag{i}').good for i in range(2))

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which states a controller answers, by their stamps, and what it makes of the others."""
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import count
 from types import SimpleNamespace
 
@@ -10,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
+from hnn_vi_ros.ros.plumbing.graph import Lasting
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
 from messages import refused
 from processes import wait_until
@@ -23,7 +26,8 @@ from std_msgs.msg import String
 
 SECOND, SILENCE, PERIOD = 10**9, 0.2, 0.01
 EPOCH = 1_700_000_000 * SECOND
-WARN = DiagnosticStatus.WARN
+OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+STATES, COMMANDS = '/joint_states', '/hnn_simulator/joint_commands'
 
 
 def state(stamp: int, angle: float = 0.3) -> JointState:
@@ -38,14 +42,16 @@ class Driven:
     def __init__(self, node: ControllerNode):
         self.node, self.time, self.log, self.told = node, 0.0, [], []
         self.commands: list[JointState] = []
-        node._commands = SimpleNamespace(publish=self.commands.append)
+        node._commands.publish = self.commands.append
         node.get_logger = lambda: SimpleNamespace(**{
             level: lambda text, **more: self.log.append(text)
             for level in ('info', 'warning', 'error')})
         node._diagnostics._send = lambda payload, stamp: self.told.append(
             deserialize_message(payload, DiagnosticArray).status[0])
         node._sent = 0
+        node._warn_of_crowd, node._warn_of_stranger = (Lasting(self.log.append) for _ in range(2))
         node._hearing.ignored.clear()
+        node._hearing._due.clear()
         node.on_activate(None)
         self._scene, self._states = (one.callback for one in node._hearing._subscriptions)
 
@@ -93,8 +99,8 @@ def driven(controller: ControllerNode, monkeypatch: pytest.MonkeyPatch) -> Drive
     found = Driven(controller)
     monkeypatch.setattr(controller_node, 'time', SimpleNamespace(
         monotonic=lambda: found.time, sleep=lambda seconds: None))
-    monkeypatch.setattr(controller, 'get_clock', lambda: SimpleNamespace(now=lambda: (
-        SimpleNamespace(nanoseconds=EPOCH + round(found.time * 1e9)))))
+    monkeypatch.setattr(controller, '_stamps', Stamps(
+        lambda: EPOCH + round(found.time * 1e9)))
     return found
 
 
@@ -109,7 +115,7 @@ def take(states: Iterator[JointState], number: int) -> list[JointState]:
 @pytest.mark.parametrize('first', [(), (5 * SECOND,), (EPOCH - SECOND,)])
 def test_state_without_stamp_is_of_its_arrival(driven: Driven, first: tuple[int, ...]):
     heard = driven.hear(*map(state, first), *[state(0)] * 100)
-    assert len(heard) == 100 + len(first) and driven.status.level == DiagnosticStatus.OK
+    assert len(heard) == 100 + len(first) and driven.status.level == OK
     # That of the command too.
     assert nanoseconds(driven.commands[-1].header.stamp) == EPOCH + round(driven.time * 1e9)
 
@@ -176,7 +182,7 @@ def test_stamp_that_is_none_is_ignored_and_the_last_one_ends_nothing(
     assert any('message ignored: a time of' in line for line in driven.log)
     monkeypatch.setattr(driven.node._plans, 'get_subscription_count', lambda: 1)
     assert len(driven.hear(state(2**31 * SECOND - 1))) == 1
-    assert driven.status.level == DiagnosticStatus.OK
+    assert driven.status.level == OK
 
 
 def test_stamps_say_which_is_not_later():
@@ -184,3 +190,63 @@ def test_stamps_say_which_is_not_later():
     assert [stamps.accept(stamp) for stamp in (0, SECOND, 0)] == [0, SECOND, EPOCH]
     with refused(ValueError):
         stamps.accept(SECOND)
+
+
+@contextmanager
+def endpoints(driven: Driven, **kinds: Sequence[str]) -> Iterator[None]:
+    """Let nodes by their names have publishers, or subscriptions, of joint states on topics."""
+    nodes = [rclpy.create_node(name) for name in kinds]
+    for node in nodes:
+        for kind in kinds[node.get_name()]:
+            create, topic = kind.split()
+            if create == 'publisher':
+                node.create_publisher(JointState, topic, 1)
+            else:
+                node.create_subscription(JointState, topic, print, 1)
+    expected = Counter(kind for own in kinds.values() for kind in own)
+
+    def seen() -> bool:
+        found = {f'publisher {STATES}': driven.node.count_publishers(STATES),
+                 f'publisher {COMMANDS}': driven.node.count_publishers(COMMANDS) - 1,
+                 f'subscription {COMMANDS}': driven.node.count_subscribers(COMMANDS)}
+        return all(expected[kind] == number for kind, number in found.items())
+    wait_until(seen)
+    try:
+        yield
+    finally:
+        for node in nodes:
+            node.destroy_node()
+
+
+def told(driven: Driven) -> tuple[bytes, list[str]]:
+    """Return the level that a controller gives itself, and what it warns of in some looks."""
+    driven.log.clear()
+    for _ in range(4):
+        driven.hear(state(SECOND + round(driven.time * 1e9)))
+        status = driven.status
+    return status.level, driven.log
+
+
+def test_second_publisher_of_states_commands_or_clock_is_told_once(driven: Driven):
+    machine = [f'publisher {STATES}', f'subscription {COMMANDS}']
+    with endpoints(driven, arm=machine):
+        assert told(driven) == (OK, [])
+    with endpoints(driven, arm=machine, other=machine[:1]):
+        level, (line,) = told(driven)
+        assert level == WARN and line.startswith(f'{STATES} has 2 publishers, /arm, /other: ')
+    with endpoints(driven, arm=machine, other=[f'publisher {COMMANDS}']):
+        level, (line,) = told(driven)
+        assert level == WARN and line.startswith(
+            f'{COMMANDS} has 2 publishers, /hnn_controller, /other: ')
+    with endpoints(driven, arm=machine):
+        assert told(driven) == (OK, [])
+
+
+def test_commands_to_another_node_than_states_come_from_are_told_once(driven: Driven):
+    with endpoints(driven, arm=[f'publisher {STATES}'], other=[f'subscription {COMMANDS}']):
+        assert told(driven) == (OK, [
+            f'{STATES} comes from /arm, and {COMMANDS} goes to /other: is the parameter simulator '
+            'right?'])
+    with endpoints(driven, arm=[f'publisher {STATES}']):
+        level, (line,) = told(driven)
+        assert level == WARN and f'{COMMANDS} goes to no node' in line

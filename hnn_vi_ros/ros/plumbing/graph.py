@@ -7,10 +7,12 @@ from contextlib import suppress
 import gc
 import time
 
+from hnn_vi_ros.errors import listed
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 # How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
 # whoever serves would wait that long after each call to the system, and messages would be late.
@@ -60,6 +62,45 @@ class Discovery:
             self._count, self._since = found, now
             return False
         return now >= self._until or (found > 0 and now - self._since > _SETTLED)
+
+
+def nodes_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
+    """Return the full names of the nodes that have some endpoints, one for each, in order."""
+    return sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in endpoints)
+
+
+def crowded(node: Node, topics: Iterable[str]) -> str:
+    """Return which of the topics that a node takes part in have several publishers, if any."""
+    found = {node.resolve_topic_name(topic): nodes_of(node.get_publishers_info_by_topic(topic))
+             for topic in topics}
+    return '; '.join(
+        f'{topic} has {len(nodes)} publishers, {listed(nodes)}: their messages mix; end all but '
+        'one, or remap its topic' for topic, nodes in found.items() if len(nodes) > 1)
+
+
+class Lasting:
+    """
+    Log a warning once, when it has come twice running: a graph changes in steps.
+
+    Parameters
+    ----------
+    warn : callable
+        Logs it.
+
+    """
+
+    def __init__(self, warn: Callable[[str], object]):
+        self._warn, self._newest, self._told = warn, '', ''
+
+    def __call__(self, text: str) -> str:
+        """Return a warning that lasts; nothing else."""
+        lasts, self._newest = text == self._newest, text
+        if not lasts:
+            return ''
+        if text and text != self._told:
+            self._warn(text)
+        self._told = text
+        return text
 
 
 def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Sequence[int]

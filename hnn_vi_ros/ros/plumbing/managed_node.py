@@ -38,6 +38,13 @@ def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Tim
     return node.create_timer(period, callback, clock=SteadyClock(clock_type=ClockType.STEADY_TIME))
 
 
+def follows_clock(node: Node) -> bool:
+    """Return whether the time of a node is that of /clock."""
+    clock = node.get_clock()
+    assert isinstance(clock, ROSClock), 'that of a node is one'
+    return clock.ros_time_is_active
+
+
 class PaceClock:
     """
     The time by which a node is paced: that of /clock under use_sim_time, else a steady one.
@@ -50,15 +57,13 @@ class PaceClock:
     """
 
     def __init__(self, node: Node):
-        clock = node.get_clock()
-        assert isinstance(clock, ROSClock), 'that of a node is one'
-        self._clock, self._first = clock, 0
+        self._node, self._first = node, 0
 
     def __call__(self) -> float:
         """Return the time since some start [s]; it stands until /clock begins."""
         if not self.led:
             return time.monotonic()
-        now = self._clock.now().nanoseconds
+        now = self._node.get_clock().now().nanoseconds
         # A float could not tell nanoseconds of the epoch.
         self._first = self._first or now
         return (now - self._first) * 1e-9
@@ -66,7 +71,7 @@ class PaceClock:
     @property
     def led(self) -> bool:
         """Return whether it is that of /clock."""
-        return self._clock.ros_time_is_active
+        return follows_clock(self._node)
 
 
 class RobustNode(Node):

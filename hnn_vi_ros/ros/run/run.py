@@ -17,13 +17,15 @@ from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.watch import SampledScale
+from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
 from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import Prepared
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic, TwinTopic
-from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, EVENT, OK, state_values, Status
+from hnn_vi_ros.ros.topics.diagnostics import (
+    DiagnosticsPublisher, EVENT, OK, state_values, Status, WARN)
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
@@ -92,6 +94,7 @@ class Run:
         self._diagnostics = DiagnosticsPublisher(
             node, partial(topics.send, DIAGNOSTICS), self.scene.name)
         self._status = StatusLine(node.get_logger().info)
+        self._warn_of_crowd = Lasting(lambda text: self.tell(text, 'WARN'))
         monitor = self._make_monitor()
         topics.open(
             Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
@@ -166,6 +169,9 @@ class Run:
         """Publish how the run does."""
         self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
+        crowd = self._warn_of_crowd(crowded(self._node, self._topics.sole(self.pacer.led)))
+        if crowd:
+            more.append(Status('graph', WARN, crowd, {}))
         self._diagnostics.publish(
             [*self.status.statuses(self.pacer), *more], self.sampler.stamp, record=False)
 

@@ -33,6 +33,8 @@ class Hearing:
 
     Attributes
     ----------
+    topics : list of str
+        Names of what it subscribes to.
     ignored : Counter of str
         Number of messages that could not be used, by topic.
     reasons : dict of str to str
@@ -43,6 +45,7 @@ class Hearing:
     def __init__(self, node: Node):
         self._node = node
         self._subscriptions: list[Subscription] = []
+        self.topics: list[str] = []
         self.ignored: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
         # When the log takes the next line on a topic [s].
@@ -81,6 +84,7 @@ class Hearing:
         subscription = create_subscription(
             self._node, one.message_type, topic, on_message, one.qos, raw=True)
         self._subscriptions.append(subscription)
+        self.topics.append(topic)
         return subscription
 
     def close(self) -> None:

@@ -126,6 +126,7 @@ PREDICTION_ERROR = Output(
     lambda settings, run: run and OBSERVATIONS.holds & run.simulation.motors.takes,
     recorded='apart')
 STATE_SET = Output('~/state_set', DiagnosticArray, _ALARMS, lambda settings, run: run)
+JOINT_STATES = Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints)
 # As a robot's state publisher calls it.
 ROBOT = Output('robot_description', String, LATCHED,
                lambda settings, run: run and run.simulation.hamiltonian.robot)
@@ -155,7 +156,7 @@ OUTPUTS = (
            encode_array(columns(coordinates)[1], lambda sample: sample.p)),
     Output('~/energy', Float64, TICKS, recorded='tick', encoder=lambda coordinates:
            encode_numbers(Float64(), lambda sample: [sample.energy])),
-    Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints), ACCURACY,
+    JOINT_STATES, ACCURACY,
     Output('~/odometry', Odometry, TICKS,
            lambda settings, run: run and run.simulation.hamiltonian.rotations,
            lambda run, publisher: OdometryEncoder(

@@ -10,13 +10,15 @@ from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
+from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import (
-    body_of, command_of, Input, INPUTS, OBSERVATIONS, WRENCH)
+    body_of, command_of, INITIAL_STATE, Input, INPUTS, OBSERVATIONS, WRENCH)
 from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
-from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, Material, Output, OUTPUTS, ROBOT, SCENE
+from hnn_vi_ros.ros.topics.outputs import (
+    DIAGNOSTICS, JOINT_STATES, Material, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Sample
@@ -143,6 +145,13 @@ class Topics:
         """Let matched subscribers receive what is still on its way; signals shorten it."""
         wait_for_delivery(self._node, [self._publishers[output.topic] for output in (
             *self._ticks, DIAGNOSTICS)], received)
+
+    def sole(self, follows_clock: bool) -> list[str]:
+        """Return the topics of which one publisher is expected."""
+        driven = [one.topic for one in INPUTS if one.topic in self.hearing.topics
+                  and one not in (OBSERVATIONS, INITIAL_STATE)]
+        clock = [CLOCK_TOPIC] * (follows_clock or CLOCK_TOPIC in self._publishers)
+        return [JOINT_STATES.topic, *driven, *clock]
 
     @property
     def _ticks(self) -> list[Output]:
