@@ -45,6 +45,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 _RECENT, _REPORT = 1000, 1.0
 # States whose lags, from their stamps to when they come, are compared.
 _LAGS = 20
+# Times from command to command, of which the median [periods] is told if it is more.
+_GAPS, _SELDOM = 100, 1.5
 # A state may be so much earlier than a period after the last one that was answered [1].
 _EARLY = 0.01
 # Most calls that compile a controller, the time of one that does [s], and how many that do not
@@ -137,8 +139,8 @@ class ControllerNode(ManagedNode):
         self._diagnostics = DiagnosticsPublisher(
             self, lambda payload, stamp: diagnostics.publish(payload), assignment.scene.name)
         self._hearing = Hearing(self)
-        self._warn_of_crowd, self._warn_of_stranger = (
-            Lasting(self.get_logger().warning) for _ in range(2))
+        self._warn_of_crowd, self._warn_of_stranger, self._warn_of_gaps = (
+            Lasting(self.get_logger().warning) for _ in range(3))
         turning = assignment.hamiltonian.rotations
         self._states = f'{self._simulator}/state' if turning else 'joint_states'
         self._answered = math.inf
@@ -202,6 +204,7 @@ class ControllerNode(ManagedNode):
         self._assigned.prediction.forget()
         self._due = -1
         self._lags: deque[float] = deque(maxlen=_LAGS)
+        self._gaps: deque[float] = deque(maxlen=_GAPS)
 
     def _on_state(self, message: JointState) -> None:
         begin, assigned = time.monotonic(), self._assigned
@@ -216,6 +219,8 @@ class ControllerNode(ManagedNode):
             self._forget()
         if stamp < self._due:
             return
+        if self._due >= 0:
+            self._gaps.append((stamp - self._stamp) / 1e9)
         period = round(assigned.task.period * 1e9)
         self._due = stamp + period - round(_EARLY * period)
         t = stamp / 1e9
@@ -321,6 +326,10 @@ class ControllerNode(ManagedNode):
         stranger = self._warn_of_stranger(self._stranger)
         crowd = self._warn_of_crowd(crowded(
             self, [self._states, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
+        apart = float(np.median(self._gaps)) if self._gaps else math.nan
+        seldom = self._warn_of_gaps('' if not apart > _SELDOM * assigned.task.period else (
+            f'{self._states}: states come less often than a period of {assigned.task.period:g} s; '
+            'publish them more often, by smaller steps of /clock, or relieve this machine'))
         if not self._active:
             message = 'inactive'
         elif self._silent:
@@ -333,6 +342,8 @@ class ControllerNode(ManagedNode):
                                     f'time, {self._time:g} s, and act late')
         elif crowd or (stranger and not self._commands.get_subscription_count()):
             level, message = WARN, crowd or stranger
+        elif seldom:
+            level, message = WARN, seldom
         elif stranger:
             # Right where a broadcaster publishes the states, as with ros2_control.
             message += f'; {stranger}'
@@ -342,6 +353,7 @@ class ControllerNode(ManagedNode):
             'plan_time_median [s]': float(np.median(times)),
             'plan_time_p99 [s]': float(np.quantile(times, 0.99)),
             'plan_time_largest [s]': float(times.max()), 'period [s]': assigned.task.period,
+            'from_command_to_command [s]': apart,
             'delay [s]': assigned.prediction.delay, 'commands [1]': self._sent,
             'late [1]': self._late, 'states_ignored [1]': ignored,
             'ignored_because': self._hearing.reasons.get(self._states, '')})],

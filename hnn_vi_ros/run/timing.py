@@ -22,6 +22,8 @@ LONGEST_CALL = 0.01
 # What a stall held up is caught up with by ticks that are this share of their time apart: those
 # who listen hear a faster pace for a while, and no burst. Shorter ticks [s] cannot be slept for.
 _APART, _SHORTEST = 0.75, 5e-4
+# Advances of a clock of others, of which the median is taken.
+_ADVANCES = 100
 # A clock that is set in steps of a tick is due at the tick, however its sums are rounded.
 _ROUNDING = 1e-6
 
@@ -66,6 +68,7 @@ class Pacer:
         """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
         self._origin, self._done = self._now(), 0
         self._newest, self._earliest = self._origin, -math.inf
+        self._advances: deque[float] = deque(maxlen=_ADVANCES)
 
     @property
     def timer_period(self) -> float:
@@ -83,6 +86,11 @@ class Pacer:
     def led(self) -> bool:
         """Return whether a clock that others set is followed."""
         return self._led()
+
+    @property
+    def burst(self) -> float:
+        """Return how many ticks the clock of others advances at a time, in the median."""
+        return float(np.median(self._advances)) / self._wall_per_tick if self._advances else 0.0
 
     @property
     def largest_debt(self) -> float:
@@ -104,6 +112,8 @@ class Pacer:
             if now < self._newest:
                 # Only a clock that others set goes back: simulated time does not.
                 self.restart()
+            if self.led and now > self._newest:
+                self._advances.append(now - self._newest)
             self._newest = now
             owed = (now - self._origin) / self._wall_per_tick - self._done
             if owed < 1.0 - _ROUNDING or now < self._earliest:
@@ -131,7 +141,8 @@ class OverrunGuard(StateGuard):
 
     kind = 'real-time overrun'
     remedy = ('use a lower real_time_factor or publish_rate, a larger step_size or a '
-              'cheaper integrator; results are not affected')
+              'cheaper integrator; let /clock, where it is followed, have one publisher and no '
+              'jumps; results are not affected')
 
     def __init__(self, pacer: Pacer):
         self._pacer, self._seen = pacer, pacer.overruns
@@ -142,10 +153,12 @@ class OverrunGuard(StateGuard):
         if overruns == self._seen:
             return None
         self._seen = overruns
+        cause = ('/clock has jumped, as with two publishers, or is faster than this machine'
+                 if self._pacer.led else 'use a lower real_time_factor or publish_rate, a larger '
+                 'step_size or a cheaper integrator')
         return Alarm(self.kind, sample.step, float(overruns), 0.0,
                      f'{overruns} overruns: more than {self._pacer.largest_debt:g} s behind the '
-                     'clock, which is given up; use a lower real_time_factor or publish_rate, '
-                     'a larger step_size or a cheaper integrator', '1')
+                     f'clock, which is given up; {cause}', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
         """See Guard."""

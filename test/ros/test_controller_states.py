@@ -49,7 +49,8 @@ class Driven:
         node._diagnostics._send = lambda payload, stamp: self.told.append(
             deserialize_message(payload, DiagnosticArray).status[0])
         node._sent = 0
-        node._warn_of_crowd, node._warn_of_stranger = (Lasting(self.log.append) for _ in range(2))
+        node._warn_of_crowd, node._warn_of_stranger, node._warn_of_gaps = (
+            Lasting(self.log.append) for _ in range(3))
         node._hearing.ignored.clear()
         node._hearing._due.clear()
         node.on_activate(None)
@@ -190,6 +191,19 @@ def test_stamps_say_which_is_not_later():
     assert [stamps.accept(stamp) for stamp in (0, SECOND, 0)] == [0, SECOND, EPOCH]
     with refused(ValueError):
         stamps.accept(SECOND)
+
+
+@pytest.mark.parametrize(('every', 'level'), [(1, OK), (8, WARN)])
+def test_states_that_come_less_often_than_a_period_are_told_once(
+        driven: Driven, every: int, level: bytes):
+    for k in range(0, 100, every):
+        driven.hear(state(SECOND + k * SECOND // 100), apart=every * PERIOD)
+        status = driven.status
+    assert status.level == level
+    lines = [line for line in driven.log if 'less often than a period of 0.01 s' in line]
+    assert len(lines) == (level == WARN)
+    assert {value.key: value.value for value in status.values}[
+        'from_command_to_command [s]'] == f'{every * PERIOD:g}'
 
 
 @contextmanager

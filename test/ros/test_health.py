@@ -389,3 +389,13 @@ def test_overrun_guard_speaks_once_for_each_overrun():
         found = guard.update(sample)
         said.append(None if found is None else found.value)
     assert said == [None, 1.0, None, None, 2.0, None]
+
+
+@pytest.mark.parametrize(('led', 'cause'), [
+    (True, '/clock has jumped, as with two publishers'), (False, 'use a lower real_time_factor')])
+def test_overrun_names_its_cause(led: bool, cause: str):
+    now = 0.0
+    pacer = Pacer(0.01, 1.0, lambda: now, lambda: led)
+    guard, now = OverrunGuard(pacer), 20.0
+    pacer.due()
+    assert cause in guard.update(Sampler(simulation_of(), 100.0).sample()).message

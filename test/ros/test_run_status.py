@@ -181,6 +181,16 @@ def test_timing_warns_of_a_pace_that_cannot_be_held():
     run.advance(1)
 
 
+def test_timing_warns_of_a_clock_of_large_steps_and_of_its_jumps():
+    run = Run()
+    clock = SimpleNamespace(overruns=0, asked=1.0, led=True, burst=1.0)
+    for overruns, burst, expected in ((0, 2.0, 'holds 1 x /clock'), (
+            0, 8.0, '/clock advances 8 samples at a time'), (1, 8.0, 'which may have jumped')):
+        clock.overruns, clock.burst = overruns, burst
+        timing = run.status.statuses(clock)[COMPONENTS.index('timing')]
+        assert expected in timing.message and (timing.level == WARN) == (burst > 2.0)
+
+
 def test_integrator_warns_of_steps_in_parts_since_the_last_report():
     run = Run()
     run.simulation.rescued = 3

@@ -358,6 +358,12 @@ def test_pacer_follows_a_clock_that_others_set():
     now += 11.0
     assert taken() == 1 and pacer.overruns == 1
     assert pacer.wait == math.inf
+    # Steps of 80 ms are eight ticks.
+    pacer.restart()
+    for _ in range(3):
+        now += 0.08
+        assert taken() == 8
+    assert pacer.burst == pytest.approx(8.0)
 
 
 def test_pacer_owes_nothing_after_a_pause_and_counts_no_overrun():

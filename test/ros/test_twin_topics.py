@@ -80,6 +80,8 @@ def test_parts_of_an_observation_are_joined_by_name_within_a_tolerance():
     # What is older has moved on since.
     assert found.position.tolist() == [1.0 + 0.5 * 0.02, 2.0]
     assert found.velocity[0] == 0.5 and np.isnan(found.velocity[1])
+    twice = observation([1.0, 2.0], ('a', 'a'))
+    assert join(twice) is twice
     # Without stamps, by their arrival; each part counts once.
     assert join(observation([1.0], ('a',))) is None and join(observation([1.5], ('a',))) is None
     assert join(observation([2.0], ('b',))).position.tolist() == [1.5, 2.0]

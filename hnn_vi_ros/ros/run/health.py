@@ -19,6 +19,8 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation
 
 STEP_FAILED = 'step failed'
+# More samples at a time are told: who controls by them has only the last of each burst.
+_BURST = 2.5
 # Wall time between two log lines of the same kind [s].
 _REPEATED = 10.0
 
@@ -175,7 +177,12 @@ class RunStatus:
             message = 'paused'
         elif late:
             level, message = WARN, (
-                f'{late} overruns since the last report: slower than {asked:g} x {of}')
+                f'{late} overruns since the last report: slower than {asked:g} x {of}'
+                + (', which may have jumped' if pacer.led else ''))
+        elif pacer.led and pacer.burst > _BURST:
+            level, message = WARN, (
+                f'/clock advances {pacer.burst:.3g} samples at a time, which come in bursts; use '
+                'a lower publish_rate, or publish /clock more often')
         elif asked and not pacer.led and figures.largest_real_time_factor < asked:
             level, message = WARN, (
                 f'cannot hold {asked:g} x real time, at most '

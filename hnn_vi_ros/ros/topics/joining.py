@@ -46,8 +46,8 @@ class ObservationJoiner:
         if stamp and abs(stamp - ros) < abs(stamp - now):
             # Zero would mean now.
             stamp = max(1, stamp - ros + now)
-        there = [name for name in self._names if message.name.count(name) == 1]
-        if not 0 < len(there) < len(self._names):
+        there = [name for name in self._names if name in message.name]
+        if not 0 < len(there) < len(self._names) or len({*message.name}) < len(message.name):
             self._parts.clear()
             return _stamped(message, stamp)
         stamp, seen = stamp or now, read_observation(message, 0)
