@@ -2,7 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of many states with held commands, by the method and the effects of a scene."""
 
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
+from threading import RLock
+from typing import Concatenate, ParamSpec, TypeVar
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.commands import NUMBERS
@@ -12,10 +16,25 @@ from hnn_vi_ros.gradients.dependences import derivative
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.checks import check_count
+from hnn_vi_ros.simulation.checks import check_count, check_numbers
 from hnn_vi_ros.simulation.following import Law
 import numpy as np
 from numpy.typing import ArrayLike
+
+
+_Arguments = ParamSpec('_Arguments')
+_Result = TypeVar('_Result')
+
+
+def _alone(method: Callable[Concatenate['BatchStep', _Arguments], _Result]
+           ) -> Callable[Concatenate['BatchStep', _Arguments], _Result]:
+    """Return a method that one thread runs at a time: all share the state of one simulation."""
+    @wraps(method)
+    def alone(self: 'BatchStep', /, *arguments: _Arguments.args, **more: _Arguments.kwargs
+              ) -> _Result:
+        with self._lock:
+            return method(self, *arguments, **more)
+    return alone
 
 
 class BatchStep:
@@ -23,8 +42,8 @@ class BatchStep:
     Steps of many states of a scene, each with a command that is held: (z, u) -> z.
 
     Steps are those of the scene's own method with its effects, compiled once; a step that fails
-    gives NaN, without fallbacks. What comes out of one state depends on no other. For one thread
-    at a time.
+    gives NaN, without fallbacks. What comes out of one state depends on no other. Threads that call
+    one wait for each other: give each a BatchStep of its own.
 
     Parameters
     ----------
@@ -75,7 +94,9 @@ class BatchStep:
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
         self._run: DifferentiableRun | None = None
+        self._lock = RLock()
 
+    @_alone
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """
         Return states after the steps, NaN where a step failed.
@@ -93,6 +114,7 @@ class BatchStep:
         states, commands = self._checked(z, u)
         return self._advanced(states, commands, time, 1, self.hold)[:, 1].reshape(np.shape(z))
 
+    @_alone
     def rollout(self, z: ArrayLike, u: ArrayLike, gains: ArrayLike | None = None,
                 about: ArrayLike | None = None, limits: tuple[ArrayLike, ArrayLike] | None = None,
                 time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +140,9 @@ class BatchStep:
             States are NaN from a step that fails on.
 
         """
-        commands = np.array(u, dtype=np.float64, ndmin=3)
+        commands = check_numbers('u', u)
+        if commands.ndim != 3:
+            raise ValueError(f'u has shape {commands.shape}, expected (m, N, {self.commands})')
         rows, count, _ = commands.shape
         states, _ = self._checked(np.broadcast_to(z, (rows, 2 * self.dimension)), commands[:, 0])
         law = Law.none(self.commands)
@@ -135,6 +159,7 @@ class BatchStep:
             self._simulation.rows(states, time), commands, self.hold, law)
         return path, commands
 
+    @_alone
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -186,6 +211,7 @@ class BatchStep:
                 'friction under load; take field_derivatives(z, u)[1] in place of places')
         return self._system.places if self.commands else np.zeros((0, self.dimension))
 
+    @_alone
     def field(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """Return z' of one state, shape (2 d,), under a command, shape (c,)."""
         q, p, d = *self._enter(z, u, time), self.dimension
@@ -193,6 +219,7 @@ class BatchStep:
         self._system.kernel.gradient(self._system.kernel.parameters, q, p, dH_dq, dH_dp)
         return np.concatenate([dH_dp[:d], -dH_dq[:d] - self._acting.rates * p[:d]])
 
+    @_alone
     def field_derivatives(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0
                           ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of z' by z, (2 d, 2 d), and by u, (2 d, c)."""
@@ -223,7 +250,7 @@ class BatchStep:
 
     def _checked(self, z: ArrayLike, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return states, (m, 2 d), and commands, (m, c), or raise ValueError."""
-        states, commands = np.asarray(z, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        states, commands = check_numbers('z', z), check_numbers('u', u)
         if states.shape[-1:] != (2 * self.dimension,):
             raise ValueError(f'z has shape {states.shape}, expected (..., {2 * self.dimension})')
         expected = (*states.shape[:-1], self.commands)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of many states with commands, and their derivatives."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.control import BatchStep
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -107,3 +109,21 @@ def test_limits_that_leave_no_command_are_refused():
     for limits in (([1.0], [-1.0]), ([np.nan], [1.0])):
         with refused(ValueError):
             steps.rollout(np.zeros(2), np.zeros((1, 3, 1)), limits=limits)
+
+
+def test_threads_that_share_steps_get_what_one_thread_gets():
+    steps = BatchStep(driven('exact_pendulum', 'rk4', 'angle'), 20)
+    calls = [states(seed, 5, 1) for seed in range(40)]
+    alone = [steps(z, u) for z, u in calls]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda call: steps(*call), calls * 5))
+    assert all(np.array_equal(*pair) for pair in zip(together, alone * 5, strict=True))
+
+
+@pytest.mark.parametrize('z, u', [
+    ([[1.0, 0.5j]], [[0.0]]), (np.ma.array([[1.0, 2.0]], mask=[[False, True]]), [[0.0]]),
+    ([[1.0, 2.0]], [['force']])])
+def test_what_is_no_number_is_refused(z, u):
+    steps = BatchStep(driven('exact_pendulum', 'rk4', 'angle'))
+    with refused(TypeError):
+        steps(z, u)
