@@ -38,6 +38,8 @@ Weights = Annotated[list[Weight], Field(min_length=1, max_length=100)]
 _ROTORS = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
 # Commands are held while a model takes steps that fit into their time [1].
 _FITS = 1e-6
+# Steps of the model while a command is held, and the memory of a plan [bytes]: more is a mistake.
+_MOST_STEPS, _MOST_MEMORY = 1000, 1 << 30
 
 
 class Controller(Protocol):
@@ -289,6 +291,13 @@ class _Planning(StrictModel):
 
     def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
         """Return what planners have in common."""
+        d, c = means.steps.dimension, means.steps.commands
+        # Random plans have states and commands, one that derivatives improve has these.
+        each = max(getattr(self, 'samples', 1), means.steps.hold * 2 * d) * (2 * d + c)
+        if (size := 8 * self.horizon * each) > _MOST_MEMORY:
+            raise ValueError(f'a plan of {self.horizon} commands takes {1e-9 * size:.3g} GB, at most '
+                             f'{1e-9 * _MOST_MEMORY:.2g}; lower horizon or samples, or take larger '
+                             'steps of the model by stepping')
         running, final = (reduce(add, [term.make(means) for term in terms])
                           for terms in (self.running, self.final))
         return means.steps, running, final, self.horizon, (-means.limits, means.limits)
@@ -503,6 +512,9 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
         if hold < 1 or abs(hold * h - loaded.period) > _FITS * loaded.period:
             raise ValueError(f'{loaded.period:g} s must be a multiple of the step size of the '
                              f'model, {h:g} s; see stepping')
+        if hold > _MOST_STEPS:
+            raise ValueError(f'{hold} steps of the model, {h:g} s each, while a command is held: at '
+                             f'most {_MOST_STEPS}; take larger ones by stepping')
     with _placed(places, 'controller'):
         controller = loaded.controller.make(Means(loaded, model, hold))
     with _placed(places, 'delay'):

@@ -51,7 +51,10 @@ def test_schema_of_tasks_is_the_shipped_one():
     {'controller': ILQR | {'final': [{'kind': 'point', 'link': 'tool', 'goal': [0.0] * 3}]}},
     {'controller': ILQR | {'running': []}},
     {'controller': ILQR | {'running': [{'kind': 'quadratic', 'position': [1.0, 2.0]}]}},
-    {'controller': ILQR | {'horizon': 1}}], ids=str)
+    {'controller': ILQR | {'horizon': 1}},
+    {'stepping': {'integrator': 'rk4', 'step_size': 1e-12}},
+    {'controller': {'kind': 'mppi', 'horizon': 10_000, 'samples': 100_000, 'temperature': 1.0,
+                    'running': ILQR['running'], 'final': ILQR['final']}}], ids=str)
 def test_task_that_cannot_be_used_is_one_line_with_its_place(tmp_path, changes):
     data = {key: value for key, value in (GOOD | changes).items() if value is not None}
     (tmp_path / 'task.yaml').write_text(yaml.safe_dump(data, sort_keys=False))
