@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.regular_file import no_file, replacing
 from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
@@ -79,9 +79,8 @@ def write_outputs(paths: Mapping[str, Path | None],
         if path is None:
             continue
         try:
-            # Some writers refuse a file that exists: that it may be overwritten is known by now.
-            path.unlink(missing_ok=True)
-            write(path)
+            with replacing(path) as temporary:
+                write(temporary)
         except OSError as problem:
             raise ParameterError(f'{option} {path}: cannot be written '
                                  f'({problem.strerror or problem})') from problem

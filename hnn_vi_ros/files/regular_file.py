@@ -3,6 +3,7 @@
 """Open regular files, refuse what only looks like one, and write files that are new."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 import errno
 from itertools import count
 import os
@@ -62,6 +63,27 @@ def check_new(option: str, path: Path) -> None:
                              'another file') from problem
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """
+    Yield a temporary file beside another, which it replaces unless an error stops the writing.
+
+    So nobody finds half a file, and a full disk leaves what was there.
+    """
+    temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8 in the place of a file, whole or not at all."""
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding='utf-8')
+
+
 def write_new_scene(path: Path, text: str, force: bool = False) -> None:
     """
     Write the text of a scene; with ``force``, in the place of a file that exists.
@@ -73,8 +95,14 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
 
     """
     try:
-        with path.open('w' if force else 'x', encoding='utf-8') as stream:
-            stream.write(text)
+        if not force:
+            path.open('x').close()  # claims the name: of two that write it, one fails here
+        try:
+            write_text(path, text)
+        except BaseException:
+            if not force:
+                path.unlink(missing_ok=True)
+            raise
     except FileExistsError as problem:
         raise SceneError(f'{path}: exists already; name another file, or add --force'
                          ) from problem

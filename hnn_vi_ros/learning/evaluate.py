@@ -13,7 +13,7 @@ from typing import Any
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
-from hnn_vi_ros.files.regular_file import check_new
+from hnn_vi_ros.files.regular_file import check_new, write_text
 from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
@@ -149,8 +149,7 @@ def _write(arguments: Namespace, numbers: dict[str, Any], text: str, fans: Seque
            hamiltonian: Hamiltonian) -> None:
     """Write the files that the command line asks for."""
     if arguments.json is not None:
-        arguments.json.write_text(
-            json.dumps(numbers, indent=2, allow_nan=False) + '\n', encoding='utf-8')
+        write_text(arguments.json, json.dumps(numbers, indent=2, allow_nan=False) + '\n')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
         from hnn_vi_ros.learning.judging.report import write_evaluation

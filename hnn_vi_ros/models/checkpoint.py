@@ -24,7 +24,7 @@ from typing import Any, BinaryIO, NamedTuple
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.limits import limited, parse_json, safetensors_header
-from hnn_vi_ros.files.regular_file import refuse_pointer
+from hnn_vi_ros.files.regular_file import refuse_pointer, replacing
 from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.models.model_card import ModelCard
@@ -287,17 +287,6 @@ def _write_new(path: Path, raw: bytes) -> None:
     except BaseException:
         path.unlink(missing_ok=True)
         raise
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary file, which replaces another unless an error stops the writing."""
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}')
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

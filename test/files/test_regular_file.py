@@ -3,10 +3,12 @@
 """Readers of files, given what looks like one: a FIFO without a writer would hold them up."""
 
 from collections.abc import Callable
+import errno
 import os
 from pathlib import Path
 
-from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.errors import DataError, HnnViRosError, SceneError
+from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.yaml_file import read_yaml
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
@@ -55,3 +57,21 @@ def test_world_that_is_a_fifo_is_no_missing_one(tmp_path):
     os.mkfifo(tmp_path / 'pipe.yaml')
     with refused(WorldError):
         open_world(str(tmp_path / 'pipe.yaml'))
+
+
+@pytest.mark.parametrize('before', ['', 'old'])
+def test_scene_on_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, before):
+    path = tmp_path / 'scene.yaml'
+    if before:
+        path.write_text(before)
+
+    def fill(self: Path, text: str, encoding: str) -> None:
+        with self.open('w', encoding=encoding) as stream:
+            stream.write(text[:3])
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    monkeypatch.setattr(Path, 'write_text', fill)
+    with refused(SceneError):
+        write_new_scene(path, 'description: new', force=bool(before))
+    assert [one.name for one in tmp_path.iterdir()] == (['scene.yaml'] if before else [])
+    assert not before or path.read_text() == before

@@ -156,8 +156,8 @@ def sliding(**family: object) -> MachineConfig:
         'family': {'kind': 'mechanical', **family}})
 
 
-@pytest.mark.parametrize(('back', 'directed'), [
-    (2.5, True), pytest.param(1.0, False, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(('back', 'directed'), [(2.5, True), (1.0, False)])
 def test_friction_has_the_terms_that_held_out_motions_need(back: float, directed: bool):
     motions = [carriage(seed, back) for seed in (1, 2, 3)]
     chosen, card = selected(sliding(), motions, problem_of)

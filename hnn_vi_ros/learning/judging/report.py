@@ -7,6 +7,7 @@ from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
+from hnn_vi_ros.files.regular_file import write_text
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
@@ -127,9 +128,9 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
     table = '\n'.join(['| | |', '|---|---|', *(
         f'| {key} | {value} |' for key, value in facts.items())])
     settings = dump_yaml(config.model_dump(mode='json', exclude_unset=True))
-    outputs.report.write_text(page(
+    write_text(outputs.report, page(
         card.name, config.description, table, judged.page, *pictures,
-        f'## Configuration\n\n```yaml\n{settings}```'), encoding='utf-8')
+        f'## Configuration\n\n```yaml\n{settings}```'))
 
 
 def plot_history(history: LossHistory, name: str, path: Path) -> None:
@@ -252,9 +253,9 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
     runs = shown(fans, horizon)
     draw_predictions(folder / PICTURE, name, coordinates, runs)
     write_predictions(folder / RECORDING, name, coordinates, runs)
-    (folder / REPORT).write_text(
-        page(name, text, f'![Predictions over the measurement]({PICTURE})',
-             f'All runs: `rerun {RECORDING}`.'), encoding='utf-8')
+    write_text(folder / REPORT, page(
+        name, text, f'![Predictions over the measurement]({PICTURE})',
+        f'All runs: `rerun {RECORDING}`.'))
 
 
 def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:

@@ -15,7 +15,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
-from hnn_vi_ros.files.regular_file import write_new_scene
+from hnn_vi_ros.files.regular_file import write_new_scene, write_text
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.files.yaml_file import units_in
 from hnn_vi_ros.files.yaml_text import root_node
@@ -375,7 +375,7 @@ def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -
         words[word] = repr(float(numbers[place]))
         element.set(attribute, ' '.join(words))
     text = ElementTree.tostring(root, encoding='unicode') + '\n'
-    file.write_text(text, encoding='utf-8')
+    write_text(file, text)
     links = parse_urdf(text.encode(), str(file)).links
     for owner, _, name in (place.rpartition('.') for place in numbers):
         inertial = links[owner].inertial if name in _LINK else None

@@ -17,6 +17,7 @@ from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
+from hnn_vi_ros.files.regular_file import write_text
 from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
@@ -423,14 +424,14 @@ def _write(options: Namespace, found: Identified, text: str) -> None:
         options.out.mkdir(parents=True)
         draw_fit(options.out / FIT, found.solution, channels(found))
         draw_correlations(options.out / CORRELATIONS, found.estimates)
-        (options.out / REPORT).write_text(
+        write_text(options.out / REPORT, (
             f'# Identification\n\n{text}\n\n![Fit and residuals of the longest run]({FIT})\n\n'
-            f'![Correlations of the errors]({CORRELATIONS})\n', encoding='utf-8')
+            f'![Correlations of the errors]({CORRELATIONS})\n'))
         print(f'\nreport: {options.out}')
 
 
 def _dump(path: Path, data: Mapping[str, object]) -> None:
-    path.write_text(json.dumps(data, indent=2, allow_nan=False) + '\n', encoding='utf-8')
+    write_text(path, json.dumps(data, indent=2, allow_nan=False) + '\n')
 
 
 def as_json(estimates: Estimates) -> dict[str, dict[str, float | None]]:

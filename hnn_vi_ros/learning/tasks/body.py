@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, ParameterError
+from hnn_vi_ros.files.regular_file import write_text
 from hnn_vi_ros.integrators.lie.rotations import cayley, Coefficients
 from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
@@ -458,10 +459,9 @@ def evaluate(arguments: Namespace) -> None:
                         f'{arguments.model}')
     print(f'{arguments.model} on {description}\n{_text(network, config, windows)}')
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps({
+        write_text(arguments.json, json.dumps({
             'published_loss': published_loss(network, config, windows),
-            'mean_square': _errors(network, config, windows)}, indent=2) + '\n',
-            encoding='utf-8')
+            'mean_square': _errors(network, config, windows)}, indent=2) + '\n')
 
 
 def _judged(motions: Sequence[BodyMotions]) -> BodyMotions:
