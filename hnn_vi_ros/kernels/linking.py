@@ -230,6 +230,9 @@ class _Files(IndexDataCacheFile):
     ends a process, or changes a number. Other versions' files count as absent as well.
     """
 
+    # Files beside the source of the function, which another user may have compiled.
+    beside: '_Files | None' = None
+
     def save(self, key: Any, data: Any) -> None:
         """Keep what belongs to a key."""
         super().save(key, (key, data))
@@ -237,6 +240,8 @@ class _Files(IndexDataCacheFile):
     def load(self, key: Any) -> Any:
         """Return the entry of a key, None if there is none."""
         own, data = super().load(key) or (key, None)
+        if data is None and self.beside is not None:
+            return self.beside.load(key)
         if own != key:
             self._warn('files are in the place of others')
             return None
@@ -316,8 +321,13 @@ class _LoopCache(FunctionCache):
     def __init__(self, py_func: Callable[..., Any]):
         super().__init__(py_func)
         files = self._cache_file
-        self._cache_file = _Files(self._cache_path, files._index_name.removesuffix('.nbi'),
-                                  files._source_stamp)
+        described = files._index_name.removesuffix('.nbi'), files._source_stamp
+        self._cache_file = _Files(self._cache_path, *described)
+        beside = Path(py_func.__code__.co_filename).parent / '__pycache__'
+        # A package that root has built and compiled is found by those who cannot write there: it
+        # is trusted as its sources are. Who names a folder has all in that one.
+        if not numba.config.CACHE_DIR and beside != Path(self._cache_path):
+            self._cache_file.beside = _Files(str(beside), *described)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function; warn, once for all, that it cannot be kept."""

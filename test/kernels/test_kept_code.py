@@ -155,3 +155,20 @@ def test_code_that_another_process_is_compiling_is_waited_for():
         flock(file, LOCK_UN)
         assert found.result(60.0) == 6
     assert not lock.exists()
+
+
+def test_code_that_is_kept_beside_the_source_is_used_by_who_cannot_write_there(
+        monkeypatch, tmp_path):
+    """As of a package that root has built and compiled."""
+    monkeypatch.setattr(numba.config, 'CACHE_DIR', '')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    first = code(double)
+    assert first(3) == 6
+    beside = Path(__file__).parent / '__pycache__'
+    assert Path(first._cache._cache_path) == beside
+    ensure = numba.core.caching._CacheLocator.ensure_cache_path
+    monkeypatch.setattr(numba.core.caching._CacheLocator, 'ensure_cache_path', lambda self: (
+        refuse() if self.get_cache_path() == str(beside) else ensure(self)))
+    other = code(double)
+    assert Path(other._cache._cache_path) != beside
+    assert other(3) == 6 and other.stats.cache_hits and not other.stats.cache_misses
