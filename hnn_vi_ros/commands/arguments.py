@@ -37,6 +37,8 @@ def run() -> Parser:
         "in place of the scene's")), 'integrator')
     parser.add_argument('--every', type=int, default=1, metavar='N',
                         help='steps from one sample to the next (default: 1)')
+    parser.add_argument('--strict', action='store_true', help=(
+        'end with status 3 if an alarm says that the run may be qualitatively wrong'))
     _add_files(parser, {
         '--plot': 'draw coordinates, momenta and energy over time: .png, .svg or .pdf',
         '--portrait': 'draw the phase portraits: .png, .svg or .pdf',

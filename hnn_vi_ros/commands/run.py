@@ -11,10 +11,13 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.regular_file import no_file, replacing
 from hnn_vi_ros.files.standard_streams import elapsed
+from hnn_vi_ros.guards.bands import is_wrong
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
+# The exit status of a run that is not to be trusted, if asked for.
+_WRONG = 3
 # Suffixes by option; options that are not listed take any.
 _PICTURES = ('.png', '.svg', '.pdf')
 SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
@@ -90,7 +93,15 @@ def write_outputs(paths: Mapping[str, Path | None],
 
 
 def main(argv: list[str]) -> int:
-    """Simulate, print the result in a line, and write the files that were asked for."""
+    """
+    Simulate, print the result in a line, and write the files that were asked for.
+
+    Returns
+    -------
+    int
+        3 with ``--strict`` where an alarm says that the run may be qualitatively wrong, else 0.
+
+    """
     options = arguments.run().parse_args(argv)
     paths = {option: getattr(options, option[2:]) for option in _WRITERS}
     check_outputs(paths, options.force)
@@ -106,7 +117,11 @@ def main(argv: list[str]) -> int:
         print(f'event {event}')
     write_outputs(paths, {option: partial(write, trajectory)
                           for option, write in _WRITERS.items()})
-    return 0
+    wrong = [kind for kind in trajectory.alarm_kinds() if is_wrong(kind)]
+    if wrong:
+        print(f'the run may be qualitatively wrong: {", ".join(wrong)}'
+              + f' (status {_WRONG})' * options.strict)
+    return _WRONG if wrong and options.strict else 0
 
 
 def _write_csv(trajectory: Trajectory, path: Path) -> None:

@@ -149,10 +149,9 @@ class ResolutionGuard(BandGuard):
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
                          'under-resolved; use a smaller step_size, or start elsewhere')
-        share = self._share * times * band / limit
         return Alarm(self.kind, step, band, limit,
-                     f'the energy is kept only to {share:.2g} of the energies in play: '
-                     'under-resolved; use a smaller step_size, or a method of higher order')
+                     f'the energy error exceeds {100.0 * self._share * times:g} % of the energy '
+                     'scale; use a smaller step_size, or a method of higher order')
 
 
 class BarrierGuard(BandGuard):
@@ -403,8 +402,13 @@ class EnergyGuard(BlockGuard):
             return Alarm(self.kind, step, value, share * self._scale,
                          'the energy is infinite, or no number; start elsewhere, or use a '
                          'smaller step_size')
-        relative = value / self._scale if self._scale > 0.0 else math.inf
         return Alarm(self.kind, step, value, share * self._scale,
-                     f'the energy has {how} by {value:.2g} J, {relative:.2g} of the '
-                     'energies in play, beyond the work that was done: take a symplectic method '
-                     'or a smaller step_size')
+                     f'the energy has {how} by more than {100.0 * share:g} % of the energy '
+                     'scale, beyond the work that was done: take a symplectic method or a smaller '
+                     'step_size')
+
+
+def is_wrong(kind: str) -> bool:
+    """Return whether alarms of a kind say that a run may be qualitatively wrong."""
+    return kind.endswith(tuple(guard.kind for guard in (
+        ResolutionGuard, BarrierGuard, InvariantGuard, EnergyGuard)))

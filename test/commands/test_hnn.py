@@ -13,7 +13,7 @@ import time
 from hnn_vi_ros import cli
 from hnn_vi_ros.commands import completion, doctor, run, scene_tool
 from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, GROUPS
-from hnn_vi_ros.errors import ParameterError, SceneError
+from hnn_vi_ros.errors import AlarmWarning, ParameterError, SceneError
 from hnn_vi_ros.files import standard_streams
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -87,6 +87,21 @@ def test_mistake_is_one_line_with_the_command(words, status, begin):
     result = ask('main', *words)
     assert result.returncode == status
     assert result.stderr.startswith(begin) and result.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize('strict', [False, True])
+def test_run_that_may_be_wrong_ends_with_that_line_and_strictly_with_status_3(strict, capsys):
+    words = ['exact_pendulum', '--duration', '20', '--integrator', 'explicit_euler',
+             *['--strict'] * strict]
+    with pytest.warns(AlarmWarning, match='exceeds 5 % of the energy scale') as told:
+        assert run.main(words) == 3 * strict
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == ('the run may be qualitatively wrong: under-resolved, separatrix not resolved'
+                    + ' (status 3)' * strict)
+    # The size of the error stands in the line of the result alone.
+    assert not any(' J' in str(one.message) for one in told if 'under' in str(one.message))
+    assert run.main(['exact_pendulum', '--duration', '1', '--strict']) == 0
+    assert 'wrong' not in capsys.readouterr().out
 
 
 def test_run_writes_what_was_asked_for(tmp_path, capsys):

@@ -74,13 +74,13 @@ def test_accounted_energy_is_the_modified_one_less_the_work():
 
 
 @pytest.mark.parametrize('plain, said', [(1.0, [1]), (4.0, [3])])
-def test_resolution_guard_says_to_what_share_h_is_kept_where_h_went_too_far(plain, said):
+def test_resolution_guard_says_what_share_of_the_scale_h_went_beyond(plain, said):
     guard = ResolutionGuard(0.05, one_joule, plain)
     found = [alarm for step in range(4) if (alarm := alarm_of(
         guard, sample(step, energy=1.0 + 0.1 * step, modified_energy=1.0))) is not None]
     assert [alarm.step for alarm in found] == said
     assert found[0].value == pytest.approx(0.1 * said[0])
-    assert f'kept only to {0.1 * said[0]:.2g} of the energies' in found[0].message
+    assert f'exceeds {5.0 * plain:g} % of the energy scale' in found[0].message
 
 
 def test_barrier_guard_speaks_when_the_band_reaches_the_gap():

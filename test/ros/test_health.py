@@ -361,9 +361,9 @@ def test_box_alarm_that_is_over_says_so_and_how_far_outside_the_state_was():
 
 
 @pytest.mark.parametrize('guard, text', [
-    (ResolutionGuard(0.1, fixed(0.5)), 'only to 0.8 of the energies in play'),
+    (ResolutionGuard(0.1, fixed(0.5)), 'energy error exceeds 10 % of the energy scale'),
     (BarrierGuard('separatrix', 0.55), 'only to 0.4 J'),
-    (EnergyGuard(0.02, fixed(0.02)), 'changed by 0.4 J')])
+    (EnergyGuard(0.02, fixed(0.02)), 'changed by more than 1000 % of the energy scale')])
 def test_alarm_of_energy_has_the_values_of_the_newest_sample(guard, text):
     samples = [at(1.0, step, 0.5 + change) for step, change in enumerate((0.0, 0.25, 0.4))]
     status = watched(guard, samples).health.status(samples[-1])
