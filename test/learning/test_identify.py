@@ -202,6 +202,43 @@ def test_what_no_data_tell_has_no_interval(pendulum, tmp_path):
     assert gravity / length == pytest.approx(9.81, rel=0.01)
 
 
+def test_number_that_no_data_tell_has_no_interval_beside_one_that_is_next_to_zero(tmp_path):
+    """A change of 1e-12 1/s is a large part of a rate of 1e-19 1/s, but not of a motion."""
+    scene = load_scene('exact_pendulum').with_overrides(effects=[{'kind': 'damping', 'rate': 0.2}])
+    log = swing(scene, 2.0, 4)
+    # Backwards it gains energy: the rate ends next to its bound.
+    log = smoothed('log', log.t, log.q[::-1], -log.v[::-1], log.tau, 40.0)
+    found = estimated(freed(scene, tmp_path, mass=0.7, length=1.1, damping__rate=0.2), log)
+    mass, length, damping = found.estimates
+    assert 0.0 < damping.value < 1e-9
+    assert not mass.known and length.known and damping.known
+    assert [sorted(direction) for direction in found.unknown] == [['mass']]
+    assert not any('mass' in pair for pair in found.correlated)
+
+
+@pytest.mark.parametrize('kind, starts, unknown', [
+    # Coordinates and velocities show k / m alone.
+    ('oscillator', {'mass': 1.1, 'stiffness': 3.9}, {'mass', 'stiffness'}),
+    # At rest nothing shows.
+    ('rest', {'mass': 1.1, 'stiffness': 3.9}, {'mass', 'stiffness'}),
+    # Two springs that pull in parallel are one.
+    ('springs', {'spring__0__stiffness': 1.0, 'spring__1__stiffness': 1e-9,
+                 'damping__rate': 1e-15}, {'spring.0.stiffness', 'spring.1.stiffness'})])
+def test_every_degeneracy_leaves_its_numbers_without_an_interval(kind, starts, unknown, tmp_path):
+    springs = [{'kind': 'spring', 'point': ['x'], 'anchor': [0.0], 'stiffness': stiffness}
+               for stiffness in (1.0, 1.0)]
+    scene = Scene.build(
+        hamiltonian={'kind': 'harmonic_oscillator', 'mass': 1.0, 'stiffness': 4.0},
+        effects=[*springs * (kind == 'springs'), {'kind': 'damping', 'rate': 0.05}],
+        integrator='implicit_midpoint', step_size=0.01,
+        initial_state=([0.0 if kind == 'rest' else 1.0], [0.0]))
+    log = swing(scene, 4.0, 4)
+    estimates = estimated(freed(scene, tmp_path, **starts), log).estimates
+    assert {one.name for one in estimates if not one.known} >= unknown
+    for one in estimates:
+        assert one.known == (one.low is not None) and not (one.known and one.low == one.high)
+
+
 def test_numbers_that_no_data_tell_stay_where_the_search_begins(pendulum, tmp_path):
     free = freed(pendulum, tmp_path, mass=1.2, length=1.05)
     solution, *_ = fit(free, [swing(pendulum, 1.0, 4)], True, None, False)

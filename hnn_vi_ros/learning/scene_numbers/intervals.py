@@ -317,8 +317,9 @@ def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> n
 
 
 CONFIDENCE = 0.95
-# What share of a direction in which the data tell nothing names a number.
-_SHARE = 1e-2
+# Which share of a direction that the data do not determine names a number, by what its part of it
+# does to the motion: of a number next to zero any change is large relative to its value.
+_SHARE = 1e-3
 CORRELATED = 0.9
 
 
@@ -366,7 +367,7 @@ class Estimates:
         not tell.
     unknown : list of dict of str to float
         Directions in which the data tell nothing: by how much of its value (or of 1, of 0) each
-        number may change if the others do, the largest 1.
+        number may change if the others do, the largest 1 or -1.
     coloured : np.ndarray, shape (C,)
         How many samples of each measured quantity count as one, by the sum of the correlations
         of its noise; 1 where that may be white.
@@ -417,6 +418,8 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
         rows = _first_windows(solution)
         null = np.concatenate([null, *(back[w] @ null for _, w in rows)])
         influences = np.concatenate([influences, *(influences @ back[w].T for _, w in rows)], 3)
+        units = np.concatenate([units, *(_norms(solution.by_starts[w].reshape(
+            -1, back.shape[1])) for _, w in rows)])
         for k, (run, w) in enumerate(rows):
             own, inverse, _ = starts[w]
             at = n + k * own.shape[1]
@@ -426,9 +429,10 @@ def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
     # Of the robust loss psi = w r, whose slope is w^3; the projection took w in place of it.
     bend = float((weights[solution.windows.there]**3).mean())
     found = covariances(influences, noise) / bend**2
-    return _told(names, np.array(values), found, null, solution.freedom, np.array([
-        np.median([one.samples_as_one for one in own])
-        if all(len(one.reflections) for one in own) else 1.0 for own in noise]))
+    coloured = np.array([np.median([one.samples_as_one for one in own])
+                         if all(len(one.reflections) for one in own) else 1.0 for own in noise])
+    return _told(names, np.array(values), found, null * units[:, None], units, solution.freedom,
+                 coloured)
 
 
 def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
@@ -444,12 +448,17 @@ def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
 
     """
     if scale is None:
-        raw = np.linalg.norm(slopes, axis=0)
-        scale = np.where(raw > 0.0, raw, 1.0)
+        scale = _norms(slopes)
     sizes, rows, told = told_directions(slopes / scale)
     factors = np.where(told[:, None], rows, 0.0) / (
         np.where(told, sizes, 1.0)[:, None] * scale)
     return slopes @ factors.T, factors, rows[~told].T / scale[:, None]
+
+
+def _norms(slopes: np.ndarray) -> np.ndarray:
+    """Return the norms of columns, 1 for those that are zero."""
+    raw = np.linalg.norm(slopes, axis=0)
+    return np.where(raw > 0.0, raw, 1.0)
 
 
 def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
@@ -475,13 +484,9 @@ def _state_names(coordinates: Sequence[Coordinate], run: str) -> list[tuple[str,
 
 
 def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.ndarray,
-          null: np.ndarray, freedom: int, coloured: np.ndarray) -> Estimates:
+          null: np.ndarray, units: np.ndarray, freedom: int, coloured: np.ndarray) -> Estimates:
     """Return the estimates; those with a share in what the data do not tell have no interval."""
-    scale = np.where(values != 0.0, np.abs(values), 1.0)
-    shares = np.abs(null / scale[:, None])
-    largest = shares.max(axis=0, initial=0.0, keepdims=True)
-    shares = shares / np.where(largest > 0.0, largest, 1.0)
-    blind = np.asarray((shares > _SHARE).any(axis=1))
+    blind = np.asarray((_shares(null) > _SHARE).any(axis=1))
     error, factor = errors_of(covariances, freedom), quantile(freedom)
     mean = covariances.mean(axis=0)
     spread = np.sqrt(np.diag(mean))
@@ -492,9 +497,19 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.
         Estimate(name, unit, float(value), float(own), float(value - factor * own),
                  float(value + factor * own))
         for (name, unit), value, own, hidden in zip(names, values, error, blind, strict=True)]
-    unknown = [{name: float(part) for (name, _), part in zip(names, direction, strict=True)
-                if abs(part) > _SHARE} for direction in _directions(null / scale[:, None])]
+    scale = units * np.where(values != 0.0, np.abs(values), 1.0)
+    unknown = []
+    for direction in _directions(null):
+        parts = direction / scale * (_shares(direction) > _SHARE)
+        unknown.append({name: float(part) for (name, _), part in zip(
+            names, parts / np.abs(parts).max(), strict=True) if part})
     return Estimates(estimates, covariance, unknown, coloured)
+
+
+def _shares(directions: np.ndarray) -> np.ndarray:
+    """Return parts of directions, one a column, over the largest of each."""
+    largest = np.abs(directions).max(axis=0, initial=0.0)
+    return np.asarray(np.abs(directions) / np.where(largest > 0.0, largest, 1.0))
 
 
 def errors_of(covariances: np.ndarray, freedom: int) -> np.ndarray:
