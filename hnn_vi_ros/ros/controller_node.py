@@ -240,7 +240,7 @@ class ControllerNode(ManagedNode):
         assigned.prediction.send(t, self._last)
         if self._silent:
             self.get_logger().info(f'{self._states}: states again, after '
-                                   f'{begin - self._answered:.3g} s')
+                                   f'{begin - self._answered:.3g} s', throttle_duration_sec=1.0)
         # A long plan is no silence.
         self._answered, self._silent = time.monotonic(), False
         self._times.append(spent)
@@ -291,7 +291,7 @@ class ControllerNode(ManagedNode):
             self.get_logger().warning(
                 f'{self._states}: no usable state for {self._silence:g} s{cause}: '
                 f'{"the last command is repeated" if hold else "commands are zero"} until one '
-                'comes')
+                'comes', throttle_duration_sec=1.0)
             if not hold:
                 self._rest()
         if hold:
