@@ -185,7 +185,9 @@ def test_timing_warns_of_a_clock_of_large_steps_and_of_its_jumps():
     run = Run()
     clock = SimpleNamespace(overruns=0, asked=1.0, led=True, burst=1.0)
     for overruns, burst, expected in ((0, 2.0, 'holds 1 x /clock'), (
-            0, 8.0, '/clock advances 8 samples at a time'), (1, 8.0, 'which may have jumped')):
+            0, 8.0, '/clock advances 8 samples at a time'), (1, 8.0, 'which may have jumped'), (
+            1, 2.0, 'waits for /clock')):
+        run.advance(expected != 'waits for /clock')
         clock.overruns, clock.burst = overruns, burst
         timing = run.status.statuses(clock)[COMPONENTS.index('timing')]
         assert expected in timing.message and (timing.level == WARN) == (burst > 2.0)

@@ -14,6 +14,7 @@ from hnn_vi_ros.companions.twin import Report
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics import companions
 from hnn_vi_ros.ros.topics.companions import TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import OK, WARN
 from hnn_vi_ros.ros.topics.inputs import read_observation
@@ -93,8 +94,10 @@ def test_parts_of_an_observation_are_joined_by_name_within_a_tolerance():
         join(observation([2.0], ('b',), at=5 * SECOND + 600_000_000))
 
 
-def test_twin_without_observations_for_its_time_out_is_a_warning_once():
-    now, warned = [SECOND], []
+def test_twin_without_observations_for_its_time_out_is_a_warning_once(
+        monkeypatch: pytest.MonkeyPatch):
+    now, warned, wall = [SECOND], [], [0.0]
+    monkeypatch.setattr(companions, 'time', SimpleNamespace(monotonic=lambda: wall[0]))
     twin = SimpleNamespace(names=['x0'], newest=None, timeout=0.5, times=[], failed=0, outside=0.0,
                            valid_prediction_time=np.nan, valid_time=lambda outside: np.nan)
     topic = TwinTopic(twin, lambda *message: None, lambda: (0, ''), lambda: now[0], warned.append)
@@ -107,6 +110,10 @@ def test_twin_without_observations_for_its_time_out_is_a_warning_once():
         for _ in range(2):
             assert topic.status()[1:3] == (WARN, 'no observation for 1 s')
     assert warned == ['~/observations: no observation for 1 s: the simulation goes on alone'] * 2
+    # The clock that paces it may stand still as well.
+    twin.heard(twin.newest)
+    wall[0] += 6.0
+    assert topic.status()[1:3] == (WARN, 'no observation for 6 s')
 
 
 def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observations(

@@ -161,7 +161,7 @@ class RunStatus:
         self.paused = False
         self._model = _model(scene, simulation)
         # When the last statuses were published.
-        self._overruns, self._rescued = 0, 0
+        self._overruns, self._rescued, self._steps = 0, 0, 0
 
     def statuses(self, pacer: Pacer) -> list[Status]:
         """Return a status of each component."""
@@ -172,9 +172,12 @@ class RunStatus:
         figures, asked, overruns = self._monitor.timing.figures, pacer.asked, pacer.overruns
         of = '/clock' if pacer.led else 'real time'
         late, self._overruns = overruns - self._overruns, overruns
+        steps, self._steps = self._simulation.steps - self._steps, self._simulation.steps
         level, message = OK, f'holds {asked:g} x {of}' if asked else 'as fast as possible'
         if self.paused:
             message = 'paused'
+        elif pacer.led and not steps:
+            message = 'waits for /clock, which stands still or is not published'
         elif late:
             level, message = WARN, (
                 f'{late} overruns since the last report: slower than {asked:g} x {of}'

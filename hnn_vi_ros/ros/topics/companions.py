@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 import math
+import time
 
 from hnn_vi_ros.bags.cdr import MOMENTUM, Template
 from hnn_vi_ros.companions.members import Members
@@ -71,6 +72,8 @@ class SpreadTopic:
 
 # Behind the names of the coordinates, and of their predictions.
 PREDICTED = 'prediction_'
+# Wall time without an observation that is told even where simulated time stands still [s].
+_QUIET = 5.0
 SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time')
 
 
@@ -101,7 +104,7 @@ class TwinTopic:
                  ignored: Callable[[], tuple[int, str]], stamp: Callable[[], int],
                  warn: Callable[[str], None]):
         self._twin, self._send, self._ignored, self._stamp = twin, send, ignored, stamp
-        self._warn, self._newest, self._silent = warn, 0, False
+        self._warn, self._newest, self._silent = warn, (0, -math.inf), False
         labels = [*twin.names, *(f'{PREDICTED}{name}' for name in twin.names), *SCALARS]
         self._template = Template(named_numbers(labels))
         twin.heard = self._publish
@@ -113,17 +116,19 @@ class TwinTopic:
         now = self._stamp()
         self._template.set_stamp(max(0, now + round(report.delay * 1e9)))
         self._send(self._template.serialized(), now)
-        self._newest, self._silent = now, False
+        self._newest, self._silent = (now, time.monotonic()), False
 
     def status(self) -> Status:
         """Return how well the machine is followed."""
         twin, report = self._twin, self._twin.newest
         ignored, why = self._ignored()
-        level, message, age = OK, '', 1e-9 * (self._stamp() - self._newest)
+        stamp, wall = self._newest
+        age, quiet = 1e-9 * (self._stamp() - stamp), time.monotonic() - wall
+        level, message = OK, ''
         if report is None:
             level, message = WARN, 'no observation yet'
-        elif age > twin.timeout:
-            level, message = WARN, f'no observation for {age:.3g} s'
+        elif age > twin.timeout or quiet > max(twin.timeout, _QUIET):
+            level, message = WARN, f'no observation for {max(age, quiet):.3g} s'
             if not self._silent:
                 self._silent = True
                 self._warn(f'{OBSERVATIONS.topic}: {message}: the simulation goes on alone')
