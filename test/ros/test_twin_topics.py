@@ -74,9 +74,10 @@ def test_parts_of_an_observation_are_joined_by_name_within_a_tolerance():
     now = [5 * SECOND]
     join = ObservationJoiner(['a', 'b'], 0.5, lambda: now[0], lambda: 0)
     whole = observation([1.0, 2.0], ('b', 'a'), at=SECOND)
-    assert join(whole) is whole
+    assert join(whole) is whole and not join.joins
     assert join(observation([1.0, 9.0], ('a', 'grip'), velocity=[0.5, 0.0], at=4 * SECOND)) is None
     found = join(observation([2.0], ('b',), at=4 * SECOND + 20_000_000))
+    assert join.joins
     assert (found.name, stamp(found)) == (['a', 'b'], 4 * SECOND + 20_000_000)
     # What is older has moved on since.
     assert found.position.tolist() == [1.0 + 0.5 * 0.02, 2.0]
@@ -125,6 +126,7 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
         node = other.node
         machine = node.create_publisher(
             JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
+        second = node.create_publisher(JointState, f'{SIMULATOR}/observations', 1)
         spreads, errors, told = [], [], []
         for kind, name, heard in ((JointState, f'{SIMULATOR}/uncertainty', spreads),
                                   (JointState, f'{SIMULATOR}/prediction_error', errors),
@@ -149,6 +151,8 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
         other.spin_until(lambda: ignored() == 5)
         for k in range(500):  # of a flood some are dropped, and none is a reason to stop
             machine.publish(observation([0.2], velocity=[0.0]))
+        other.spin_until(lambda: 'observations has 2 publishers' in standard_error(process))
+        node.destroy_publisher(second)
         count = len(other.states)
         other.spin_until(lambda: len(other.states) > count + 20)
         assert ignored() == 5

@@ -80,6 +80,9 @@ class Run:
                 topics.hearing.ignored[OBSERVATIONS.topic],
                 topics.hearing.reasons.get(OBSERVATIONS.topic, '')),
             lambda: self.sampler.stamp, lambda text: self.tell(text, 'WARN'))
+        self._joiner = None if self._twin is None else ObservationJoiner(
+            self._twin.names, self._twin.timeout, lambda: self.sampler.stamp,
+            lambda: node.get_clock().now().nanoseconds)
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
         # The initial states of the scene itself, of the run since its last reset, and of the next.
@@ -100,9 +103,7 @@ class Run:
             Material(self.simulation, monitor, prepared.box, self.scene.mechanism,
                      settings.frame_id, bool(self.scene.events), self._spread),
             lambda: self.sampler.stamp, self.recording.write_other,
-            *[] if self._twin is None else [ObservationJoiner(
-                self._twin.names, self._twin.timeout, lambda: self.sampler.stamp,
-                lambda: node.get_clock().now().nanoseconds)])
+            *[] if self._joiner is None else [self._joiner])
         self._events = DiagnosticsPublisher(node, partial(topics.send, EVENTS), self.scene.name)
         self._begin(monitor)
         self._tell_scene(prepared.report)
@@ -169,7 +170,8 @@ class Run:
         """Publish how the run does."""
         self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
-        crowd = self._warn_of_crowd(crowded(self._node, self._topics.sole(self.pacer.led)))
+        crowd = self._warn_of_crowd(crowded(self._node, self._topics.sole(
+            self.pacer.led, self._joiner is not None and self._joiner.joins)))
         if crowd:
             more.append(Status('graph', WARN, crowd, {}))
         self._diagnostics.publish(

@@ -30,6 +30,11 @@ class ObservationJoiner:
     simulated, ros : callable
         Return the simulated time, and that of ROS [ns].
 
+    Attributes
+    ----------
+    joins : bool
+        Whether the last message was part of an observation: several drivers publish them.
+
     """
 
     def __init__(self, names: Sequence[str], timeout: float, simulated: Callable[[], int],
@@ -38,7 +43,7 @@ class ObservationJoiner:
         self._simulated, self._ros = simulated, ros
         # Time, position and velocity of each joint since the last observation of all.
         self._parts: dict[str, tuple[int, float, float]] = {}
-        self._since = 0
+        self._since, self.joins = 0, False
 
     def __call__(self, message: JointState) -> JointState | None:
         """Return the observation that a message completes; ValueError if a joint is missing."""
@@ -47,7 +52,8 @@ class ObservationJoiner:
             # Zero would mean now.
             stamp = max(1, stamp - ros + now)
         there = [name for name in self._names if name in message.name]
-        if not 0 < len(there) < len(self._names) or len({*message.name}) < len(message.name):
+        self.joins = 0 < len(there) < len(self._names)
+        if not self.joins or len({*message.name}) < len(message.name):
             self._parts.clear()
             return _stamped(message, stamp)
         stamp, seen = stamp or now, read_observation(message, 0)

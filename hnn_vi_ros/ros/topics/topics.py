@@ -146,10 +146,11 @@ class Topics:
         wait_for_delivery(self._node, [self._publishers[output.topic] for output in (
             *self._ticks, DIAGNOSTICS)], received)
 
-    def sole(self, follows_clock: bool) -> list[str]:
-        """Return the topics of which one publisher is expected."""
-        driven = [one.topic for one in INPUTS if one.topic in self.hearing.topics
-                  and one not in (OBSERVATIONS, INITIAL_STATE)]
+    def sole(self, follows_clock: bool, joins: bool) -> list[str]:
+        """Return the topics of which one publisher is expected; observations may be joined."""
+        several = (INITIAL_STATE, *[OBSERVATIONS] * joins)
+        driven = [one.topic for one in INPUTS
+                  if one.topic in self.hearing.topics and one not in several]
         clock = [CLOCK_TOPIC] * (follows_clock or CLOCK_TOPIC in self._publishers)
         return [JOINT_STATES.topic, *driven, *clock]
 
