@@ -42,8 +42,8 @@ class BatchStep:
     Steps of many states of a scene, each with a command that is held: (z, u) -> z.
 
     Steps are those of the scene's own method with its effects, compiled once; a step that fails
-    gives NaN, without fallbacks. What comes out of one state depends on no other. Threads that call
-    one wait for each other: give each a BatchStep of its own.
+    gives NaN, without fallbacks. What comes out of one state depends on no other. Threads that
+    call one wait for each other: give each a BatchStep of its own.
 
     Parameters
     ----------

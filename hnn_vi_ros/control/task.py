@@ -295,9 +295,9 @@ class _Planning(StrictModel):
         # Random plans have states and commands, one that derivatives improve has these.
         each = max(getattr(self, 'samples', 1), means.steps.hold * 2 * d) * (2 * d + c)
         if (size := 8 * self.horizon * each) > _MOST_MEMORY:
-            raise ValueError(f'a plan of {self.horizon} commands takes {1e-9 * size:.3g} GB, at most '
-                             f'{1e-9 * _MOST_MEMORY:.2g}; lower horizon or samples, or take larger '
-                             'steps of the model by stepping')
+            raise ValueError(f'a plan of {self.horizon} commands takes {1e-9 * size:.3g} GB, at '
+                             f'most {1e-9 * _MOST_MEMORY:.2g}; lower horizon or samples, or take '
+                             'larger steps of the model by stepping')
         running, final = (reduce(add, [term.make(means) for term in terms])
                           for terms in (self.running, self.final))
         return means.steps, running, final, self.horizon, (-means.limits, means.limits)
@@ -513,8 +513,8 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
             raise ValueError(f'{loaded.period:g} s must be a multiple of the step size of the '
                              f'model, {h:g} s; see stepping')
         if hold > _MOST_STEPS:
-            raise ValueError(f'{hold} steps of the model, {h:g} s each, while a command is held: at '
-                             f'most {_MOST_STEPS}; take larger ones by stepping')
+            raise ValueError(f'{hold} steps of the model, {h:g} s each, while a command is held: '
+                             f'at most {_MOST_STEPS}; take larger ones by stepping')
     with _placed(places, 'controller'):
         controller = loaded.controller.make(Means(loaded, model, hold))
     with _placed(places, 'delay'):

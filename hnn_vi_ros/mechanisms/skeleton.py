@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _BONE, _JOINT = 0.012, 0.025
 # Larger files of a shape are not shown [bytes].
 _LARGEST_SHAPE = 256_000_000
-_FILENAME = re.compile(r'''\bfilename\s*=\s*("[^"]*"|'[^']*')''')
+_FILENAME = re.compile(r'\bfilename\s*=\s*("[^"]*"|\'[^\']*\')')
 
 
 def moved(joint: Joint, values: np.ndarray) -> tuple[np.ndarray, 'Rotation']:

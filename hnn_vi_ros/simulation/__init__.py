@@ -200,9 +200,9 @@ class Simulation:
 
     def set_command(self, command: Command, limited: bool = True) -> None:
         """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
-        q, v = (part.reshape(-1, self.hamiltonian.dimension)[0] for part in (self.q, self.dH_dp))
-        if isinstance(command, Observation):
-            command = self._at_nearest_turns(command, q + command.delay * v)
+        q = self.q.reshape(-1, self.hamiltonian.dimension)[0]
+        if isinstance(command, Observation) and self.system.turning.any():
+            command = self._at_nearest_turns(command, q + command.delay * self.dH_dp[:q.size])
         self.motors.command(command, q, limited)
         self._evaluate_gradient()
         self._update_gradient()

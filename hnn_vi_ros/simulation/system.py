@@ -327,7 +327,8 @@ class System:
         d = self.hamiltonian.dimension
         q, p = np.cos(1.0 + np.arange(d)**2), np.sin(2.0 + np.arange(d)**2)
         units = np.array(column_units(self.hamiltonian.coordinates)[0][:d])
-        turning = units == 'rad'
+        # With rotations q and p have other columns; bodies count no turns.
+        turning = (units == 'rad') & (not self.hamiltonian.rotations)
         for parameters in self._parameters:
             if isinstance(parameters, Stops):
                 turning[parameters.columns] = False

@@ -389,7 +389,7 @@ def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path, caplog):
     whole = read_bags([write(tmp_path / 'a.mcap', positions(T, q))], bag())
     assert not caplog.text
     data = read_bags([write(tmp_path / 'b.mcap', positions(T, wrapped))], bag())
-    # 35 rad, counted from another turn, to their rounding, which the filter's rates take 1e2 times.
+    # 35 rad, counted from another turn, to their rounding, which the rates take 1e2 times.
     assert np.ptp(data.q - whole.q) < 1e-12 and np.abs(data.dp_dt - whole.dp_dt).max() < 1e-8
     assert caplog.text.count('turns of swing counted') == 1
 
