@@ -234,6 +234,8 @@ def select(command: Observation, names: Sequence[str]) -> tuple[np.ndarray, np.n
 
 def whole_turns(difference: np.ndarray, turning: np.ndarray) -> np.ndarray:
     """Return the whole turns nearest to differences of positions, where angles turn over [rad]."""
+    # What no joint can have is left for ``select`` to refuse.
+    turning = turning & (np.abs(difference) <= _LARGEST_OBSERVED)
     return 2.0 * math.pi * np.where(turning, np.round(difference / (2.0 * math.pi)), 0.0)
 
 

@@ -216,9 +216,9 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
                 for part, name in zip(right.position, right.name, strict=True):
                     machine.publish(observation([part], (name,), at=time.time_ns()))
                 other.spin(0.02)
-                # As far off as gravity, of some 20 N m, takes a spring of 300 N m/rad.
-                return len(other.states) > count + 20 and np.abs(np.subtract(
-                    other.states[-1].position, right.position)).max() < 0.2
+                # As far off as gravity, of some 20 N m, takes a spring of 300 N m/rad, and turns.
+                return len(other.states) > count + 20 and np.abs(np.angle(np.exp(1j * np.subtract(
+                    other.states[-1].position, right.position)))).max() < 0.2
             other.spin_until(is_back)
         other.spin_until(lambda: any(
             (value.key == 'last ignored' and 'velocity_limit = 20' in value.value)
