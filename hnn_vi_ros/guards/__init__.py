@@ -3,11 +3,15 @@
 """Guards that watch a run sample by sample and say when it is no longer to be trusted."""
 
 from collections.abc import Iterator
+import math
 
 from hnn_vi_ros.guards.bands import (
     BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
 from hnn_vi_ros.guards.base import Guard, Scale
 from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.paths import PathGuard
+from hnn_vi_ros.guards.poles import PoleGuard
+from hnn_vi_ros.guards.saddles import MOST_COORDINATES, SaddleSearch
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
@@ -45,6 +49,22 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier, method.order)
+    elif searchable(simulation):
+        yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(hamiltonian))
+    if searchable(simulation):
+        # Halved, a step that H was learned through is none that it is right for.
+        if hamiltonian.scheme is None:
+            yield PathGuard(simulation)
+        # A network has no poles.
+        if hamiltonian.box is None:
+            yield PoleGuard(hamiltonian)
     if simulation.connected:
         yield SolutionGuard(simulation)
     yield RescueGuard(simulation)
+
+
+def searchable(simulation: Simulation) -> bool:
+    """Return whether saddles are looked for, and the path is tried: of small systems."""
+    hamiltonian = simulation.hamiltonian
+    return (simulation.conservative and hamiltonian.canonical and not hamiltonian.rotations
+            and simulation.q.ndim == 1 and hamiltonian.dimension <= MOST_COORDINATES)

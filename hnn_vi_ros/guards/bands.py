@@ -8,6 +8,7 @@ import math
 
 from hnn_vi_ros.accuracy.diagnostics import state_scales
 from hnn_vi_ros.guards.base import accounted_energy, Alarm, Block, BlockGuard, Observed, Scale
+from hnn_vi_ros.guards.saddles import SaddleSearch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.simulation import Simulation
@@ -104,12 +105,10 @@ def plain_share(simulation: Simulation) -> float:
     """
     Return how many times as far as the modified energy H may go, 1 where none is known.
 
-    That H swings is the method's own, and no loss, but beyond a fifth of the energies in play it
-    is no resolution; beyond a tenth with order 2, with which H swings as the square of the step.
+    That H swings is the method's own, and no loss, but beyond a tenth of the energies in play it
+    is no resolution.
     """
-    if simulation.modification is None:
-        return 1.0
-    return 4.0 if simulation.integrator.order == 1 else 2.0
+    return 1.0 if simulation.modification is None else 2.0
 
 
 class ResolutionGuard(BandGuard):
@@ -168,6 +167,8 @@ class BarrierGuard(BandGuard):
         Of the method. With order 1 the band of H says nothing: H~ is judged where it is known.
         From order 2 on it is H: where H~ stays on one side of the barrier the motion may still
         leave, by as much as H and H~ differ, the region that H below it confines it to.
+    search : SaddleSearch, optional
+        Finds saddles along the run, the nearest in energy of which is the barrier.
 
     """
 
@@ -175,20 +176,27 @@ class BarrierGuard(BandGuard):
     remedy = ('use a smaller step_size or a method of higher order: the energy error '
               'decides on which side of the barrier the motion is')
 
-    def __init__(self, name: str, energy: float, order: int = 1):
+    def __init__(self, name: str, energy: float, order: int = 1,
+                 search: SaddleSearch | None = None):
         super().__init__()
         self._plain = order > 1
         self.kind, self._name = f'{name} not resolved', name
-        self._energy, self._gap = energy, math.nan
+        self._found, self._search = [energy], search
+        self._gap, self._start = math.inf, (math.nan, math.nan)
 
     def _limits(self, block: Block) -> np.ndarray:
-        if math.isnan(self._gap):
+        if math.isnan(self._start[0]):
+            self._start = float(block.energy[0]), float(self._values(block)[0, 0])
+        limits = np.full(len(block.step), self._gap)
+        found = [(0, energy) for energy in self._found]
+        self._found.clear()
+        for i, energy in [*found, *(self._search.take(block) if self._search else ())]:
             # At a saddle H~ is H, as the gradient is zero: what is conserved must be on the side
             # of it that H is on.
-            plain = self._energy - block.energy[0]
-            kept = self._energy - self._values(block)[0, 0]
-            self._gap = float(abs(kept)) if plain * kept > 0.0 else 0.0
-        return np.full(len(block.step), self._gap)
+            plain, kept = (energy - start for start in self._start)
+            self._gap = min(self._gap, abs(kept) if plain * kept > 0.0 else 0.0)
+            limits[i:] = self._gap
+        return limits
 
     def _values(self, block: Block) -> np.ndarray:
         return (block.energy - block.work if self._plain else block.accounted)[None]

@@ -408,6 +408,36 @@ class Simulation:
             self.advance(steps)
             return self.q.copy(), self.p.copy()
 
+    def trial_path(self, q: np.ndarray, p: np.ndarray, step_size: float, samples: int, every: int
+                   ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of another length from a state, and go back to where the simulation stands.
+
+        Parameters
+        ----------
+        q, p : np.ndarray, shape (d,)
+            The state.
+        step_size : float
+            In place of h [s].
+        samples, every : int
+            See ``record``.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (samples, d)
+            q and p after each ``every`` steps.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite.
+
+        """
+        with self._elsewhere(self.snapshot()):
+            self.step_size = step_size
+            self.put(self.rows(np.concatenate([q, p])[None])[0])
+            return self.record(samples, every)
+
     def clock_trial(self, snapshot: dict[str, np.ndarray], elapsed: float
                     ) -> tuple[np.ndarray, np.ndarray]:
         """

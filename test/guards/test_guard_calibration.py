@@ -9,6 +9,7 @@ from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards import BAND_LIMIT
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.paths import PathGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -71,7 +72,9 @@ def test_guards_are_silent_where_resolved_and_speak_within_a_period_where_not(na
             alarms, (energy, modified) = simulate(motion, method, motion.period / steps, 1.0)
             # Random networks have a box, which no data were in.
             case = method, steps
-            said = [alarm.kind for alarm in alarms if alarm.kind != BoxGuard.kind]
+            # What is judged here is the energy: not the path, nor on which side of a saddle it is.
+            said = [alarm.kind for alarm in alarms if alarm.kind not in (
+                BoxGuard.kind, PathGuard.kind, 'saddle not resolved')]
             band = np.ptp(energy) / scale
             judged = band if np.isnan(modified).any() else np.ptp(modified) / scale
             if len(energy) <= steps:

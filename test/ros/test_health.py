@@ -16,6 +16,8 @@ from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Block, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.paths import PathGuard
+from hnn_vi_ros.guards.poles import PoleGuard
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -205,19 +207,20 @@ def simulation_of(hamiltonian: str = 'harmonic_oscillator', method: str = 'varia
         HAMILTONIANS[hamiltonian](), INTEGRATORS[method](), 0.01, q, p, effects)
 
 
+PLACED = [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, PoleGuard, RescueGuard]
+
+
 @pytest.mark.parametrize('simulation, expected', [
-    (simulation_of(), [ResolutionGuard, EnergyGuard, CostGuard, RescueGuard]),
-    (simulation_of('pendulum'),
-     [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, RescueGuard]),
-    (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)),
-     [ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, RescueGuard]),
+    (simulation_of(), PLACED),
+    (simulation_of('pendulum'), PLACED),
+    (simulation_of('henon_heiles', q=(0.0, 0.1), p=(0.1, 0.0)), PLACED),
     (simulation_of('pendulum', effects=[EFFECTS['damping'](0.1)]),
      [EnergyGuard, CostGuard, RescueGuard]),
-    # Gravity beside a pendulum's own moves its separatrix.
-    (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]),
-     [ResolutionGuard, EnergyGuard, CostGuard, RescueGuard]),
+    # Gravity beside a pendulum's own moves its separatrix, which is searched for.
+    (simulation_of('pendulum', effects=[EFFECTS['gravity']('angle', 1.0, 1.0)]), PLACED),
     (build(load_scene('pendulum')),
-     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, SolutionGuard, RescueGuard]),
+     [BoxGuard, ResolutionGuard, EnergyGuard, CostGuard, BarrierGuard, PathGuard, SolutionGuard,
+      RescueGuard]),
 ], ids=['oscillator', 'pendulum', 'henon_heiles', 'damped', 'joined', 'learned'])
 def test_guards_are_those_that_the_scene_calls_for(simulation, expected):
     guards = make_guards(simulation, fixed(1.0), 0.05, 0.02, simulation.hamiltonian.barrier)

@@ -1,0 +1,133 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A guard of the path: the next turns are taken once more with half the step."""
+
+import math
+
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed
+from hnn_vi_ros.simulation import RescuePending, Simulation
+import numpy as np
+
+# Turns and steps of a trial, at most; steps at least.
+_TURNS, _STEPS, _LEAST = 3, 256, 8
+# A derivative of H that is this many times as large as in all trials before calls for another.
+_FASTER = 2.0
+# Coordinates whose range is less than this share of the largest one do not count.
+_SLIGHT = 1e-3
+# Error of the path over its length: that of a quarter of a turn in a hundred turns.
+_LIMIT = 0.5 * math.pi / 400.0
+# Samples further apart than so many steps say little of those between.
+_NEAR = 16
+
+
+class PathGuard(BlockGuard):
+    """
+    The path errs by less than 0.4 % of its length: a hundred turns are counted right.
+
+    From the initial state, and from where a derivative of H has doubled, up to three turns and
+    256 steps are taken with h and with h / 2. The paths differ by (1 - 2^-p) of the error of the
+    first, with p the order of the method. Each coordinate and momentum is compared with the length
+    of its own path. Of an oscillator whose frequency is off by a share s, the error over the
+    length is pi s / 2; a quarter of a turn is lost in a hundred turns where s is 1 / 400. Where a
+    path errs by less than 1 % of its size, its length in three turns is twelve times that size or
+    more, and nothing is told.
+
+    With order 1, what is conserved is another function at each state: a trial from a state on the
+    way would be of another motion, so that there is one from the initial state only.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of one trajectory.
+
+    References
+    ----------
+    E. Hairer, S. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, section II.4.
+
+    """
+
+    kind = 'path not resolved'
+    remedy = ('use a smaller step_size or a method of higher order; energies alone may still be '
+              'good')
+
+    def __init__(self, simulation: Simulation):
+        self._simulation, self.raised, self._error = simulation, False, 0.0
+        # The largest derivatives so far, and the sample before.
+        self._largest = np.zeros(0)
+        self._before: tuple[int, np.ndarray, np.ndarray] | None = None
+
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
+        alarms, at = [], 0
+        slopes = np.abs(np.hstack([block.dH_dq, block.dH_dp]))
+        later = self._simulation.integrator.order > 1
+        while not self.raised and at < len(slopes):
+            if self._before is not None:
+                beyond = later & (slopes[at:] > _FASTER * self._largest).any(axis=1)
+                at = at + int(beyond.argmax()) if beyond.any() else len(slopes)
+            if at < len(slopes):
+                if self._begin(block, at, slopes[at]):
+                    self.raised = True
+                    alarms.append(self._alarm(int(block.step[at])))
+                self._before, at = self._sample(block, at), at + 1
+        self._before = self._sample(block, -1)
+        return alarms
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return self._alarm(sample.step)
+
+    def _sample(self, block: Block, i: int) -> tuple[int, np.ndarray, np.ndarray]:
+        return int(block.step[i]), block.q[i].copy(), block.p[i].copy()
+
+    def _begin(self, block: Block, i: int, slopes: np.ndarray) -> bool:
+        """Make a trial from before a sample; return whether the path errs too much."""
+        start = self._sample(block, i)
+        before = self._sample(block, i - 1) if i > 0 else self._before
+        if before is not None and start[0] - before[0] <= _NEAR:
+            start = before
+        self._error, largest = self._try(*start[1:])
+        if not self._largest.size:
+            self._largest = np.zeros_like(slopes)
+        self._largest = np.maximum(np.maximum(self._largest, slopes), largest)
+        for half in np.split(self._largest, 2):
+            half[:] = np.maximum(half, _SLIGHT * half.max())
+        return not self._error <= _LIMIT
+
+    def _try(self, q: np.ndarray, p: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the error over the length of the path, and the largest derivatives on it."""
+        simulation, h, start = self._simulation, self._simulation.step_size, np.append(q, p)
+        try:
+            path, better = (np.vstack([start, np.hstack(simulation.trial_path(
+                q, p, h / parts, _STEPS, parts))]) for parts in (1, 2))
+        except (StepFailure, RescuePending):
+            # A step that fails in the run is told there.
+            return 0.0, np.zeros(start.size)
+        lengths = np.vstack([np.zeros(start.size), np.cumsum(
+            np.abs(np.diff(better, axis=0)), axis=0)])
+        ranges = np.maximum.accumulate(better) - np.minimum.accumulate(better)
+        counts = np.hstack([half > _SLIGHT * half.max(axis=1, keepdims=True)
+                            for half in np.split(ranges, [q.size], axis=1)])
+        turned = ((lengths > 2.0 * _TURNS * ranges) & counts).any(axis=1)
+        turned[:_LEAST] = False
+        end = int(turned.argmax()) if turned.any() else _STEPS
+        part, counted = np.s_[:end + 1], counts[end]
+        order, begin = simulation.integrator.order, 0
+        errors = np.abs(path - better) / (1.0 - 0.5 ** order)
+        worst = errors[part].max(axis=0)
+        if order == 1:
+            # Such a method is one of order 2 in states that are a share of a step aside: what it
+            # errs in the first of the turns, and no more in the last one, does not grow.
+            begin = end // _TURNS
+            worst -= errors[:begin + 1].max(axis=0) if turned.any() else worst
+        slopes = np.hstack(simulation.hamiltonian.gradient(
+            better[part, :q.size], better[part, q.size:]))
+        return (float((worst / (lengths[end] - lengths[begin]))[counted].max(initial=0.0)),
+                np.abs(slopes).max(axis=0))
+
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, self._error, _LIMIT,
+                     f'the path errs by {100.0 * self._error:.2g} % of its length: it does not '
+                     'turn as often as it should; use a smaller step_size, or a method of higher '
+                     'order', '1')

@@ -1,0 +1,118 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A guard of the poles of H, which no motion can pass, but a step can."""
+
+import math
+
+from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import kept
+import numpy as np
+
+# Second derivatives this many times as large as their mean so far are searched for a pole.
+_STEEP = 4.0
+# Searches, for each doubling of the samples.
+_SEARCHES = 4
+# Places on the way between two samples, none of them its middle, and how often they are refined:
+# down to a 1e-7th of it. There a pole of H'' of the first order has grown by 1e7, as for a
+# logarithm the gradient has.
+_PLACES, _ROUNDS = 16, 8
+_POLE, _FLOW = 1e6, 1e3
+
+
+@kept(error_model='numpy')
+def _next_peak(own: np.ndarray, sizes: np.ndarray, first: int) -> int:
+    """Return the next sample before which H'' is steep and steepest; own: sum, count, last two."""
+    for i in range(first, len(sizes)):
+        own[0] += sizes[i]
+        own[1] += 1.0
+        peak = own[3] > _STEEP * own[0] / own[1] and own[3] >= own[2] and own[3] >= sizes[i]
+        own[2], own[3] = own[3], sizes[i]
+        if peak:
+            return i
+    return len(sizes)
+
+
+class PoleGuard(BlockGuard):
+    """
+    The motion passes no pole of H, such as that of an azimuth or of a centrifugal barrier.
+
+    Between samples where rows of H'' are large, the place on the straight line from one to the
+    other is searched where they are the largest. They, and H', grow without bounds if there is a
+    pole; H' does not where its factor is zero, as an angular momentum that is.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H of the motion.
+
+    """
+
+    kind = 'pole crossed'
+    remedy = 'use a smaller step_size, or coordinates without a pole there'
+
+    def __init__(self, hamiltonian: Hamiltonian):
+        self._hamiltonian, self.raised, self._searched = hamiltonian, False, 0
+        # Different numbers: a symmetry of H'' hides no row of it.
+        self._direction = 1.0 / (1.0 + 0.1 * np.arange(2 * hamiltonian.dimension))
+        self._own = np.zeros(4)
+        # The last two samples.
+        self._last = np.empty((0, 2 * hamiltonian.dimension))
+
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
+        if self.raised:
+            return []
+        z = np.hstack([block.q, block.p])
+        sizes, before = self._sizes(z), len(self._last)
+        path, alarms, at = np.vstack([self._last, z]), [], 0
+        while at < len(z):
+            at = _next_peak(self._own, sizes, at)
+            if at < len(z):
+                budget = _SEARCHES * (1.0 + math.log2(self._own[1]))
+                if not self.raised and self._searched < budget:
+                    self._searched += 1
+                    part = path[max(0, before + at - 2):before + at + 1]
+                    if any(self._crossed(*ends) for ends in zip(part[:-1], part[1:], strict=True)):
+                        self.raised = True
+                        alarms.append(self._alarm(int(block.step[at])))
+                at += 1
+        self._last = path[-2:].copy()
+        return alarms
+
+    def renew(self, sample: Observed) -> Alarm | None:
+        """See Guard."""
+        return self._alarm(sample.step)
+
+    def _sizes(self, z: np.ndarray) -> np.ndarray:
+        """Return the largest entry of H'' v at states (k, 2 d), shape (k,)."""
+        d = z.shape[1] // 2
+        v = np.tile(self._direction, (len(z), 1))
+        with np.errstate(all='ignore'):
+            products = np.hstack(self._hamiltonian.hessian_vector(
+                z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
+        return np.abs(products).max(axis=1)
+
+    def _crossed(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Return whether there is a pole between two states, shape (2 d,)."""
+        low, high, d = 0.0, 1.0, start.size // 2
+
+        def slopes(z: np.ndarray) -> np.ndarray:
+            with np.errstate(all='ignore'):
+                return np.abs(np.hstack(self._hamiltonian.gradient(z[:, :d], z[:, d:])))
+
+        ends = np.array([start, end])
+        steepest, fastest = self._sizes(ends).max(), slopes(ends).max(axis=0)
+        for _ in range(_ROUNDS):
+            places = np.linspace(low, high, _PLACES)
+            z = start + places[:, None] * (end - start)
+            sizes = self._sizes(z)
+            k = int(np.nan_to_num(sizes, nan=math.inf).argmax())
+            low, high = places[max(k - 1, 0)], places[min(k + 1, _PLACES - 1)]
+        grown = (slopes(z[k:k + 1])[0] > _FLOW * fastest) & (fastest > 0.0)
+        return bool(sizes[k] > _POLE * steepest and grown.any())
+
+    def _alarm(self, step: int) -> Alarm:
+        return Alarm(self.kind, step, 1, 0,
+                     'H has a pole between this sample and one of the two before, which no motion '
+                     'can pass; use a smaller step_size, or coordinates without a pole there', '1')

@@ -1,0 +1,131 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Saddles of H next to a run: where all derivatives of H are small, Newton's method looks."""
+
+from collections.abc import Iterator
+
+from hnn_vi_ros.guards.base import Block
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.kernels.compilation import kept
+import numpy as np
+
+# The search solves 2 d equations: in fewer coordinates than this it takes a millisecond or two.
+MOST_COORDINATES = 16
+# Mean square of the derivatives of H, over that of the run so far: 1 all the way on a harmonic
+# oscillator. Where it is less than half of that, and of where none was found, a search is made.
+_LULL = 0.5
+_ITERATIONS = 30
+_EPS = float(np.finfo(np.float64).eps)
+
+
+@kept(error_model='numpy')
+def _size(squares: np.ndarray, sums: np.ndarray, count: float) -> float:
+    """Return the mean over the derivatives of their squares, over the means along the run."""
+    total, active = 0.0, 0
+    for j in range(squares.size):
+        if sums[j] > 0.0:
+            total += squares[j] * count / sums[j]
+            active += 1
+    return total / max(active, 1)
+
+
+@kept(error_model='numpy')
+def _next_lull(own: np.ndarray, squares: np.ndarray, first: int, limit: float
+               ) -> tuple[int, float]:
+    """
+    Return the next sample before which the derivatives are the least, and how small; or the end.
+
+    Rows of own are the sums of their squares along the run, and those of the last two samples;
+    the first entry of the last row counts samples.
+    """
+    for i in range(first, len(squares)):
+        count = own[3, 0] + 1.0
+        own[0] += squares[i]
+        if count >= 2.0:
+            middle = _size(own[2], own[0], count)
+            lull = middle < limit and middle < _size(squares[i], own[0], count) and (
+                count == 2.0 or middle <= _size(own[1], own[0], count))
+        else:
+            middle, lull = 0.0, False
+        own[1], own[2] = own[2], squares[i]
+        own[3, 0] = count
+        if lull:
+            return i, middle
+    return len(squares), 0.0
+
+
+class SaddleSearch:
+    """
+    Search for stationary states of H that are neither a minimum nor a maximum, along a run.
+
+    It starts from the samples where the derivatives of H are smaller than before and after, and
+    small: from where the motion turns or slows down. What Newton's method comes to is the saddle
+    next to it if the first step, by the quadratic approximation of H, leads to its energy within
+    a factor of two.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        H, of at most MOST_COORDINATES coordinates.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian):
+        self._hamiltonian, self._limit = hamiltonian, _LULL
+        self._own = np.zeros((4, 2 * hamiltonian.dimension))
+        self._before: tuple[np.ndarray, np.ndarray] | None = None
+        # Those found, and how far from each the derivatives need not be looked at again.
+        self._known: list[tuple[np.ndarray, float]] = []
+
+    def take(self, block: Block) -> Iterator[tuple[int, float]]:
+        """Look at the next samples; yield places in the block and the energies found there [J]."""
+        squares = np.hstack([block.dH_dq, block.dH_dp]) ** 2
+        at, end = 0, len(squares)
+        while at < end:
+            at, size = _next_lull(self._own, squares, at, self._limit)
+            if at < end:
+                z = self._state(block, at - 1)
+                if not any(np.linalg.norm(z - saddle) <= radius for saddle, radius in self._known):
+                    energy = self._search(z)
+                    if energy is None:
+                        self._limit = _LULL * size
+                    else:
+                        yield at, energy
+                at += 1
+        self._before = block.q[-1].copy(), block.p[-1].copy()
+
+    def _state(self, block: Block, i: int) -> np.ndarray:
+        if i < 0:
+            assert self._before is not None, 'the first sample is not the last of a lull'
+            return np.concatenate(self._before)
+        return np.concatenate([block.q[i], block.p[i]])
+
+    def _search(self, start: np.ndarray) -> float | None:
+        """Return the energy of the saddle next to a state [J], None for none."""
+        H, d, z, promised = self._hamiltonian, self._hamiltonian.dimension, start, 0.0
+        unit = np.eye(2 * d)
+        for iteration in range(_ITERATIONS):
+            slope = np.concatenate(H.gradient(z[:d], z[d:]))
+            states = np.tile(z, (2 * d, 1))
+            curvature = np.hstack(H.hessian_vector(
+                states[:, :d], states[:, d:], unit[:, :d], unit[:, d:]))
+            if not (np.isfinite(slope).all() and np.isfinite(curvature).all()):
+                return None
+            step = np.linalg.lstsq(curvature, -slope)[0]
+            if iteration == 0:
+                promised = 0.5 * float(slope @ step)
+            z = z + step
+            if np.abs(step).max() <= 1e-10 * max(1.0, float(np.abs(z).max())):
+                break
+        else:
+            return None
+        signs = np.linalg.eigvalsh(curvature)
+        energy, begun = (float(H.energy(x[:d], x[d:])) for x in (z, start))
+        rise, rounding = energy - begun, 64.0 * _EPS * max(abs(energy), abs(begun))
+        # A step of zero is also what a constant slope gives.
+        if np.abs(slope).max() > 1e-8 * np.abs(curvature).max() or not (
+                signs[0] < -1e-9 * signs[-1] < 0.0) or not (
+                0.5 * abs(promised) - rounding <= abs(rise) <= 2.0 * abs(promised) + rounding):
+            return None
+        self._known.append((z, 1.5 * float(np.linalg.norm(start - z))))
+        return energy

@@ -1,0 +1,136 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of formulas with steps too large that keep their energy are told all the same."""
+
+from hnn_vi_ros.guards.base import Block, judge
+from hnn_vi_ros.guards.paths import PathGuard
+from hnn_vi_ros.guards.poles import PoleGuard
+from hnn_vi_ros.guards.saddles import SaddleSearch
+from hnn_vi_ros.hamiltonians import HAMILTONIANS
+from hnn_vi_ros.hamiltonians.formula import Formula
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trajectory.simulate import record_one
+import numpy as np
+import pytest
+
+PENDULUM = 'p_q^2 / 2 + 1 - cos(q)'
+WELLS = 'p_q^2 / 2 - q^2 / 2 + q^4 / 4'
+SPHERICAL = 'p_theta^2 / 2 + p_phi^2 / (2 * sin(theta)^2) - cos(theta)'
+POLAR = 'p_r^2 / 2 + p_phi^2 / (2 * r^2) + r^2 / 2'
+
+
+def simulation_of(formula: str, names: str, method: str, h: float, q: list, p: list) -> Simulation:
+    return Simulation(Formula(names.split(), formula), INTEGRATORS[method](), h, q, p)
+
+
+def kinds(simulation: Simulation, steps: int, every: int = 1) -> list[str]:
+    found = record_one(simulation, steps * simulation.step_size, every)
+    return [alarm.kind for alarm in found.alarms]
+
+
+def block_of(simulation: Simulation, steps: int) -> Block:
+    """Return the samples of a run as guards see them."""
+    q, p = (np.vstack([start, path]) for start, path in zip(
+        (simulation.q.copy(), simulation.p.copy()), simulation.record(steps, 1), strict=True))
+    energy = simulation.hamiltonian.energy(q, p)
+    return Block(np.arange(steps + 1), q, p, *simulation.hamiltonian.gradient(q, p), energy,
+                 energy, 0.0 * energy)
+
+
+def parts_of(block: Block, length: int) -> list[Block]:
+    return [Block(*(part[i:i + length] for part in block))
+            for i in range(0, len(block.step), length)]
+
+
+@pytest.mark.parametrize('formula, q, p, method, h', [
+    (PENDULUM, 3.052142479252326, 0.0, 'generalized_leapfrog', 0.1),
+    (PENDULUM, 0.0, 1.998, 'stormer_verlet', 0.1),
+    (WELLS, 1.0, 0.7072, 'stormer_verlet', 0.1),
+    (WELLS, 1.0, 0.707, 'implicit_midpoint', 0.1)])
+def test_motion_next_to_a_saddle_of_a_formula_is_told_as_that_of_a_system_that_names_it(
+        formula, q, p, method, h):
+    assert 'saddle not resolved' in kinds(simulation_of(formula, 'q', method, h, [q], [p]), 600)
+
+
+def test_double_well_that_is_not_passed_although_its_energy_is_above_the_saddle_is_told():
+    simulation = simulation_of(WELLS, 'q', 'implicit_midpoint', 0.2, [1.0], [0.708])
+    block = block_of(simulation, 300)
+    assert block.energy[0] > 0.0 and (block.q > 0.0).all()
+    simulation.restart([1.0], [0.708])
+    assert 'saddle not resolved' in kinds(simulation, 300)
+
+
+@pytest.mark.parametrize('formula, names, q, p, energies', [
+    (PENDULUM, 'q', [3.0], [0.0], [2.0]), (WELLS, 'q', [1.0], [0.72], [0.0]),
+    ('(p_x^2 + p_y^2) / 2 + (x^2 + y^2) / 2 + x^2*y - y^3 / 3', 'x y', [0.0, 0.9], [0.0, 0.0],
+     [1 / 6]),
+    ('p_q^2 / 2 + q^2 / 2', 'q', [1.0], [0.0], []), ('p_q^2 / 2 + q^4', 'q', [1.0], [0.0], []),
+    ('(p_x^2 + p_y^2) / 2 - 1 / sqrt(x^2 + y^2)', 'x y', [1.9, 0.0], [0.0, 0.23], [])])
+def test_search_finds_the_energies_of_the_saddles_next_to_a_run(formula, names, q, p, energies):
+    simulation = simulation_of(formula, names, 'gauss4', 0.05, q, p)
+    search = SaddleSearch(simulation.hamiltonian)
+    found = [energy for _, energy in search.take(block_of(simulation, 1000))]
+    # A pendulum comes next to two, on its left and on its right.
+    assert len(found) <= 2 * len(energies)
+    assert sorted({round(energy, 12) for energy in found}) == pytest.approx(energies, abs=1e-11)
+
+
+@pytest.mark.parametrize('formula, names, momentum', [
+    (SPHERICAL, 'theta phi', 1e-8), (SPHERICAL, 'theta phi', 1e-4), (POLAR, 'r phi', 1e-6)])
+@pytest.mark.parametrize('method', ['generalized_leapfrog', 'gauss4', 'discrete_gradient'])
+def test_step_over_a_pole_is_told_however_small_the_angular_momentum(
+        formula, names, momentum, method):
+    """The energy is as good as ever, and the azimuth off by pi at each passage."""
+    simulation = simulation_of(formula, names, method, 0.1, [1.0, 0.0], [0.0, momentum])
+    assert set(kinds(simulation, 100)) & {'pole crossed', 'path not resolved'}
+
+
+def test_pole_of_factor_zero_is_no_pole_of_the_motion():
+    simulation = simulation_of(SPHERICAL, 'theta phi', 'gauss4', 0.1, [1.0, 0.0], [0.0, 0.0])
+    assert kinds(simulation, 200) == []
+
+
+@pytest.mark.parametrize('formula, names, q, p, h', [
+    ('(p_x^2 + p_y^2) / 2 - 1 / sqrt(x^2 + y^2)', 'x y', [1.9, 0.0], [0.0, 0.23], 0.002),
+    ('p_r^2 / 2 + 4 * (r^-12 - r^-6)', 'r', [1.6], [0.0], 0.002),
+    (SPHERICAL, 'theta phi', [1.0, 0.0], [0.0, 0.2], 0.01)])
+def test_motion_that_is_resolved_next_to_a_pole_is_not_told(formula, names, q, p, h):
+    assert kinds(simulation_of(formula, names, 'gauss4', h, q, p), 4000) == []
+
+
+@pytest.mark.parametrize('method, h, told', [
+    ('generalized_leapfrog', 0.3, True), ('generalized_leapfrog', 0.2, False),
+    ('implicit_midpoint', 0.2, True), ('implicit_midpoint', 0.15, False),
+    ('discrete_gradient', 0.2, True), ('variational_euler', 0.3, True),
+    ('variational_euler', 0.09, False), ('gauss4', 1.4, True), ('gauss4', 1.0, False)])
+def test_path_guard_tells_where_a_quarter_of_a_turn_is_lost_in_a_hundred(method, h, told):
+    """The frequency is off by h^2 / 24 (explicit), h^2 / 12 (midpoint) and h^4 / 720 (gauss4)."""
+    simulation = simulation_of('p_q^2 / 2 + q^2 / 2', 'q', method, h, [1.0], [0.0])
+    assert (PathGuard.kind in kinds(simulation, 50)) == told
+
+
+@pytest.mark.parametrize('length', [1, 7])
+@pytest.mark.parametrize('name', ['path', 'pole', 'saddle'])
+def test_samples_in_parts_show_what_they_show_together(name, length):
+    simulation = simulation_of(SPHERICAL, 'theta phi', 'gauss4', 0.1, [1.0, 0.0], [0.0, 1e-8])
+    block = block_of(simulation, 60)
+    if name == 'saddle':
+        def find(blocks):
+            search = SaddleSearch(simulation.hamiltonian)
+            return [(int(part.step[i]), e) for part in blocks for i, e in search.take(part)]
+    else:
+        def find(blocks):
+            guard = (PathGuard(simulation) if name == 'path'
+                     else PoleGuard(simulation.hamiltonian))
+            return [alarm for part in blocks for alarm in judge([guard], part)]
+    assert find(parts_of(block, length)) == find([block])
+
+
+@pytest.mark.parametrize('name', ['pendulum', 'henon_heiles'])
+def test_system_that_names_its_barrier_is_not_searched(name):
+    """What it says is 'separatrix' or 'escape barrier', from the first sample on."""
+    d = HAMILTONIANS[name]().dimension
+    simulation = Simulation(HAMILTONIANS[name](), INTEGRATORS['gauss4'](), 0.01, [0.1] * d,
+                            [0.0] * d)
+    assert kinds(simulation, 20) == []
