@@ -20,8 +20,10 @@ from typing import NamedTuple
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.trajectory.simulate import record_one
 import numpy as np
@@ -34,48 +36,47 @@ _X, _V = (0.97000436, -0.24308753), (-0.93240737, -0.86473146)
 
 
 class System(NamedTuple):
-    """A formula, its initial state, the horizon [s], and what changes sign at its events."""
+    """A formula, its initial state, the horizon [s], and the conditions of its events."""
 
     formula: str
     coordinates: str
     q: tuple[float, ...]
     p: tuple[float, ...]
     horizon: float
-    events: Callable[[np.ndarray, np.ndarray], Sequence[np.ndarray]]
+    events: tuple[str, ...]
 
 
 # About ten turns each. They end midway between two events, so that a small delay of the last one
 # changes no count.
 SYSTEMS = {
     'Duffing': System('p_x^2 / 2 + x^2 / 2 + x^4 / 4', 'x', (2.0,), (0.0,), 33.4,
-                      lambda q, p: [q[:, 0]]),
+                      ('x = 0',)),
     'double well': System('p_x^2 / 2 - x^2 / 2 + x^4 / 4', 'x', (1.0,), (0.7085,), 88.0,
-                          lambda q, p: [q[:, 0]]),
+                          ('x = 0',)),
     'pendulum at its separatrix': System(
         'p_q^2 / 2 + 1 - cos(q)', 'q', (3.052142479252326,), (0.0,), 182.0,
-        lambda q, p: [p[:, 0], np.sin(0.5 * q[:, 0])]),
+        ('p_q = 0', 'sin(q / 2) = 0')),
     'spherical pendulum at its pole': System(
         'p_theta^2 / 2 + p_phi^2 / (2 * sin(theta)^2) - cos(theta)', 'theta phi',
-        (1.0, 0.0), (0.0, 0.02), 32.7, lambda q, p: [p[:, 0], np.cos(q[:, 1] - 0.8)]),
+        (1.0, 0.0), (0.0, 0.02), 32.7, ('p_theta = 0', 'cos(phi - 0.8) = 0')),
     'Lennard-Jones': System(
         '(p_x^2 + p_y^2) / 2 + 4 * ((x^2 + y^2)^-6 - (x^2 + y^2)^-3)', 'x y',
         (1.6, 0.0), (0.0, 0.25), 20.4,
-        lambda q, p: [(q * p).sum(axis=1), q[:, 1]]),
+        ('x * p_x + y * p_y = 0', 'y = 0')),
     'Kepler 0.9': System('(p_x^2 + p_y^2) / 2 - 1 / sqrt(x^2 + y^2)', 'x y', (1.9, 0.0),
                          (0.0, 0.22941573387056177), 64.4,
-                         lambda q, p: [(q * p).sum(axis=1), q[:, 1]]),
+                         ('x * p_x + y * p_y = 0', 'y = 0')),
     'three bodies': System(
         '(p_a^2 + p_b^2 + p_c^2 + p_d^2 + p_e^2 + p_f^2) / 2 - 1/sqrt((a - c)^2 + (b - d)^2)'
         ' - 1/sqrt((a - e)^2 + (b - f)^2) - 1/sqrt((c - e)^2 + (d - f)^2)', 'a b c d e f',
         (*_X, -_X[0], -_X[1], 0.0, 0.0), (*(-0.5 * v for v in _V + _V), *_V), 63.8,
-        lambda q, p: [(q[:, 2] - q[:, 0]) * (q[:, 5] - q[:, 1])
-                      - (q[:, 3] - q[:, 1]) * (q[:, 4] - q[:, 0])]),
+        ('(c - a) * (f - b) = (d - b) * (e - a)',)),
     'Toda': System('(p_a^2 + p_b^2 + p_c^2) / 2 + exp(a - b) + exp(b - c) + exp(c - a)', 'a b c',
                    (1.0, -0.5, -0.5), (0.3, 0.5, -0.8), 36.5,
-                   lambda q, p: [q[:, 0] - q[:, 1], q[:, 1] - q[:, 2]]),
+                   ('a = b', 'b = c')),
     'stiff resonance': System(
         '(p_x^2 + p_y^2) / 2 + x^2 / 2 + 100 * y^2 / 2 + 5 * x^2 * y', 'x y', (1.0, 0.05),
-        (0.0, 0.3), 62.07, lambda q, p: [q[:, 0], q[:, 1]]),
+        (0.0, 0.3), 62.07, ('x = 0', 'y = 0')),
 }
 
 
@@ -91,7 +92,7 @@ class Run(NamedTuple):
         [s].
     path, energy : float
         Largest errors: of the path over its size, and of H over the energy scale.
-    counts, expected : list of int
+    found, expected : list of int
         Sign changes of the events, in the run and of DOP853.
     alarms : list of str
         Kinds of the alarms, or the error that ended the run.
@@ -103,14 +104,14 @@ class Run(NamedTuple):
     step_size: float
     path: float
     energy: float
-    counts: list[int]
+    found: list[int]
     expected: list[int]
     alarms: list[str]
 
     @property
     def judgement(self) -> str:
         """Return 'wrong', 'right', or '' for what lies between."""
-        if self.counts != self.expected or not self.energy <= 0.1:
+        if self.found != self.expected or not self.energy <= 0.1:
             return 'wrong'
         return 'right' if self.path < 0.01 else ''
 
@@ -131,15 +132,8 @@ class Judge:
         self.hamiltonian = Formula([*self.system.coordinates.split()], self.system.formula)
         self.start = np.array([*self.system.q, *self.system.p])
         d = self._d = self.hamiltonian.dimension
-
-        def slope(t: float, z: np.ndarray) -> np.ndarray:
-            H_q, H_p = self.hamiltonian.gradient(z[:d], z[d:])
-            return np.concatenate([H_p, -H_q])
-
-        times = np.linspace(0.0, self.system.horizon, 20_001)
-        found = solve_ivp(slope, (0.0, times[-1]), self.start, 'DOP853', times, rtol=1e-12,
-                          atol=1e-13, dense_output=True)
-        self._path, self.reference = found.y.T, found.sol
+        self._path, self.reference = reference(
+            self.hamiltonian, self.start, self.system.horizon)
         # A momentum that is conserved has no range.
         self._ranges = np.ptp(self._path, axis=0)
         self._ranges[self._ranges <= 1e-9] = 1.0
@@ -193,27 +187,62 @@ class Judge:
         return float(np.linalg.norm(errors, axis=1).max() / self._size)
 
     def _counts(self, z: np.ndarray) -> list[int]:
-        signs = [np.sign(one) for one in self.system.events(z[:, :self._d], z[:, self._d:])]
-        return [int(np.count_nonzero(np.diff(one[one != 0.0]))) for one in signs]
+        return counts(self.hamiltonian, self.system.events, z)
+
+
+def reference(hamiltonian: Hamiltonian, start: np.ndarray, horizon: float
+              ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Return (q, p) by DOP853 at 20 001 instants, shape (n, 2 d), and as a function of time."""
+    d = start.size // 2
+
+    def slope(t: float, z: np.ndarray) -> np.ndarray:
+        H_q, H_p = hamiltonian.gradient(z[:d], z[d:])
+        return np.concatenate([H_p, -H_q])
+
+    times = np.linspace(0.0, horizon, 20_001)
+    found = solve_ivp(slope, (0.0, horizon), start, 'DOP853', times, rtol=1e-12, atol=1e-13,
+                      dense_output=True)
+    return found.y.T, found.sol
+
+
+def counts(hamiltonian: Hamiltonian, events: Sequence[str], z: np.ndarray) -> list[int]:
+    """Return how often each condition comes true on a path (n, 2 d): its changes of sign."""
+    d = z.shape[1] // 2
+    signs = [np.sign(Condition(text).values(hamiltonian, z[:, :d], z[:, d:])) for text in events]
+    return [int(np.count_nonzero(np.diff(one[one != 0.0]))) for one in signs]
 
 
 def table(runs: Sequence[Run]) -> str:
     """Return a line for each system: wrong and right runs, alarmed and silent."""
     lines = ['| system | wrong, alarmed | wrong, silent | right, alarmed | right, silent | '
              'between |', '|---|---|---|---|---|---|']
-    counts = Counter((run.system, run.judgement, bool(run.alarms)) for run in runs)
+    found = Counter((run.system, run.judgement, bool(run.alarms)) for run in runs)
     for name in dict.fromkeys(run.system for run in runs):
-        cells = [counts[name, 'wrong', True], counts[name, 'wrong', False],
-                 counts[name, 'right', True], counts[name, 'right', False],
-                 counts[name, '', True] + counts[name, '', False]]
+        cells = [*(found[name, word, alarmed] for word in ('wrong', 'right')
+                   for alarmed in (True, False)), found[name, '', True] + found[name, '', False]]
         lines.append(f'| {name} | {" | ".join(map(str, cells))} |')
     return '\n'.join(lines)
+
+
+def write_runs(path: Path, runs: Sequence[Run]) -> None:
+    """Write a line of JSON for each run."""
+    path.write_text(''.join(json.dumps(run._asdict()) + '\n' for run in runs), encoding='utf-8')
+
+
+def read_runs(path: Path) -> list[Run]:
+    """Return what ``write_runs`` wrote."""
+    return [Run(**json.loads(line)) for line in path.read_text('utf-8').splitlines()]
+
+
+def committed() -> Path:
+    """Return where the runs lie that the page on hard cases tells of."""
+    return Path(__file__).with_suffix('.jsonl')
 
 
 def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('coarse_steps', __doc__, [
-        "make study NAME=coarse_steps ARGS='--out runs.jsonl'"])
+        "make study NAME=coarse_steps ARGS='--out docs/studies/coarse_steps.jsonl'"])
     found.add_argument('--systems', nargs='+', default=[*SYSTEMS], choices=[*SYSTEMS],
                        help='which (default: all)')
     found.add_argument('--methods', nargs='+', default=METHODS, choices=METHODS,
@@ -231,9 +260,7 @@ def main(argv: Sequence[str]) -> int:
             step = judge.step_that_errs(method)
             runs += [judge.run(method, share * step) for share in SHARES]
     if given.out is not None:
-        given.out.write_text(''.join(
-            json.dumps(run._asdict() | {'judgement': run.judgement}) + '\n' for run in runs),
-            encoding='utf-8')
+        write_runs(given.out, runs)
     print(table(runs))
     silent = [run for run in runs if run.judgement == 'wrong' and not run.alarms]
     for run in silent:

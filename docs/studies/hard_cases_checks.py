@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The hard cases with effects: dissipation, a constraint, and the same bits twice."""
+"""The hard cases with effects, the same bits twice, and events that are counted."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -10,12 +10,15 @@ import math
 from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk
 from hnn_vi_ros.effects.damping import Damping
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.guards.watch import energies_of, look
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
+from studies.coarse_steps import counts, reference
 from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job
-from studies.hard_cases_run import blocks, FIRST, run_motion, scale_of, summarise
+from studies.hard_cases_run import (
+    blocks, FIRST, run_motion, scale_of, summarise, watch_of)
 
 # Limits: the rise of a damped system's energy from block to block, and the errors of a rod.
 RISE, LENGTH, RATE = 1e-9, 1e-10, 1e-9
@@ -182,6 +185,33 @@ def _resumed(job: Job, half: int) -> tuple[np.ndarray, np.ndarray]:
     return after.record(half, 1)
 
 
+def run_counts(job: Job) -> Measured:
+    """Run a set-up, every step seen by the guards: events come as often as by DOP853."""
+    simulation, measured = _start(job)
+    watch, start = watch_of(job, simulation), simulation.energy
+    z = np.concatenate([simulation.q, simulation.p])
+    watch.update(look(simulation))
+    with np.errstate(over='ignore', invalid='ignore'):
+        try:
+            q, p = simulation.record(job.steps, 1)
+        except StepFailure as failure:
+            measured.failure, measured.alarms = failure, watch.alarms
+            return measured
+        energies = energies_of(simulation, q, p)
+        watch.show(simulation, np.arange(1, job.steps + 1), (q, p), energies, job.steps)
+    _note(measured, simulation, q, p)
+    summarise(energies[0] - start, measured)
+    measured.alarms = watch.alarms
+    hamiltonian, events = simulation.hamiltonian, job.set_up.events
+    path, _ = reference(hamiltonian, z, simulation.time)
+    found, expected = (counts(hamiltonian, events, np.vstack([z, states]))
+                       for states in (np.hstack([q, p]), path))
+    measured.broken += [f'{text} {own} times, not {times}' for text, own, times in zip(
+        events, found, expected, strict=True) if own != times]
+    measured.t, measured.error = _thinned(job, np.abs(energies[0] - start))
+    return measured
+
+
 def _start(job: Job) -> tuple[Simulation, Measured]:
     simulation = job.simulation()
     unknowns = simulation.integrator.unknowns(simulation.hamiltonian.dimension)
@@ -196,4 +226,4 @@ def _note(measured: Measured, simulation: Simulation, q: np.ndarray, p: np.ndarr
 
 _CHECKS: dict[str, Callable[[Job], Measured]] = {
     'motion': run_motion, 'dissipation': run_dissipation, 'constraint': run_constraint,
-    'repeatability': run_repeatability}
+    'repeatability': run_repeatability, 'counts': run_counts}

@@ -24,6 +24,7 @@ _CEILING = 1e6
 _LABELS = {
     'dissipation': 'abs(H - exact H) [J]',
     'motion': 'largest abs(H - H0) of a block [J]',
+    'counts': 'largest abs(H - H0) so far [J]',
     'constraint': 'largest error until t:\nlength [m], its rate [m/s]',
     'repeatability': 'largest difference of q or p [SI]',
 }

@@ -60,6 +60,8 @@ class SetUp(StrictModel):
     saddles: list[list[float]] = Field([], description='states (q, p) next to those of a barrier')
     inside: Literal['swing', 'triangle'] | None = Field(None, description=(
         'where q must stay'))
+    events: list[str] = Field([], description=(
+        'conditions, such as x = 0, that must come true as often as by DOP853'))
     within: int | None = Field(None, description=(
         'steps after which a symplectic method that is not stable must have said so'))
 
@@ -75,7 +77,7 @@ class Case(StrictModel):
     number: int
     title: str
     claim: str
-    check: Literal['motion', 'dissipation', 'constraint', 'repeatability'] = 'motion'
+    check: Literal['motion', 'dissipation', 'constraint', 'repeatability', 'counts'] = 'motion'
     gates: list[Literal['G1', 'G2', 'G3', 'G4', 'G5']] = ['G1', 'G2', 'G3', 'G4', 'G5']
     steps: Steps = 1_000_000
     quick_steps: Steps

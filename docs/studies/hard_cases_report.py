@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from hnn_vi_ros.errors import ParameterError
+from studies.coarse_steps import committed, read_runs, table
 from studies.hard_cases_figure import draw_case
 from studies.hard_cases_plan import Case, load_plan
 from studies.hard_cases_results import (
@@ -91,8 +92,11 @@ def page_of(docs: Path) -> str:
     cases = [case for case in load_plan().cases if _of(case, rows)]
     parts = _parts(cases, rows, expected, card.get('notes', {}))
     silent = sorted({row.method for row in rows if row.verdict == 'unstable'})
+    coarse = read_runs(committed())
+    ends = Counter(f'{run.judgement} {"told" if run.alarms else "silent"}' for run in coarse)
     return render(PAGE, cases=parts, machine=card['machine'], runs=len(rows), silent=silent,
-                  signs=SIGNS, grid=list(_grid(cases, rows)))
+                  signs=SIGNS, grid=list(_grid(cases, rows)), coarse=len(coarse), ends=ends,
+                  table=table(coarse))
 
 
 def _grid(cases: Sequence[Case], rows: Sequence[CaseRow]) -> Iterator[tuple[str, list[Counter]]]:

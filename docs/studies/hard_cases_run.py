@@ -9,6 +9,8 @@ from hnn_vi_ros.accuracy.diagnostics import energy_band, rounding_walk, secular_
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.paths import PathGuard
+from hnn_vi_ros.guards.poles import PoleGuard
 from hnn_vi_ros.guards.steps import RescueGuard
 from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
@@ -26,6 +28,8 @@ _STATES, _WATCHED = 1_000_000, 50
 _JUDGED = 2
 # Guards of the motion; a slow step says nothing about it.
 _GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard)
+# Those of the path, which decide only where events are counted: elsewhere accuracy is not judged.
+_OF_PATHS = (PathGuard, PoleGuard)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
 
@@ -50,7 +54,7 @@ def run_motion(job: Job) -> Measured:
 
 def _run_first(job: Job, simulation: Simulation, measured: Measured) -> None:
     """Take the first steps one by one, under the eyes of the guards."""
-    watch, start = _watch(job, simulation), simulation.energy
+    watch, start = watch_of(job, simulation), simulation.energy
     watch.update(look(simulation))
     errors = [0.0]
     try:
@@ -72,7 +76,7 @@ def _run_first(job: Job, simulation: Simulation, measured: Measured) -> None:
 
 def _run_all(job: Job, simulation: Simulation, measured: Measured) -> None:
     """Take all steps in blocks, and measure energies over the whole run."""
-    watch = _watch(job, simulation)
+    watch = watch_of(job, simulation)
     start, modified_start = simulation.energy, simulation.modified_energy
     scale = scale_of(simulation)
     energies, modified, seen = [], [], []
@@ -123,10 +127,11 @@ def scale_of(simulation: Simulation) -> float:
                           simulation.dH_dp)
 
 
-def _watch(job: Job, simulation: Simulation) -> Watch:
+def watch_of(job: Job, simulation: Simulation) -> Watch:
     """Return the guards of one run, with the limits of the job."""
+    kinds = _GUARDS + (_OF_PATHS if job.set_up.events else ())
     return Watch(simulation, _barrier(job, simulation), job.guards.under_resolved,
-                 job.guards.drift, _GUARDS)
+                 job.guards.drift, kinds)
 
 
 def _barrier(job: Job, simulation: Simulation) -> tuple[str, float] | None:
