@@ -10,7 +10,7 @@ from hnn_vi_ros.simulation import RescuePending, Simulation
 import numpy as np
 
 # Turns and steps of a trial, at most; steps at least.
-_TURNS, _STEPS, _LEAST = 3, 256, 8
+_TURNS, _STEPS, _LEAST = 3, 128, 8
 # A derivative of H that is this many times as large as in all trials before calls for another.
 _FASTER = 2.0
 # Coordinates whose range is less than this share of the largest one do not count.
@@ -26,7 +26,7 @@ class PathGuard(BlockGuard):
     The path errs by less than 0.4 % of its length: a hundred turns are counted right.
 
     From the initial state, and from where a derivative of H has doubled, up to three turns and
-    256 steps are taken with h and with h / 2. The paths differ by (1 - 2^-p) of the error of the
+    128 steps are taken with h and with h / 2. The paths differ by (1 - 2^-p) of the error of the
     first, with p the order of the method. Each coordinate and momentum is compared with the length
     of its own path. Of an oscillator whose frequency is off by a share s, the error over the
     length is pi s / 2; a quarter of a turn is lost in a hundred turns where s is 1 / 400. Where a

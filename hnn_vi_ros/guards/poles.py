@@ -12,12 +12,12 @@ import numpy as np
 # Second derivatives this many times as large as their mean so far are searched for a pole.
 _STEEP = 4.0
 # Searches, for each doubling of the samples.
-_SEARCHES = 4
+_SEARCHES = 2
 # Places on the way between two samples, none of them its middle, and how often they are refined:
 # down to a 1e-7th of it. There a pole of H'' of the first order has grown by 1e7, as for a
 # logarithm the gradient has.
 _PLACES, _ROUNDS = 16, 8
-_POLE, _FLOW = 1e6, 1e3
+_POLE, _FLOW, _SHOWS = 1e6, 1e3, 2.0
 
 
 @kept(error_model='numpy')
@@ -108,6 +108,9 @@ class PoleGuard(BlockGuard):
             z = start + places[:, None] * (end - start)
             sizes = self._sizes(z)
             k = int(np.nan_to_num(sizes, nan=math.inf).argmax())
+            # At the first places a pole shows: one of them is within a thirtieth of the way of it.
+            if sizes[k] < _SHOWS * steepest:
+                return False
             low, high = places[max(k - 1, 0)], places[min(k + 1, _PLACES - 1)]
         grown = (slopes(z[k:k + 1])[0] > _FLOW * fastest) & (fastest > 0.0)
         return bool(sizes[k] > _POLE * steepest and grown.any())

@@ -15,6 +15,10 @@ from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.guards.bands import BandGuard, EnergyGuard
+from hnn_vi_ros.guards.base import StateGuard
+from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.poles import PoleGuard
 from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
@@ -243,8 +247,9 @@ def _compile(parts: Parts, logger: Logger) -> Simulation:
         start = time.perf_counter()
         simulation = build(parts)
         # What guards run is compiled, or found, here, and not while the node is to answer; and
-        # before the loop, which another process may be compiling.
-        watch = Watch(simulation, simulation.hamiltonian.barrier)
+        # before the loop, which another process may be compiling, and by which paths are tried.
+        watch = Watch(simulation, simulation.hamiltonian.barrier, kinds=(
+            StateGuard, BandGuard, BoxGuard, EnergyGuard, PoleGuard))
         watch.update(look(simulation))
         _ = watch.alarms
         simulation.compile()
