@@ -41,7 +41,7 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
     if hamiltonian.box is not None:
         yield BoxGuard(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
     if simulation.conservative:
-        yield ResolutionGuard(band_limit, scale, plain_share(simulation))
+        yield ResolutionGuard(band_limit, scale, plain_share(simulation), method.order)
     yield EnergyGuard(change_limit, scale)
     if simulation.usual_gradients:
         yield CostGuard(simulation)

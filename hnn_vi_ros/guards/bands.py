@@ -111,9 +111,35 @@ def plain_share(simulation: Simulation) -> float:
     return 1.0 if simulation.modification is None else 2.0
 
 
+# H of a method of order 1 is judged at once where it goes this many times as far as it may.
+_AT_ONCE = 2.0
+
+
+@kept(error_model='numpy')
+def _first_lasting(own: np.ndarray, step: np.ndarray, energy: np.ndarray, limits: np.ndarray,
+                   times: float) -> int:
+    """Return the first sample at which H is too far and was at half the time; -1 for none."""
+    for i in range(len(step)):
+        if own[2] < 0.0:
+            own[2] = step[i]
+        own[0], own[1] = min(own[0], energy[i]), max(own[1], energy[i])
+        band = own[1] - own[0]
+        if not band > limits[i]:
+            own[3] = math.inf
+        else:
+            own[3] = min(own[3], step[i])
+            if step[i] - own[2] >= 2.0 * (own[3] - own[2]) or band > times * limits[i]:
+                return i
+    return -1
+
+
 class ResolutionGuard(BandGuard):
     """
     The step resolves the motion: H, and H~ where known, stay within a share of the energy scale.
+
+    A method of order 1 is given time: from an apocentre on, energies are small at first, and so
+    is their scale. Only where H has gone twice as far as it may is it told at once, else where it
+    has been too far since half the time of the run.
 
     Parameters
     ----------
@@ -123,6 +149,8 @@ class ResolutionGuard(BandGuard):
         Returns the energy scale at each sample of a block [J]; see SampledScale.
     plain : float, optional
         How many times that share is allowed for H; see ``plain_share``.
+    order : int, optional
+        Of the method.
 
     """
 
@@ -130,10 +158,26 @@ class ResolutionGuard(BandGuard):
     remedy = ('use a smaller step_size, such as the one that `simulate` and `hnn run` name, or a '
               'method of higher order')
 
-    def __init__(self, share: float, scale: Scale, plain: float = 1.0):
-        # Of the range of H a part counts.
-        super().__init__(share, (1.0, plain))
+    def __init__(self, share: float, scale: Scale, plain: float = 1.0, order: int = 2):
+        self._patient = order == 1 and plain > 1.0
+        # Of the range of H a part counts; of a method of order 1 it is judged by itself.
+        super().__init__(share, (1.0, math.inf if self._patient else plain))
         self._scale, self._plain = scale, plain
+        # Lowest and highest H, the first step, and since when H has been too far.
+        self._own = np.array([math.inf, -math.inf, -1.0, math.inf])
+
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard."""
+        if not self._patient or self.raised:
+            return super().take(block)
+        i = _first_lasting(self._own, block.step, block.energy,
+                           self._plain * self._limits(block), _AT_ONCE)
+        alarms = super().take(block)
+        if i < 0 or (alarms and alarms[0].step <= block.step[i]):
+            return alarms
+        self.raised = True
+        return [self._tell(int(block.step[i]), float(self._own[1] - self._own[0]),
+                           self._plain * float(self._limits(block)[i]), self._plain)]
 
     def _values(self, block: Block) -> np.ndarray:
         return np.array([block.accounted, block.energy])
@@ -142,9 +186,12 @@ class ResolutionGuard(BandGuard):
         return self._share * self._scale(block)
 
     def _alarm(self, step: int) -> Alarm:
+        kept, swing = self._ends[1] - self._ends[0]
         # Report H, if H went too far.
-        times = self._plain if self.band > self._ends[1, 0] - self._ends[0, 0] else 1.0
-        band, limit = times * self.band, times * self.limit
+        band, times = (swing, self._plain) if swing > self._plain * kept else (kept, 1.0)
+        return self._tell(step, float(band), times * self.limit, times)
+
+    def _tell(self, step: int, band: float, limit: float, times: float) -> Alarm:
         if not (limit > 0.0 and math.isfinite(band / limit)):
             return Alarm(self.kind, step, band, limit, 'the energy is infinite, or no number: '
                          'under-resolved; use a smaller step_size, or start elsewhere')

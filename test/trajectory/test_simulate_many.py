@@ -194,6 +194,8 @@ def test_steps_that_were_rescued_or_slow_are_told_by_simulate_many_as_well():
     said = {alarm.kind for alarm in simulate(scene, 10.0, initial_state=(q, p)).alarms}
     assert {'rescued steps', 'slow step'} <= said
     many = simulate_many(scene, [q] * 2, [p] * 2, 10.0, samples=20)
+    # Paths are tried of single trajectories only.
+    said -= {'path not resolved'}
     assert [{alarm.kind for alarm in own} for own in many.alarms] == [said, said]
 
 
