@@ -49,7 +49,8 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         yield InvariantGuard(name, function, band_limit, hamiltonian)
     if barrier is not None and simulation.conservative:
         yield BarrierGuard(*barrier, method.order)
-    elif searchable(simulation):
+    elif searchable(simulation) and simulation.system.integrator is method:
+        # On a constraint, or between walls, those of H are none of the motion.
         yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(hamiltonian))
     if searchable(simulation):
         # Halved, a step that H was learned through is none that it is right for.

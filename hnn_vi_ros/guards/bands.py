@@ -228,8 +228,14 @@ class BarrierGuard(BandGuard):
         super().__init__()
         self._plain = order > 1
         self.kind, self._name = f'{name} not resolved', name
-        self._found, self._search = [energy], search
+        self._found, self._search = [] if search else [energy], search
         self._gap, self._start = math.inf, (math.nan, math.nan)
+
+    def take(self, block: Block) -> list[Alarm]:
+        """See BlockGuard; as long as no barrier is known, nothing is told."""
+        alarms = super().take(block)
+        self.raised &= self._gap < math.inf
+        return alarms if self.raised else []
 
     def _limits(self, block: Block) -> np.ndarray:
         if math.isnan(self._start[0]):

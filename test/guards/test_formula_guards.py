@@ -2,14 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs of formulas with steps too large that keep their energy are told all the same."""
 
+from hnn_vi_ros import load_scene
+from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.bands import BarrierGuard
 from hnn_vi_ros.guards.base import Block, judge
 from hnn_vi_ros.guards.paths import PathGuard
 from hnn_vi_ros.guards.poles import PoleGuard
 from hnn_vi_ros.guards.saddles import SaddleSearch
+from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.trajectory.simulate import record_one
 import numpy as np
 import pytest
@@ -134,3 +139,9 @@ def test_system_that_names_its_barrier_is_not_searched(name):
     simulation = Simulation(HAMILTONIANS[name](), INTEGRATORS['gauss4'](), 0.01, [0.1] * d,
                             [0.0] * d)
     assert kinds(simulation, 20) == []
+
+
+def test_saddle_of_h_that_a_constraint_keeps_away_is_not_searched_for():
+    simulation = build(load_scene('cartesian_pendulum'))
+    guards = make_guards(simulation, SampledScale(simulation.hamiltonian), 0.05, 0.02, None)
+    assert BarrierGuard not in {type(guard) for guard in guards}
