@@ -51,7 +51,8 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         yield BarrierGuard(*barrier, method.order)
     elif searchable(simulation) and simulation.system.integrator is method:
         # On a constraint, or between walls, those of H are none of the motion.
-        yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(hamiltonian))
+        yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(
+            hamiltonian, lambda: simulation.rescue_ready))
     if searchable(simulation):
         # Halved, a step that H was learned through is none that it is right for.
         if hamiltonian.scheme is None:

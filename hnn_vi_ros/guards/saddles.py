@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Saddles of H next to a run: where all derivatives of H are small, Newton's method looks."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from hnn_vi_ros.guards.base import Block
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -67,11 +67,13 @@ class SaddleSearch:
     ----------
     hamiltonian : Hamiltonian
         H, of at most MOST_COORDINATES coordinates.
+    ready : callable
+        Returns whether H'' is there: what is being compiled meanwhile is not waited for.
 
     """
 
-    def __init__(self, hamiltonian: Hamiltonian):
-        self._hamiltonian, self._limit = hamiltonian, _LULL
+    def __init__(self, hamiltonian: Hamiltonian, ready: Callable[[], bool]):
+        self._hamiltonian, self._ready, self._limit = hamiltonian, ready, _LULL
         self._own = np.zeros((4, 2 * hamiltonian.dimension))
         self._before: tuple[np.ndarray, np.ndarray] | None = None
         # Those found, and how far from each the derivatives need not be looked at again.
@@ -85,7 +87,8 @@ class SaddleSearch:
             at, size = _next_lull(self._own, squares, at, self._limit)
             if at < end:
                 z = self._state(block, at - 1)
-                if not any(np.linalg.norm(z - saddle) <= radius for saddle, radius in self._known):
+                known = any(np.linalg.norm(z - saddle) <= radius for saddle, radius in self._known)
+                if self._ready() and not known:
                     energy = self._search(z)
                     if energy is None:
                         self._limit = _LULL * size

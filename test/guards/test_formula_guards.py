@@ -74,7 +74,7 @@ def test_double_well_that_is_not_passed_although_its_energy_is_above_the_saddle_
     ('(p_x^2 + p_y^2) / 2 - 1 / sqrt(x^2 + y^2)', 'x y', [1.9, 0.0], [0.0, 0.23], [])])
 def test_search_finds_the_energies_of_the_saddles_next_to_a_run(formula, names, q, p, energies):
     simulation = simulation_of(formula, names, 'gauss4', 0.05, q, p)
-    search = SaddleSearch(simulation.hamiltonian)
+    search = SaddleSearch(simulation.hamiltonian, lambda: True)
     found = [energy for _, energy in search.take(block_of(simulation, 1000))]
     # A pendulum comes next to two, on its left and on its right.
     assert len(found) <= 2 * len(energies)
@@ -122,7 +122,7 @@ def test_samples_in_parts_show_what_they_show_together(name, length):
     block = block_of(simulation, 60)
     if name == 'saddle':
         def find(blocks):
-            search = SaddleSearch(simulation.hamiltonian)
+            search = SaddleSearch(simulation.hamiltonian, lambda: True)
             return [(int(part.step[i]), e) for part in blocks for i, e in search.take(part)]
     else:
         def find(blocks):
@@ -145,3 +145,9 @@ def test_saddle_of_h_that_a_constraint_keeps_away_is_not_searched_for():
     simulation = build(load_scene('cartesian_pendulum'))
     guards = make_guards(simulation, SampledScale(simulation.hamiltonian), 0.05, 0.02, None)
     assert BarrierGuard not in {type(guard) for guard in guards}
+
+
+def test_search_waits_for_no_second_derivatives_that_are_being_compiled():
+    simulation = simulation_of(PENDULUM, 'q', 'gauss4', 0.05, [3.0], [0.0])
+    search = SaddleSearch(simulation.hamiltonian, lambda: False)
+    assert not [*search.take(block_of(simulation, 1000))]
