@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A guard of the poles of H, which no motion can pass, but a step can."""
 
+from itertools import pairwise
 import math
 
 from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed
@@ -73,7 +74,7 @@ class PoleGuard(BlockGuard):
                 if not self.raised and self._searched < budget:
                     self._searched += 1
                     part = path[max(0, before + at - 2):before + at + 1]
-                    if any(self._crossed(*ends) for ends in zip(part[:-1], part[1:], strict=True)):
+                    if any(self._crossed(*ends) for ends in pairwise(part)):
                         self.raised = True
                         alarms.append(self._alarm(int(block.step[at])))
                 at += 1
