@@ -57,8 +57,8 @@ def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
         # Halved, a step that H was learned through is none that it is right for.
         if hamiltonian.scheme is None:
             yield PathGuard(simulation)
-        # A network has no poles.
-        if hamiltonian.box is None:
+        # A network and a robot have no poles.
+        if hamiltonian.box is None and hamiltonian.robot is None:
             yield PoleGuard(hamiltonian)
     if simulation.connected:
         yield SolutionGuard(simulation)
