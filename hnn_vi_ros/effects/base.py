@@ -143,6 +143,8 @@ class Effect(ABC):
         Whether it draws random numbers.
     limits : bool
         Whether its parameters are stops at the limits of joints, which commands must respect.
+    stops : bool
+        Whether its parameters name columns of coordinates that something rigid stops.
     by_motors : bool or None
         Whether the numbers of a command are those of a model's motors for it, not of coordinates;
         None where it reads none.
@@ -163,6 +165,7 @@ class Effect(ABC):
     turns: ClassVar[bool] = False
     random: ClassVar[bool] = False
     limits: ClassVar[bool] = False
+    stops: ClassVar[bool] = False
     by_motors: bool | None = None
     drawn: ClassVar[bool] = False
     knots: ClassVar[int] = 0

@@ -164,7 +164,7 @@ class RigidContact(StepEffect):
 
     """
 
-    acts, repeats, lockstep = Place.OUTSIDE, True, False
+    acts, repeats, lockstep, stops = Place.OUTSIDE, True, False, True
     excludes = {Place.MANIFOLD: 'because its impulses would lead off the constraints'}
     beyond: ClassVar[str]
 

@@ -17,7 +17,6 @@ from hnn_vi_ros.effects.commands import (
     POSITION)
 from hnn_vi_ros.effects.kernels import add_forces, join
 from hnn_vi_ros.effects.manifold import Manifold
-from hnn_vi_ros.effects.stops import Stops
 from hnn_vi_ros.effects.wrapped import Account, Wrapped
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -329,8 +328,8 @@ class System:
         units = np.array(column_units(self.hamiltonian.coordinates)[0][:d])
         # With rotations q and p have other columns; bodies count no turns.
         turning = (units == 'rad') & (not self.hamiltonian.rotations)
-        for parameters in self._parameters:
-            if isinstance(parameters, Stops):
+        for effect, parameters in zip(self._effects, self._parameters, strict=True):
+            if effect.stops:
                 turning[parameters.columns] = False
         here = np.concatenate(self.hamiltonian.gradient(q, p)) if turning.any() else q
         for k in np.flatnonzero(turning):

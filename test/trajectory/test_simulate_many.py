@@ -116,7 +116,7 @@ CLOSE, FAR = ([0.1, 0.0], [0.0, 19.0 ** 0.5]), ([0.9, 0.0], [0.0, (1.1 / 0.9) **
 
 def test_simulate_warns_of_what_the_guards_find_and_returns_it(tmp_path):
     scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
-    with pytest.warns(AlarmWarning, match='under-resolved; use .* step_size 0.00') as caught:
+    with pytest.warns(AlarmWarning, match='under-resolved: .*; use .* step_size 0.00') as caught:
         trajectory = simulate(scene, 6.28, initial_state=CLOSE)
     assert [alarm.kind for alarm in trajectory.alarms] == ['under-resolved']
     assert caught[0].filename == __file__
