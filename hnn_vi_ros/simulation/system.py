@@ -330,7 +330,7 @@ class System:
         turning = (units == 'rad') & (not self.hamiltonian.rotations)
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             if effect.stops:
-                turning[parameters.columns] = False
+                turning[cast(Any, parameters).columns] = False
         here = np.concatenate(self.hamiltonian.gradient(q, p)) if turning.any() else q
         for k in np.flatnonzero(turning):
             there = q + 2.0 * math.pi * (np.arange(d) == k)

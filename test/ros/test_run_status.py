@@ -93,7 +93,8 @@ def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_pa
     # What an oscillation of 5e-3 may leave in a slope over 25 s, 12 A / (w T^2), twice.
     assert abs(float(energy['drift_per_hour [1/h]'])) <= 3600.0 * 24.0 * 5e-3 / (2.0 * 25.0 ** 2)
     assert health['watched'] == ('step failed, under-resolved, energy not accounted for, '
-                                 'slow step, rescued steps, real-time overrun')
+                                 'slow step, saddle not resolved, path not resolved, '
+                                 'pole crossed, rescued steps, real-time overrun')
     assert recorder == {'bag': str(tmp_path / 'bag'), 'samples [1]': '2500'}
     assert model['hamiltonian'] == 'harmonic_oscillator' and model['coordinates'] == 'x'
     # A busy listener may lose some; the bag has all.

@@ -72,7 +72,8 @@ class Health:
         self._recording.event(f'{alarm.kind}: {alarm.message}', word)
         if time.monotonic() >= self._due.get(alarm.kind, -math.inf):
             self._due[alarm.kind] = time.monotonic() + _REPEATED
-            self._log(f't = {self._time(alarm.step)} s: {alarm.message}', word)
+            # Its kind is the name under which the page on troubleshooting has its remedy.
+            self._log(f'{alarm.kind}: t = {self._time(alarm.step)} s: {alarm.message}', word)
 
     def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
         """Publish that the step after this one failed, after the sample of that stamp [ns]."""
