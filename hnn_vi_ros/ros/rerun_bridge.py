@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from itertools import repeat
 import math
 from pathlib import Path
@@ -231,8 +230,8 @@ class RerunBridge(RobustNode):
             f'{simulator}/scene': (String, self._on_scene, LATCHED, False),
             f'{simulator}/state': (JointState, lambda payload: self._show(
                 BridgePicture.show, decode_state(payload)), _QUEUE, True),
-            f'{controller}/plan': (JointTrajectory, partial(
-                self._show, BridgePicture.plan), _QUEUE, False),
+            f'{controller}/plan': (JointTrajectory, lambda message: self._show(
+                BridgePicture.plan, message), _QUEUE, False),
             DIAGNOSTICS.topic: (DiagnosticArray, tell, _QUEUE, False),
             EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
 

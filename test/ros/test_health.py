@@ -312,7 +312,8 @@ def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch)
     assert len(parts.published) == len(parts.recorded) == len(parts.events) == 6
     assert parts.recorded[-1] == (60_000_000, True)
     assert [text for text, _ in parts.lines] == [
-        't = 5.01 s: under-resolved at 1', 't = 5.01 s: separatrix not resolved at 1']
+        'under-resolved: t = 5.01 s: under-resolved at 1',
+        'separatrix not resolved: t = 5.01 s: separatrix not resolved at 1']
     now = 111.0
     parts.health.add(alarm('under-resolved', 7), 70_000_000)
     assert len(parts.lines) == 3

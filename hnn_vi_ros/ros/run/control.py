@@ -213,17 +213,24 @@ class Control:
             self._node.destroy_timer(self._timers.pop())
             # The preparation froze the rest; this freezes the objects made since.
             gc.freeze()
+            self._namesakes = 0
             self._warn_of_namesakes()
             self.run.watch()
-            self._add_timer(_DIAGNOSTICS_PERIOD, self.run.publish_diagnostics)
+            self._add_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics)
             self._timer = self._add_timer(self.run.pacer.timer_period, self._on_timer)
             self._schedule()
+
+    def _publish_diagnostics(self) -> None:
+        # Discovery may take longer than the start.
+        self._warn_of_namesakes()
+        self.run.publish_diagnostics()
 
     def _warn_of_namesakes(self) -> None:
         node = self._node
         own = (node.get_name(), node.get_namespace())
         others = node.get_node_names_and_namespaces().count(own) - 1
-        if others > 0:
+        before, self._namesakes = self._namesakes, others
+        if others > before:
             self.run.tell(
                 f'{others} more of the graph are called {node.get_fully_qualified_name()}: calls '
                 'of services may reach them instead; name one, such as: --ros-args -r '
