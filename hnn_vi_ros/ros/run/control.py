@@ -68,6 +68,8 @@ class Control:
         self.run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
+        # How many nodes of this one's name have been told of.
+        self._namesakes = 0
         # Steps of the request that is being worked on, and who waits for its end.
         self._left, self._asked = 0, 0
         self._waiting: Future | None = None
@@ -213,7 +215,6 @@ class Control:
             self._node.destroy_timer(self._timers.pop())
             # The preparation froze the rest; this freezes the objects made since.
             gc.freeze()
-            self._namesakes = 0
             self._warn_of_namesakes()
             self.run.watch()
             self._add_timer(_DIAGNOSTICS_PERIOD, self._publish_diagnostics)
