@@ -144,7 +144,8 @@ class BatchStep:
         if commands.ndim != 3:
             raise ValueError(f'u has shape {commands.shape}, expected (m, N, {self.commands})')
         rows, count, _ = commands.shape
-        states, _ = self._checked(np.broadcast_to(z, (rows, 2 * self.dimension)), commands[:, 0])
+        states, _ = self._checked(
+            np.broadcast_to(check_numbers('z', z), (rows, 2 * self.dimension)), commands[:, 0])
         law = Law.none(self.commands)
         if gains is not None and about is not None:
             law = law._replace(gains=_filled(gains, (*commands.shape, 2 * self.dimension)),

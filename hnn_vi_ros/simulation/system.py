@@ -25,7 +25,7 @@ from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS,
 from hnn_vi_ros.kernels.addresses import by_address, fill_energies, original, provide, Target
 from hnn_vi_ros.kernels.blocks import Block, flat, kind_of
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import check_state, column_units
+from hnn_vi_ros.phase_space import angle_columns, check_state
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -325,9 +325,8 @@ class System:
         """
         d = self.hamiltonian.dimension
         q, p = np.cos(1.0 + np.arange(d)**2), np.sin(2.0 + np.arange(d)**2)
-        units = np.array(column_units(self.hamiltonian.coordinates)[0][:d])
         # With rotations q and p have other columns; bodies count no turns.
-        turning = (units == 'rad') & (not self.hamiltonian.rotations)
+        turning = angle_columns(self.hamiltonian.coordinates) & (not self.hamiltonian.rotations)
         for effect, parameters in zip(self._effects, self._parameters, strict=True):
             if effect.stops:
                 turning[cast(Any, parameters).columns] = False
