@@ -196,6 +196,11 @@ def run_counts(job: Job) -> Measured:
             q, p = simulation.record(job.steps, 1)
         except StepFailure as failure:
             measured.failure, measured.alarms = failure, watch.alarms
+            taken = simulation.steps
+            simulation.restart(*np.split(z, 2))
+            if taken:
+                _draw_energies(job, energies_of(simulation, *simulation.record(taken, 1))[0] - start,
+                               measured)
             return measured
         energies = energies_of(simulation, q, p)
         watch.show(simulation, np.arange(1, job.steps + 1), (q, p), energies, job.steps)
@@ -208,8 +213,14 @@ def run_counts(job: Job) -> Measured:
                        for states in (np.hstack([q, p]), path))
     measured.broken += [f'{text} {own} times, not {times}' for text, own, times in zip(
         events, found, expected, strict=True) if own != times]
-    measured.t, measured.error = _thinned(job, np.abs(energies[0] - start))
+    _draw_energies(job, energies[0] - start, measured)
     return measured
+
+
+def _draw_energies(job: Job, errors: np.ndarray, measured: Measured) -> None:
+    """Fill in the curve of the largest error so far, of a run that may have stopped early."""
+    t, measured.error = _thinned(job, np.maximum.accumulate(np.abs(errors)))
+    measured.t = t * (len(errors) / job.steps)
 
 
 def _start(job: Job) -> tuple[Simulation, Measured]:
