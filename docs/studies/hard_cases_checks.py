@@ -199,8 +199,8 @@ def run_counts(job: Job) -> Measured:
             taken = simulation.steps
             simulation.restart(*np.split(z, 2))
             if taken:
-                _draw_energies(job, energies_of(simulation, *simulation.record(taken, 1))[0] - start,
-                               measured)
+                energies, _ = energies_of(simulation, *simulation.record(taken, 1))
+                _draw_energies(job, energies - start, measured)
             return measured
         energies = energies_of(simulation, q, p)
         watch.show(simulation, np.arange(1, job.steps + 1), (q, p), energies, job.steps)
