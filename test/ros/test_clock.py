@@ -5,6 +5,7 @@
 from collections.abc import Iterable
 from itertools import count
 from pathlib import Path
+import re
 import signal
 
 from hnn_vi_ros import load_scene
@@ -186,8 +187,8 @@ def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
     for topic, node in (('/joint_states', SIMULATOR), ('/clock', SIMULATOR),
                         (f'{SIMULATOR}/joint_commands', '/peer')):
         assert f'{topic} has 2 publishers, {node}, {node}: ' in error
-    # It has found the first by the time that it begins.
-    assert '1 more of the graph are called /hnn_simulator: calls of services may reach' in error
+    # It has found the first by the time that it begins; whoever else is there counts too.
+    assert re.search('[1-9] more of the graph are called /hnn_simulator: calls of', error), error
     assert all(check_replay(tmp_path / f'bag{i}').good for i in range(2))
 
 
