@@ -8,6 +8,7 @@ import fcntl
 import os
 from pathlib import Path
 import shlex
+from threading import Event, RLock, Thread
 import time
 from typing import Any, BinaryIO, final
 
@@ -54,8 +55,7 @@ def compact_index(writer: Writer) -> None:
 
 
 CHUNK_SIZE = 256 * 1024
-# A quarter of the second that an interruption may cost: the ticks that a busy machine delays, and
-# the first step of a run, still fit in.
+# A quarter of the second that an interruption may cost [s].
 FLUSH_INTERVAL = 0.25
 # Room for all that comes before the first message [bytes].
 _BUFFER = 2**20
@@ -67,7 +67,8 @@ class McapSink:
     Write the messages of each tick, and others, to ``<folder>/<folder name>_0.mcap``.
 
     What explains the recording is with the operating system once it is open, and whatever is
-    older than a second: it outlives a killed process.
+    older than a second: it outlives a killed process. A thread hands it over each FLUSH_INTERVAL,
+    whether or not other messages follow.
     Nothing here calls ROS, so a recording can be closed after ROS was shut down.
 
     Parameters
@@ -96,6 +97,8 @@ class McapSink:
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
+        self._lock, self._closed, self._unflushed = RLock(), Event(), False
+        self._problem: RecordingError | None = None
         self._path = Path(folder) / f'{Path(folder).name}_0.mcap'
         origin = identity()
         hidden = self._path.with_name(f'.{self._path.name}.tmp')
@@ -114,8 +117,7 @@ class McapSink:
             self._writer.flush()
             # A file under this name can be read, whenever the process is killed.
             os.rename(hidden, self._path)
-            # With the first tick, at once: of a run that began there is a sample.
-            self._next_flush = 0.0
+        Thread(target=self._flush_by_the_clock, daemon=True).start()
 
     def write(self, stamp_ns: int, payloads: Sequence[bytes]) -> None:
         """
@@ -141,7 +143,8 @@ class McapSink:
                 self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
             self._ticks += 1
             self._extend_to(stamp_ns)
-            if time.monotonic() >= self._next_flush:
+            if not self._described:
+                # At once: of a run that began there is a sample.
                 self._flush()
 
     def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
@@ -173,9 +176,7 @@ class McapSink:
 
     def flush(self) -> None:
         """
-        Hand everything to the operating system; `write` does so each FLUSH_INTERVAL.
-
-        Call it where no `write` follows for a while, as in a pause.
+        Hand everything to the operating system now, rather than within FLUSH_INTERVAL.
 
         Raises
         ------
@@ -183,9 +184,11 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        if self._stream is not None:
-            with self._abandoning():
-                self._flush()
+        if self._stream is None:
+            self._raise_problem()
+            return
+        with self._abandoning():
+            self._flush()
 
     def close(self) -> None:
         """
@@ -198,13 +201,13 @@ class McapSink:
 
         """
         if self._stream is None:
+            self._raise_problem()
             return
         with self._abandoning():
             self._flush()
             self._add_metadata()
             self._writer.finish()
-            self._stream.close()
-            self._stream = None
+            self._end()
             write_bag_metadata(self._path.parent, self._metadata())
 
     def _attach(self, attachments: Mapping[str, bytes]) -> None:
@@ -225,6 +228,7 @@ class McapSink:
     def _extend_to(self, stamp_ns: int) -> None:
         self._first = min(self._first, stamp_ns)
         self._last = max(self._last, stamp_ns)
+        self._unflushed = True
 
     def _metadata(self) -> dict[str, Any]:
         counts = [self._ticks] * len(self._topics) + [count for _, count in self._others.values()]
@@ -253,27 +257,51 @@ class McapSink:
             self._describe()
         # What goes into a file that was removed is lost.
         self._path.stat()
-        self._next_flush = time.monotonic() + FLUSH_INTERVAL
+        self._unflushed = False
+
+    def _flush_by_the_clock(self) -> None:
+        while not self._closed.wait(FLUSH_INTERVAL):
+            with self._lock:
+                if self._unflushed and self._stream is not None:
+                    try:
+                        self.flush()
+                    except RecordingError as problem:
+                        # The next call raises it.
+                        self._problem = problem
+
+    def _raise_problem(self) -> None:
+        problem, self._problem = self._problem, None
+        if problem is not None:
+            raise problem
+
+    def _end(self) -> None:
+        stream, self._stream = self._stream, None
+        self._closed.set()
+        if stream is not None:
+            stream.close()
 
     @contextmanager
     def _abandoning(self) -> Iterator[None]:
         """Abandon the file in its current state where it cannot be written any more."""
-        if self._stream is None:
-            raise RecordingError(f'{self._path}: the recording is closed; start a new one')
-        try:
-            yield
-        except OSError as problem:
-            if self._stream is not None:
-                # Closing tries once more what has just failed; that failure is the one we report.
-                with suppress(OSError):
-                    self._stream.close()
-                self._stream = None
-            kept = 'the file was removed'
-            if self._path.exists():
-                kept = ('what was written before is kept: free some space, then make it whole '
-                        f'with: {command("recover_bag")} {shlex.quote(str(self._path.parent))}')
-            raise RecordingError(f'{self._path}: the recording stopped ({_reason(problem)}); '
-                                 f'{kept}') from problem
+        with self._lock:
+            self._raise_problem()
+            if self._stream is None:
+                raise RecordingError(f'{self._path}: the recording is closed; start a new one')
+            try:
+                yield
+            except OSError as problem:
+                raise self._abandoned(problem) from problem
+
+    def _abandoned(self, problem: OSError) -> RecordingError:
+        # Closing tries once more what has just failed; that failure is the one we report.
+        with suppress(OSError):
+            self._end()
+        kept = 'the file was removed'
+        if self._path.exists():
+            kept = ('what was written before is kept: free some space, then make it whole '
+                    f'with: {command("recover_bag")} {shlex.quote(str(self._path.parent))}')
+        return RecordingError(
+            f'{self._path}: the recording stopped ({_reason(problem)}); {kept}')
 
 
 def _create(path: Path) -> BinaryIO:

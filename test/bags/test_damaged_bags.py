@@ -42,9 +42,11 @@ def make(folder: Path, ticks: int, close: bool, topics: Sequence[Topic] = TOPICS
          first: int = 0) -> bytes:
     """Return a file with a chunk each EVERY ticks, as it was closed or killed."""
     sink = McapSink(folder, topics, SCENE)
+    sink._closed.set()  # No flushes by the clock.
     for tick in range(ticks):
-        sink._next_flush = 0.0 if tick % EVERY == 0 else float('inf')
         sink.write(tick * PERIOD, payloads(first + tick))
+        if tick % EVERY == 0:
+            sink.flush()
     sink.flush()
     killed = sink._path.read_bytes()
     sink.close()

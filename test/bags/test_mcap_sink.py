@@ -196,7 +196,7 @@ def test_summary_agrees_with_the_messages_from_stamp_zero(tmp_path):
 
 def test_chunks_are_compressed_indexed_and_limited(tmp_path, monkeypatch):
     # A flush just after a chunk became full in the middle of a tick would end one of a message.
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.FLUSH_INTERVAL', np.inf)
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.FLUSH_INTERVAL', 1e6)
     path = record(tmp_path / 'bag', 4000)
     with path.open('rb') as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -360,6 +360,33 @@ def test_first_message_is_flushed_at_once(tmp_path):
     path = tmp_path / 'bag' / 'bag_0.mcap'
     sink.write(0, payloads(0))
     assert [r.data for r in readable_records(path) if isinstance(r, Message)] == payloads(0)
+    sink.close()
+
+
+def messages(path: Path) -> list[bytes]:
+    return [record.data for record in readable_records(path) if isinstance(record, Message)]
+
+
+def test_messages_are_flushed_by_the_clock_though_none_follows(tmp_path):
+    sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
+    for tick in range(3):
+        sink.write(tick * PERIOD, payloads(tick))
+    expected = [data for tick in range(3) for data in payloads(tick)]
+    while messages(tmp_path / 'bag' / 'bag_0.mcap') != expected:
+        time.sleep(0.01)
+    sink.close()
+
+
+@pytest.mark.parametrize('call', ['write', 'flush', 'close'])
+def test_failure_of_a_flush_by_the_clock_is_raised_by_the_next_call(tmp_path, call):
+    sink = McapSink(tmp_path / 'bag', TOPICS, {})
+    sink.write(0, payloads(0))
+    sink.write(PERIOD, payloads(1))
+    shutil.rmtree(tmp_path / 'bag')
+    while sink._stream is not None:
+        time.sleep(0.01)
+    with pytest.raises(RecordingError, match='the file was removed'):
+        getattr(sink, call)(*(2 * PERIOD, payloads(2)) if call == 'write' else ())
     sink.close()
 
 
