@@ -288,6 +288,16 @@ def held_log() -> Run:
     return replace(smoothed('log', motion.t, motion.q, v, force[:81, None], 40.0), held=True)
 
 
+def write_commanded(folder: Path) -> Path:
+    """Write the scene of a driven pendulum and return its path."""
+    path = folder / 'scene.yaml'
+    path.write_text(
+        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
+        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
+        'initial_state: {q: [0.5], p: [0.0]}\n')
+    return path
+
+
 # Late in a step, in its middle, and at its end; rk4 begins steps by a gradient of the last.
 @pytest.mark.parametrize('method, step_size', long_after_first([
     ('gauss4', 0.02), ('gauss4', 0.01), ('gauss4', 0.005), ('rk4', 0.005)]))
@@ -305,10 +315,7 @@ def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, ca
     q, v = (part + noise * random.normal(size=part.shape)
             for part, noise in zip((held_log.q, held_log.v), (1e-4, 1e-3), strict=True))
     np.savez(tmp_path / 'log.npz', t=held_log.t, q=q, dq=v, tau=held_log.tau)
-    (tmp_path / 'scene.yaml').write_text(
-        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
-        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
-        'initial_state: {q: [0.5], p: [0.0]}\n')
+    write_commanded(tmp_path)
 
     def identified(*options: str) -> tuple[str, dict]:
         path = tmp_path / f'{len(options)}.json'
@@ -325,6 +332,16 @@ def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, ca
     assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
 
 
+@pytest.mark.parametrize('unit, told', [(1.0, False), (1e3, True)])
+def test_efforts_in_newton_millimetres_are_named_as_a_cause(held_log, unit, told, tmp_path,
+                                                            capsys):
+    np.savez(tmp_path / 'log.npz', t=held_log.t, q=held_log.q, dq=held_log.v,
+             tau=unit * held_log.tau)
+    main([str(write_commanded(tmp_path)), '--data', str(tmp_path / 'log.npz'), '--inputs', 'held',
+          '--free', 'mass'])
+    assert ('N mm' in capsys.readouterr().out) == told
+
+
 @pytest.mark.parametrize('idle', [True, False])
 def test_what_acted_before_a_record_is_found_with_the_delay(idle, tmp_path, capsys):
     late, random = 0.06, np.random.default_rng(3)
@@ -337,10 +354,7 @@ def test_what_acted_before_a_record_is_found_with_the_delay(idle, tmp_path, caps
     q, v = (part + noise * random.normal(size=part.shape)
             for part, noise in ((motion.q, 1e-4), (v, 1e-3)))
     np.savez(tmp_path / 'log.npz', t=motion.t, q=q, dq=v, tau=force[:len(motion.t), None])
-    (tmp_path / 'scene.yaml').write_text(
-        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
-        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
-        'initial_state: {q: [0.5], p: [0.0]}\n')
+    write_commanded(tmp_path)
     main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'log.npz'), '--inputs', 'held',
           '--free', 'input_delay', 'damping.rate', '--json', str(tmp_path / 'found.json')])
     said, found = capsys.readouterr().out, json.loads((tmp_path / 'found.json').read_text())

@@ -330,7 +330,7 @@ def report_of(found: Identified) -> str:
         lines.append(f'Not identifiable: nothing measured shows it if these change together, '
                      f'relatively: {named}' if len(direction) > 1 else
                      f'Not identifiable: nothing measured depends on {next(iter(direction))}')
-    lines += _held_back(found)
+    lines += [*_held_back(found), *_wrong_units(found)]
     lines += [f'Correlation of {one} and {other}: {r:.3f}; what one gains in error the other '
               'makes up for' for one, other, r in estimates.correlated]
     lines += [*_inputs(found), *_noise(found)]
@@ -363,6 +363,19 @@ def _held_back(found: Identified) -> list[str]:
             for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
             for end in (number.low, number.high) if one.known and abs(one.value - end) <= max(
                 1e-6 * abs(one.value), 1e-2 * (one.standard_error or 0.0))]
+
+
+def _wrong_units(found: Identified) -> list[str]:
+    """Describe numbers that are about 1000 times their start, or a thousandth of it."""
+    lines = []
+    for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False):
+        ratio = one.value / number.start if one.known and number.start else 1.0
+        if found.inputs is not None and 500.0 < max(ratio, 1.0 / ratio if ratio else 1.0) < 2000.0:
+            lines.append(
+                f'{one.name} is {ratio:.3g} times the {number.start:.4g} {number.unit} of the '
+                'scene: efforts in N mm or lengths in mm have that effect; if so, convert the '
+                'data to N m and m'.replace('  ', ' '))
+    return lines
 
 
 def _row(one: Estimate) -> str:
