@@ -46,6 +46,7 @@ def changed_sources(pytestconfig: pytest.Config
 
 @pytest.mark.flake8
 @pytest.mark.linter
+@pytest.mark.long
 def test_python_files_satisfy_ament_flake8(changed_sources, rare_gc, monkeypatch, tmp_path):
     ament_flake8 = pytest.importorskip('ament_flake8.main', reason='needs ament_flake8')
     # It compares each file with every folder below the current one whose name begins with . or _,
@@ -60,6 +61,7 @@ def test_python_files_satisfy_ament_flake8(changed_sources, rare_gc, monkeypatch
 
 
 @pytest.mark.linter
+@pytest.mark.long
 @pytest.mark.pep257
 def test_docstrings_satisfy_ament_pep257(changed_sources, rare_gc, capfd):
     ament_pep257 = pytest.importorskip('ament_pep257.main', reason='needs ament_pep257')

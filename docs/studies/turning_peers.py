@@ -62,11 +62,11 @@ def _compiled(hamiltonian: Hamiltonian) -> tuple[Callable[[np.ndarray], np.ndarr
         result[places + 1] = 0.5 * (s * b + w * a - x * c)
         result[places + 2] = 0.5 * (s * c + x * b - y * a)
         result[places + 3] = -0.5 * (x * a + y * b + w * c)
-        k, l, m = p[places], p[places + 1], p[places + 2]
+        p1, p2, p3 = p[places], p[places + 1], p[places + 2]
         turning = _TRIVIALISED(z, dH_dq, places)
-        result[d + places] = l * c - m * b - turning[0]
-        result[d + places + 1] = m * a - k * c - turning[1]
-        result[d + places + 2] = k * b - l * a - turning[2]
+        result[d + places] = p2 * c - p3 * b - turning[0]
+        result[d + places + 1] = p3 * a - p1 * c - turning[1]
+        result[d + places + 2] = p1 * b - p2 * a - turning[2]
         return result
 
     @numba.njit(error_model='numpy')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random walks: nodes that are killed, join late, stand still, or share their topics with others."""
+"""Random walks: nodes that are killed, join late, stand still, or share their topics."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
