@@ -97,7 +97,7 @@ class Walk:
             return
         kind = str(self.random.choice([*STAMPS]))
         self.counts[f'{topic.rpartition("/")[2]}: {kind}'] += 1
-        publisher = self.other.node.create_publisher(JointState, topic, qos_profile_sensor_data)
+        publisher = self.other.node.create_publisher(JointState, topic, 10)
 
         def words() -> Iterator[None]:
             for k in range(int(self.random.integers(5, 150))):
