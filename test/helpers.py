@@ -7,14 +7,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.util import find_spec
-from itertools import pairwise
 from math import comb
 import os
 from pathlib import Path
 from typing import Any
 
+from benchmarks import systems
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -24,16 +26,18 @@ from hnn_vi_ros.integrators.gauss import Gauss, in_fours, Tableau
 from hnn_vi_ros.integrators.lie.equations import LieOptions
 from hnn_vi_ros.integrators.lie.lie_gauss import LieGauss
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation import Simulation
 from mpmath import mp, mpf
 import numpy as np
+from numpy.typing import ArrayLike
 import pytest
 import torch
 
 EPS = np.finfo(np.float64).eps
 DIGITS = 60
+# A network of given widths with random weights, as those that are measured.
+random_checkpoint = systems.random_checkpoint
 
 
 def long(*values: Any) -> Any:
@@ -196,6 +200,21 @@ def free(*names: str) -> Uncompiled:
     return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
 
 
+def effect(kind: str, *arguments: object, **more: object) -> Effect:
+    """Build an effect."""
+    return EFFECTS[kind](*arguments, **more)
+
+
+def plain_run(system: str | Hamiltonian, method: str | Integrator, h: float, q: ArrayLike,
+              p: ArrayLike, *effects: Effect, **options: Any) -> Simulation:
+    """Return a simulation in plain Python; systems and methods by name are those by default."""
+    if isinstance(system, str):
+        system = Uncompiled(HAMILTONIANS[system]())
+    if isinstance(method, str):
+        method = INTEGRATORS[method]()
+    return Simulation(system, method, h, q, p, effects, **options)
+
+
 @cache
 def problem_of(name: str) -> InitialValueProblem:
     """Return what a shipped scene simulates."""
@@ -338,17 +357,3 @@ def symplectic_defect(derivative: np.ndarray) -> float:
     zero = np.zeros((d, d), dtype=int)
     J = np.block([[zero, unit], [-unit, zero]])
     return float(abs(derivative.T.dot(J).dot(derivative) - J).max())
-
-
-def random_checkpoint(widths: list[int], seed: int) -> Checkpoint:
-    """Return a network of these widths with random weights of the usual size."""
-    rng = np.random.default_rng(seed)
-    d = widths[0] // 2
-    pairs = list(pairwise(widths))
-    card = ModelCard(
-        name='random', widths=widths, dataset='none', seed=seed, losses={}, training_command='',
-        package_version='0', box=Box(q=[[-1.0, 1.0]] * d, p=[[-1.0, 1.0]] * d),
-        coordinates=[CoordinateCard(name=f'x{i}') for i in range(d)])
-    return Checkpoint(card, {'energy': Layers(
-        tuple(rng.normal(size=(n_out, n_in)) / np.sqrt(n_in) for n_in, n_out in pairs),
-        tuple(0.1 * rng.normal(size=n_out) for _, n_out in pairs))})

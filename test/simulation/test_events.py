@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of scenes: what their conditions may be, and that each is found, once and in time."""
 
-from helpers import kepler_orbit, long, Uncompiled
+from helpers import effect, free, kepler_orbit, long, plain_run, Uncompiled
 from hnn_vi_ros.commands.scene_tool import explain
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
@@ -17,8 +17,6 @@ from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest
-
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
 SCENE = """\
 hamiltonian: {kind: harmonic_oscillator}
@@ -39,12 +37,11 @@ def path(tmp_path):
     return file
 
 
-def oscillator(method: str, h: float, *functions: EventFunction, phase: float = 0.0,
-               effects=()) -> WatchedSimulation:
+def oscillator(method: str, h: float, *functions: EventFunction, phase: float = 0.0
+               ) -> WatchedSimulation:
     """Return x = cos(t + phase), watched."""
-    return WatchedSimulation(Simulation(
-        Uncompiled(HAMILTONIANS['harmonic_oscillator']()), INTEGRATORS[method](), h,
-        [np.cos(phase)], [-np.sin(phase)], effects), functions)
+    return WatchedSimulation(plain_run('harmonic_oscillator', method, h, [np.cos(phase)],
+                                       [-np.sin(phase)]), functions)
 
 
 # Conditions.
@@ -68,24 +65,13 @@ def test_condition_is_left_less_right_side(text, expected):
     'x = __import__("os")', 'x = (1).real', 'x = [1][0]', 'x = y if y else 0', 'x = lambda: 1',
     'x = "1"', 'x = 1j', 'x = sin()', 'x = sin(1, 2)', 'x = exit(x)',
     'x = x.__class__', 'x = sin(*x)', 'x = 1 @ 2', 'x = ' + '(' * 150 + ')' * 40,
-    'x' * 300 + ' = 1', 'x = \0', 'x = (y := 1)'])
-def test_condition_that_is_no_plain_equation_is_refused(text):
-    with refused(ValueError):
-        Condition(text)
-
-
-@pytest.mark.parametrize('text', [
+    'x' * 300 + ' = 1', 'x = \0', 'x = (y := 1)', 'cos(pi) = 1',
+    # In float64 huge powers are infinite, not numbers of many digits.
     'x = 1 / 0', 'x = 0 / 0', 'x + sqrt(-1) = 0', '1 / 0 * x = 1', 'x = 9 ** 9 ** 9 ** 9',
     'x = 1e999', '-1e999 = x'])
-def test_condition_with_a_part_that_is_no_number_is_refused_at_once(text):
-    """In float64 huge powers are infinite, not numbers of many digits."""
+def test_condition_that_is_no_plain_equation_of_numbers_is_refused_at_once(text):
     with refused(ValueError):
         Condition(text)
-
-
-def test_condition_without_a_quantity_is_refused():
-    with refused(ValueError):
-        Condition('cos(pi) = 1')
 
 
 # Scenes.
@@ -159,12 +145,7 @@ def test_many_trajectories_with_events_are_refused(path):
 
 
 def test_scene_explained_tells_its_events(path):
-    text = []
-    for line in explain(load_scene(path)):
-        text.append(line)
-        if line.startswith('conservative'):
-            break
-    assert 'event x = 0.5 (up): log' in text
+    assert any(line == 'event x = 0.5 (up): log' for line in explain(load_scene(path)))
 
 
 # How well events are found.
@@ -206,9 +187,9 @@ def test_condition_that_is_all_but_true_is_no_event():
 @pytest.mark.parametrize('direction, expected', [('up', 1), ('down', 1), ('both', 2)])
 def test_event_at_the_end_of_a_step_is_found_once(direction, expected):
     """A free body, x = t / 4 - 1 and then back, is at zero exactly where a step ends."""
-    simulation = WatchedSimulation(Simulation(
-        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
-        0.25, [-1.0], [0.25], [EFFECTS['impact']('x', 0.5, 'below')]),
+    simulation = WatchedSimulation(
+        plain_run(free('x'), 'stormer_verlet', 0.25, [-1.0], [0.25],
+                  effect('impact', 'x', 0.5, 'below')),
         [EventFunction(Condition('x = 0'), direction)])
     simulation.advance(60)
     assert [event.t for event in simulation.events] == [
@@ -224,9 +205,9 @@ def test_event_at_the_initial_state_is_none():
 
 
 def test_events_between_impacts_in_a_step_lie_on_the_path_that_bounces():
-    simulation = WatchedSimulation(Simulation(
-        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
-        1.0, [0.5], [-1.0], [EFFECTS['impact']('x')]), [EventFunction(Condition('x = 0.25'))])
+    simulation = WatchedSimulation(
+        plain_run(free('x'), 'stormer_verlet', 1.0, [0.5], [-1.0], effect('impact', 'x')),
+        [EventFunction(Condition('x = 0.25'))])
     simulation.advance(1)
     assert [event.t for event in simulation.events] == pytest.approx([0.25, 0.75], abs=1e-15)
 
@@ -237,10 +218,9 @@ def test_events_between_impacts_in_a_step_lie_on_the_path_that_bounces():
     ('x = 0.05', np.sqrt(2.0 * 0.95)), ('p_x = 1.3', np.sqrt(2.0) - 1.3), ('v_x = 0', 0.0)])
 def test_events_beside_impacts_are_found(method, h, when, at):
     """A ball that falls from 1 m at 1 m/s^2, whose steps all these methods take exactly."""
-    simulation = WatchedSimulation(Simulation(
-        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS[method](), h, [1.0],
-        [0.0], [EFFECTS['gravity']('x', 1.0, 1.0), EFFECTS['impact']('x')]),
-        [EventFunction(Condition(when))])
+    simulation = WatchedSimulation(
+        plain_run(free('x'), method, h, [1.0], [0.0], effect('gravity', 'x', 1.0, 1.0),
+                  effect('impact', 'x')), [EventFunction(Condition(when))])
     simulation.advance(int(20.0 / h))
     end, fall = int(20.0 / h) * h, np.sqrt(2.0)
     bounces = fall * np.arange(1, 15, 2)
@@ -288,7 +268,7 @@ def encounters(method: TimeTransformed, e: float, h: float, **events: str) -> Wa
     """Return three orbits from the apocentre of a comet, watched for events by direction."""
     q0, p0 = (part[0] for part in kepler_orbit(np.array([-np.pi]), e))
     simulation = WatchedSimulation(
-        Simulation(Uncompiled(HAMILTONIANS['kepler'](1.0)), method, h, q0, p0),
+        plain_run('kepler', method, h, q0, p0),
         [EventFunction(Condition(when), direction) for direction, when in events.items()])
     simulation.advance(round(6.0 * np.pi / h))
     return simulation

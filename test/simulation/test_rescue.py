@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps that fail, or would grow: what each word of on_failure does about them."""
 
-from helpers import EPS, long, mostly_long, Uncompiled
-from hnn_vi_ros.effects import EFFECTS
+from helpers import effect, EPS, free, long, mostly_long, plain_run, Uncompiled
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard
 from hnn_vi_ros.guards.watch import look, record_watched, Watch
@@ -19,10 +18,7 @@ import numpy as np
 from plain_systems import Plain
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:(Uncompiled|Plain) is not a tanh network')
-
 OMEGA = 50.0
-TAO = Uncompiled(HAMILTONIANS['tao']())
 SCENE = """\
 hamiltonian: {kind: harmonic_oscillator, stiffness: 4.84, mass: 1.0}
 integrator: {kind: stormer_verlet}
@@ -35,20 +31,19 @@ def stiff_chain(h_omega: float, on_failure: str, compiled: bool = False) -> Simu
     """Return case 8 of the hard cases: springs of h omega, with every mode excited."""
     chain = HAMILTONIANS['fput_chain'](omega=OMEGA)
     d = chain.dimension
-    return Simulation(chain if compiled else Uncompiled(chain), INTEGRATORS['stormer_verlet'](),
-                      h_omega / OMEGA, [*[0.3] * (d - 1), 0.02], [1.0] * d,
-                      on_failure=on_failure)
+    return plain_run(chain if compiled else Uncompiled(chain), 'stormer_verlet', h_omega / OMEGA,
+                     [*[0.3] * (d - 1), 0.02], [1.0] * d, on_failure=on_failure)
 
 
 def bounce(on_failure: str, speed: float, spring: float = 0.0, compiled: bool = False
            ) -> Simulation:
     """Return a mass that meets a wall, where h omega is 2.25; a spring may bring it back."""
-    effects = [EFFECTS['soft_wall']('x', 0.0, 'above', 2500.0, 0.5)]
+    effects = [effect('soft_wall', 'x', 0.0, 'above', 2500.0, 0.5)]
     if spring:
-        effects.append(EFFECTS['spring'](['x'], anchor=[3.0], stiffness=spring))
-    particle = HAMILTONIANS['free_particle'](names=['x'])
-    return Simulation(particle if compiled else Uncompiled(particle),
-                      INTEGRATORS['stormer_verlet'](), 0.045, [3.0], [-speed], effects, on_failure)
+        effects.append(effect('spring', ['x'], anchor=[3.0], stiffness=spring))
+    particle = HAMILTONIANS['free_particle'](names=['x']) if compiled else free('x')
+    return plain_run(particle, 'stormer_verlet', 0.045, [3.0], [-speed], *effects,
+                     on_failure=on_failure)
 
 
 def band(simulation: Simulation, steps: int) -> float:
@@ -72,27 +67,26 @@ def test_stability_limit_is_that_of_the_literature(name, arguments, limit):
 
 
 def test_stop_takes_no_sub_steps():
-    arguments = (TAO, INTEGRATORS['variational_euler'](), 3.0, [2.0], [2.0])
-    Simulation(*arguments).advance(1)
+    arguments = ('tao', 'variational_euler', 3.0, [2.0], [2.0])
+    plain_run(*arguments).advance(1)
     with pytest.raises(StepFailure, match=r'eq. \(6\) has no solution here'):
-        Simulation(*arguments, on_failure='stop').advance(1)
+        plain_run(*arguments, on_failure='stop').advance(1)
 
 
 def test_stop_still_tries_every_solver_of_the_chain():
     # The first attempt does not converge here within three iterations, Newton's method does.
-    simulation = Simulation(TAO, INTEGRATORS['variational_euler'](max_iterations=3), 0.05, [0.0],
-                            [-3.0], on_failure='stop')
+    simulation = plain_run('tao', INTEGRATORS['variational_euler'](max_iterations=3), 0.05, [0.0],
+                           [-3.0], on_failure='stop')
     simulation.advance(100)
     assert simulation.rescued == 0
 
 
 def test_implicit_takes_explicit_steps_that_would_overflow_and_counts_them():
-    arguments = (Uncompiled(HAMILTONIANS['harmonic_oscillator']()), INTEGRATORS['rk4'](), 1e3,
-                 [1.0], [0.0])
+    arguments = ('harmonic_oscillator', 'rk4', 1e3, [1.0], [0.0])
     for how in set(ON_FAILURE) - {'implicit'}:
         with pytest.raises(StepFailure, match='not finite'):
-            Simulation(*arguments, on_failure=how).advance(1000)
-    simulation = Simulation(*arguments, on_failure='implicit')
+            plain_run(*arguments, on_failure=how).advance(1000)
+    simulation = plain_run(*arguments, on_failure='implicit')
     simulation.advance(1000)
     assert simulation.steps == simulation.rescued == 1000
     # The midpoint rule conserves a quadratic energy, up to the solver's residual.
@@ -100,8 +94,8 @@ def test_implicit_takes_explicit_steps_that_would_overflow_and_counts_them():
 
 
 def test_implicit_step_that_fails_is_taken_by_the_midpoint_rule():
-    simulation = Simulation(TAO, INTEGRATORS['variational_euler']('fixed_point'), 0.4, [1.0],
-                            [-1.0], on_failure='implicit')
+    simulation = plain_run('tao', INTEGRATORS['variational_euler']('fixed_point'), 0.4, [1.0],
+                           [-1.0], on_failure='implicit')
     simulation.advance(200)
     assert 0 < simulation.rescued < 200
 
@@ -164,9 +158,8 @@ def test_rescue_in_a_stiff_stretch_is_bit_identical_when_resumed():
 def test_rescue_by_the_midpoint_rule_counts_time_and_work_once():
     """What a drive does to stiff springs, against the same run at a hundredth of the step."""
     chain = Uncompiled(HAMILTONIANS['harmonic_oscillator'](stiffness=4.84))
-    drive = EFFECTS['periodic_drive'](chain.coordinates[0].name, 0.1, 0.02)
-    coarse = Simulation(chain, INTEGRATORS['stormer_verlet'](), 1.0, [1.0], [0.0], [drive],
-                        on_failure='implicit')
+    drive = effect('periodic_drive', chain.coordinates[0].name, 0.1, 0.02)
+    coarse = plain_run(chain, 'stormer_verlet', 1.0, [1.0], [0.0], drive, on_failure='implicit')
     coarse.advance(20)
     assert coarse.rescued == 20
     assert coarse.snapshot()['live.clock'].sum() == 20.0
@@ -176,14 +169,13 @@ def test_rescue_by_the_midpoint_rule_counts_time_and_work_once():
 
 def test_implicit_refuses_an_effect_that_the_midpoint_rule_cannot_take():
     with refused(UnsupportedSystem):
-        Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['stormer_verlet'](), 0.01, [1.0], [0.0],
-                   [EFFECTS['thermostat'](0.1, 1.0)], on_failure='implicit')
+        plain_run('pendulum', 'stormer_verlet', 0.01, [1.0], [0.0],
+                  effect('thermostat', 0.1, 1.0), on_failure='implicit')
 
 
 def test_unknown_on_failure_names_the_valid_ones():
     with refused(ValueError):
-        Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['rk4'](), 0.01, [1.0], [0.0],
-                   on_failure='hope')
+        plain_run('pendulum', 'rk4', 0.01, [1.0], [0.0], on_failure='hope')
 
 
 def test_scene_says_what_is_done_about_a_step_that_fails(tmp_path):
@@ -281,9 +273,9 @@ def test_sub_steps_are_given_up_at_a_limit_that_the_failure_names():
 
 
 @pytest.mark.parametrize('make', [
-    lambda: Simulation(TAO, INTEGRATORS['variational_euler'](max_iterations=3), 0.05, [0.0],
-                       [-3.0]),
-    lambda: Simulation(TAO, INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6], [0.0]),
+    lambda: plain_run('tao', INTEGRATORS['variational_euler'](max_iterations=3), 0.05, [0.0],
+                      [-3.0]),
+    lambda: plain_run('tao', 'generalized_leapfrog', 0.5, [1.6], [0.0]),
     lambda: bounce('implicit', 40.0)], ids=['chain of solvers', 'sub-steps', 'two methods'])
 def test_step_that_waits_for_its_rescue_leaves_no_trace(make):
     whole, waiting = make(), make()
@@ -318,9 +310,9 @@ def test_step_that_nothing_can_take_leaves_no_trace(name):
     n = 6 if name.startswith('lie') else 2
 
     def make():
-        simulation = Simulation(
-            system, INTEGRATORS[name](), 0.01, [0.1] * n if n == 2 else [0.0] * 6 + [1.0],
-            [0.2] * n, [EFFECTS['external_force'](names, timeout=1e3)])
+        simulation = plain_run(
+            system, name, 0.01, [0.1] * n if n == 2 else [0.0] * 6 + [1.0], [0.2] * n,
+            effect('external_force', names, timeout=1e3))
         simulation.advance(5)
         return simulation
     tried, spared = make(), make()
@@ -342,7 +334,7 @@ def test_step_that_nothing_can_take_leaves_no_trace(name):
                        [0.0]),
     lambda: Simulation(
         HAMILTONIANS['tao'](), INTEGRATORS['generalized_leapfrog'](), 0.5, [1.6], [0.0],
-        [EFFECTS['external_force'](['x']), EFFECTS['damping'](0.01)]),
+        [effect('external_force', ['x']), effect('damping', 0.01)]),
     lambda: bounce('implicit', 40.0, compiled=True)], ids=['plain', 'effects', 'two methods'])
 def test_step_that_fails_finds_all_that_takes_it_compiled(make, monkeypatch):
     simulation = make()
@@ -359,18 +351,15 @@ def test_step_that_fails_finds_all_that_takes_it_compiled(make, monkeypatch):
 
 # What a failure says.
 
-def beyond(system: str, method: str, h: float, q: list, p: list, *effects, **options
-           ) -> Simulation:
+def beyond(system: str, method: str, h: float, q: list, p: list, **options) -> Simulation:
     """Return a simulation whose steps fail, with nothing else to try."""
-    integrator = INTEGRATORS[method](**options)
-    return Simulation(Uncompiled(HAMILTONIANS[system]()), integrator, h, q, p, effects, 'stop')
+    return plain_run(system, INTEGRATORS[method](**options), h, q, p, on_failure='stop')
 
 
 def plumb_line(h: float) -> Simulation:
     """Return a rod that turns so fast that an explicit step leads beyond its length."""
-    rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
-    return Simulation(Uncompiled(HAMILTONIANS['free_particle'](names=['x', 'z'])),
-                      INTEGRATORS['stormer_verlet'](), h, [1.0, 0.0], [0.0, -3.0], [rod], 'stop')
+    return plain_run(free('x', 'z'), 'stormer_verlet', h, [1.0, 0.0], [0.0, -3.0], effect(
+        'holonomic_constraint', ['x', 'z'], anchor=[0.0, 0.0], length=1.0), on_failure='stop')
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')

@@ -4,7 +4,7 @@
 
 from functools import cached_property
 
-from helpers import EPS, KINDS, mostly_long, random_checkpoint, Uncompiled
+from helpers import EPS, KINDS, mostly_long, plain_run, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -23,13 +23,10 @@ import numpy as np
 import pytest
 import sympy
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 
 def tao(h: float, q: float = 1.0, p: float = -1.0, **options: int | str) -> Simulation:
     """Return a simulation of Tao's Hamiltonian."""
-    return Simulation(Uncompiled(HAMILTONIANS['tao']()),
-                      INTEGRATORS['variational_euler'](**options), h, [q], [p])
+    return plain_run('tao', INTEGRATORS['variational_euler'](**options), h, [q], [p])
 
 
 @pytest.fixture
@@ -62,21 +59,11 @@ def test_simulate_every_keeps_each_nth_state(scene):
     assert np.array_equal(simulate(scene, 1.0, every=10).q, simulate(scene, 1.0).q[::10])
 
 
-def test_simulate_bad_arguments_are_refused(scene):
-    with refused(SceneError):
-        simulate(scene, 1.0, integrator='leapfrog9')
-    for step_size in (0.0, -0.1, float('nan'), float('inf')):
-        with refused(SceneError):
-            simulate(scene, 1.0, step_size=step_size)
-    for duration in (-1.0, float('nan'), float('inf')):
-        with refused(ValueError):
-            simulate(scene, duration)
-    with refused(ValueError):
-        simulate(scene, 1.0, every=0)
-
-
 @pytest.mark.parametrize('arguments, error', [
-    ({'every': 1.5}, TypeError), ({'every': True}, TypeError), ({'duration': '1 s'}, TypeError),
+    ({'every': 1.5}, TypeError), ({'every': True}, TypeError), ({'every': 0}, ValueError),
+    ({'integrator': 'leapfrog9'}, SceneError), ({'duration': '1 s'}, TypeError),
+    *(({'step_size': h}, SceneError) for h in (0.0, -0.1, float('nan'), float('inf'))),
+    *(({'duration': duration}, ValueError) for duration in (-1.0, float('nan'), float('inf'))),
     ({'duration': 1e12}, ValueError), ({'duration': 1e308}, ValueError), ({'scene': 3}, TypeError),
     ({'scene': 'nowhere'}, SceneError), ({'initial_state': {'q': [1.0]}}, TypeError),
     ({'initial_state': 3}, TypeError), ({'initial_state': ([1.0, 2.0], [0.0, 0.0])}, SceneError),
@@ -172,8 +159,7 @@ def test_simulation_state_of_wrong_shape_or_not_finite_is_refused(q, p):
 @pytest.mark.parametrize('shape', [(2,), (1, 2), (3, 2)])
 def test_state_and_all_that_is_made_of_it_have_the_shape_of_the_initial_state(shape, effects):
     q, p = np.random.default_rng(0).uniform(-0.3, 0.3, (2, *shape))
-    simulation = Simulation(Uncompiled(HAMILTONIANS['henon_heiles']()), INTEGRATORS['gauss4'](),
-                            0.1, q, p, effects)
+    simulation = plain_run('henon_heiles', 'gauss4', 0.1, q, p, *effects)
     dense = simulation.dense_step()
     states = [(simulation.q, simulation.p), (simulation.dH_dq, simulation.dH_dp),
               simulation.trial(simulation.snapshot(), 0.05), record_at(simulation, [0.15])]
@@ -201,19 +187,11 @@ def test_step_failure_names_time_and_residual_and_keeps_the_last_good_state():
     assert not failure.relative_residual < 1e-3
     assert f'relative residual {failure.relative_residual:.3g} after' in str(failure)
     assert f'{failure.evaluations} evaluations' in str(failure)
-    assert 'step_size' in str(failure)
-    assert '\n' not in str(failure)
-
-
-def test_step_failure_comes_where_the_iteration_is_cut_short():
-    with pytest.raises(StepFailure, match='no convergence'):
-        tao(0.05, solver='fixed_point', max_iterations=3).advance(1)
 
 
 def test_step_failure_for_a_state_that_is_not_finite():
     # Explicit Euler at a huge step multiplies the energy by 1 + h^2 until it overflows.
-    simulation = Simulation(Uncompiled(HAMILTONIANS['harmonic_oscillator']()),
-                            INTEGRATORS['explicit_euler'](), 1e6, [1.0], [0.0])
+    simulation = plain_run('harmonic_oscillator', 'explicit_euler', 1e6, [1.0], [0.0])
     with pytest.raises(StepFailure, match='not finite'):
         simulation.advance(1000)
     assert np.isfinite([simulation.q[0], simulation.p[0]]).all()
@@ -230,7 +208,7 @@ def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces():
     for n in (1, 333, 0, 666):
         pieces.advance(n)
     for other in (pieces, again):
-        assert other.steps == 1000
+        assert (other.steps, other.time) == (1000, 1000 * 0.05)
         assert np.array_equal(other.q, whole.q)
         assert np.array_equal(other.p, whole.p)
 
@@ -239,8 +217,7 @@ def test_simulation_is_bit_identical_when_repeated_and_when_cut_in_pieces():
     'stormer_verlet', 'dop853', 'taylor', 'discrete_euler_lagrange', 'variational_midpoint'} - {
         name for name in INTEGRATORS if name.startswith('lie_')}), *KINDS, 'time_transformed'))
 def test_simulation_restored_from_a_snapshot_is_bit_identical(name):
-    whole, resumed = (Simulation(Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS[name](), 0.05,
-                                 [1.0], [-1.0]) for _ in range(2))
+    whole, resumed = (plain_run('tao', name, 0.05, [1.0], [-1.0]) for _ in range(2))
     whole.advance(50)
     snapshot = whole.snapshot()
     whole.advance(50)
@@ -256,16 +233,14 @@ def test_simulation_takes_sub_steps_where_no_solver_converges_and_counts_them():
     simulation = tao(3.0, 2.0, 2.0)
     simulation.advance(1)
     assert (simulation.steps, simulation.rescued) == (1, 1)
-    fine = Simulation(Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS['gauss8'](), 0.03, [2.0],
-                      [2.0])
+    fine = plain_run('tao', 'gauss8', 0.03, [2.0], [2.0])
     fine.advance(100)
     assert simulation.energy == pytest.approx(fine.energy, rel=0.5)
 
 
 @pytest.mark.parametrize('amplitude', [1e-200, 1e-9, 1e-3, 1.0, 1e6])
 def test_implicit_step_converges_at_every_scale_of_the_state(amplitude):
-    simulation = Simulation(Uncompiled(HAMILTONIANS['harmonic_oscillator']()),
-                            INTEGRATORS['variational_euler'](), 0.01, [amplitude], [0.0])
+    simulation = plain_run('harmonic_oscillator', 'variational_euler', 0.01, [amplitude], [0.0])
     simulation.advance(1000)
     assert np.hypot(simulation.q[0], simulation.p[0]) == pytest.approx(amplitude, rel=0.01)
 
@@ -295,9 +270,3 @@ def test_implicit_step_of_a_deep_network_is_solved_to_round_off():
     scale = max(np.abs(p).max(), h * hamiltonian.kernel.gradient_scale[0])
     assert residual.max() <= 16 * EPS * scale
     assert h * hamiltonian.kernel.gradient_scale[0] < 10.0 * np.abs(p).max()
-
-
-def test_simulation_step_count_times_step_size_is_the_time():
-    simulation = tao(0.1)
-    simulation.advance(3)
-    assert simulation.time == 3 * 0.1

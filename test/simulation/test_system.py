@@ -7,7 +7,7 @@ from pathlib import Path
 import sys
 
 from effect_table import create_effect, EFFECT_ROWS, EffectRow
-from helpers import EPS, free, long, Uncompiled
+from helpers import effect, EPS, free, long, plain_run
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import JointPath
@@ -23,8 +23,6 @@ from messages import refused
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 SCENE = """\
 hamiltonian: {{kind: {kind}}}
 {effects}
@@ -35,9 +33,11 @@ initial_state: {{q: {q}, p: {q}}}
 EFFECTS_FOLDER = Path(sys.modules['hnn_vi_ros.effects'].__file__).parent
 
 
-def effect(kind: str, *arguments: object, **more: object) -> object:
-    """Build an effect."""
-    return EFFECTS[kind](*arguments, **more)
+def scene_of(folder: Path, kind: str, effects: str, integrator: str, d: int, q: float = 0.0):
+    """Load a scene of some effects."""
+    path = folder / 'scene.yaml'
+    path.write_text(SCENE.format(kind=kind, effects=effects, integrator=integrator, q=[q] * d))
+    return load_scene(path)
 
 
 # What is not listed.
@@ -64,12 +64,8 @@ def test_system_of_potentials_leaves_the_method_alone():
 
 
 def test_scene_with_its_effects_removed_is_bit_identical_to_one_that_never_had_any(tmp_path):
-    results = []
-    for name, effects in (('never', ''), ('removed', 'effects: []')):
-        path = tmp_path / f'{name}.yaml'
-        path.write_text(SCENE.format(kind='harmonic_oscillator', effects=effects,
-                                     integrator='variational_euler', q=[0.7]))
-        results.append(simulate(load_scene(path), 50.0))
+    results = [simulate(scene_of(tmp_path, 'harmonic_oscillator', effects, 'variational_euler', 1,
+                                 0.7), 50.0) for effects in ('', 'effects: []')]
     for part in ('t', 'q', 'p', 'energy'):
         assert np.array_equal(*(getattr(result, part) for result in results))
     bare = Simulation(HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS['variational_euler'](),
@@ -96,8 +92,7 @@ def calls_in_effects(action: Callable[[], object]) -> dict[str, int]:
 
 @pytest.mark.parametrize('integrator', ['variational_euler', 'stormer_verlet', 'gauss4', 'rk4'])
 def test_scene_without_effects_calls_none_of_their_functions(integrator):
-    simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[integrator](),
-                            0.05, [0.7], [0.0])
+    simulation = plain_run('pendulum', integrator, 0.05, [0.7], [0.0])
 
     def run() -> None:
         simulation.advance(20)
@@ -120,8 +115,7 @@ SHARED = {'attitudes', 'base', 'commands', 'crossings', 'friction_network', 'inp
 def test_scene_calls_the_functions_of_its_own_effects_only(row: EffectRow, tmp_path: Path):
     # A method whose nodes take forces.
     integrator = 'gauss4' if row.name == 'damping' else 'generalized_leapfrog'
-    simulation = Simulation(row.uncompiled, INTEGRATORS[integrator](), 0.05, row.q, row.p,
-                            row.create(tmp_path))
+    simulation = plain_run(row.uncompiled, integrator, 0.05, row.q, row.p, *row.create(tmp_path))
     if simulation.takes_commands:
         simulation.set_command([1.0])
     counts = calls_in_effects(lambda: simulation.advance(20))
@@ -192,57 +186,62 @@ def test_effects_that_do_not_combine_are_refused(effects, index, tmp_path):
     assert raised.value.index == index
 
 
-def test_initial_state_behind_a_wall_is_refused():
-    with refused(ValueError):
-        Simulation(free('x'), INTEGRATORS['stormer_verlet'](), 0.1, [-0.5], [0.0],
-                   [effect('impact', 'x')])
+POINT = ['x', 'z']
 
 
-@pytest.mark.parametrize('kind, arguments', [
-    ('impact', ('x',)), ('thermostat', (1.0, 1.0)),
-    ('holonomic_constraint', (['x', 'z'], None, [0.0, 0.0]))])
-def test_several_states_at_once_are_refused_where_an_effect_takes_one(kind, arguments):
+@pytest.mark.parametrize('names, q, p, effects', [
+    (['x'], [-0.5], [0.0], [('impact', {'coordinate': 'x'})]),
+    (POINT, [1.0, 0.0], [0.5, 0.2], [ROD]),
+    (['x'], [1.0], [0.0], 2 * [('holonomic_constraint', {'point': ['x'], 'anchor': [0.0]})]),
+    *((POINT, [[1.0, 0.0]] * 2, [[0.0, 0.0]] * 2, [one])
+      for one in (('impact', {'coordinate': 'x'}), BATH, ROD))],
+    ids=['behind a wall', 'momentum along a rod', 'more rods than coordinates',
+         *(f'several states, {kind}' for kind in ('impact', 'thermostat', 'rod'))])
+def test_initial_state_that_an_effect_cannot_take_is_refused(names, q, p, effects):
+    with refused(ValueError, EffectError):
+        plain_run(free(*names), 'stormer_verlet', 0.1, q, p,
+                  *(effect(kind, **arguments) for kind, arguments in effects))
+
+
+def test_command_is_refused_where_no_effect_takes_one():
     with refused(ValueError):
-        Simulation(free('x', 'z'), INTEGRATORS['stormer_verlet'](), 0.1, [[1.0, 0.0]] * 2,
-                   [[0.0, 0.0]] * 2, [effect(kind, *arguments)])
+        plain_run('pendulum', 'rk4', 0.1, [1.0], [0.0]).set_command([1.0])
 
 
 # Repeatability.
 
 def brownian(seed: int = 1) -> Simulation:
     """Return a pendulum in a heat bath."""
-    return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['stormer_verlet'](),
-                      0.05, [0.7], [0.0], [effect('thermostat', 0.5, 1.0, seed=seed)])
+    return plain_run('pendulum', 'stormer_verlet', 0.05, [0.7], [0.0],
+                     effect('thermostat', 0.5, 1.0, seed=seed))
 
 
 def rods() -> Simulation:
     """Return a mass on a rod from a pivot."""
     row = next(row for row in EFFECT_ROWS if row.name == 'rod with forces')
-    return Simulation(row.uncompiled, INTEGRATORS['generalized_leapfrog'](), 0.05, row.q, row.p,
-                      row.create(Path()))
+    return plain_run(row.uncompiled, 'generalized_leapfrog', 0.05, row.q, row.p,
+                     *row.create(Path()))
 
 
 def resting() -> Simulation:
     """Return a mass that lies on the floor, and is pushed into it and lifted off it."""
-    return Simulation(free('z'), INTEGRATORS['implicit_midpoint'](), 0.02, [0.02], [0.0],
-                      [effect('gravity', 'z'), effect('impact', 'z', restitution=0.3),
-                       effect('periodic_drive', 'z', 20.0, 0.5, 0.5 * np.pi)])
+    return plain_run(free('z'), 'implicit_midpoint', 0.02, [0.02], [0.0],
+                     effect('gravity', 'z'), effect('impact', 'z', restitution=0.3),
+                     effect('periodic_drive', 'z', 20.0, 0.5, 0.5 * np.pi))
 
 
 def commanded() -> Simulation:
     """Return a pendulum that is driven, and pushed until a time-out."""
-    simulation = Simulation(
-        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss4'](), 0.05, [0.7], [0.0],
-        [effect('periodic_drive', 'angle', 1.0, 0.3), effect('external_force', ['angle'], 3.02)])
+    simulation = plain_run('pendulum', 'gauss4', 0.05, [0.7], [0.0], effect(
+        'periodic_drive', 'angle', 1.0, 0.3), effect('external_force', ['angle'], 3.02))
     simulation.set_command([2.0])
     return simulation
 
 
 def following() -> Simulation:
     """Return a pendulum whose servo follows a path, from one rest to another."""
-    simulation = Simulation(
-        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss4'](), 0.05, [0.7], [0.0],
-        [effect('servo', ['angle'], 20.0, 2.0, 15.0)])
+    simulation = plain_run('pendulum', 'gauss4', 0.05, [0.7], [0.0],
+                           effect('servo', ['angle'], 20.0, 2.0, 15.0))
     simulation.set_command(JointPath(
         ['angle'], 0.0, np.array([1.03, 4.0]), np.array([[-0.5], [0.9]])))
     return simulation
@@ -320,9 +319,9 @@ def test_thermostat_noise_is_that_of_its_seed_and_stream():
 
 def test_thermostat_noise_is_drawn_once_for_each_part_of_a_step_that_a_wall_cuts():
     """Trials of the time of impact meet the same noise: they are parts of one path."""
-    simulation = Simulation(
-        Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['stormer_verlet'](), 0.05, [0.7],
-        [0.0], [effect('thermostat', 0.5, 1.0), effect('impact', 'angle', restitution=1.0)])
+    simulation = plain_run(
+        'pendulum', 'stormer_verlet', 0.05, [0.7], [0.0], effect('thermostat', 0.5, 1.0),
+        effect('impact', 'angle', restitution=1.0))
     q, _ = simulation.record(200, 1)
     assert q.min() >= 0.0
     parts = simulation.snapshot()['live.draws'][0] // 3 - 200
@@ -334,14 +333,11 @@ def test_thermostat_noise_is_drawn_once_for_each_part_of_a_step_that_a_wall_cuts
 def test_step_that_is_taken_in_parts_counts_its_time_and_work_once(integrator):
     """No solver converges in the whole step, nor in all of its halves."""
     name = HAMILTONIANS['tao']().coordinates[0].name
-    simulation = Simulation(
-        Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS[integrator](), 3.0, [1.5], [-2.0],
-        [effect('periodic_drive', name, 0.1, 0.1)])
+    simulation, fine = (plain_run('tao', method, h, [1.5], [-2.0],
+                                  effect('periodic_drive', name, 0.1, 0.1))
+                        for method, h in ((integrator, 3.0), ('gauss8', 3.0 / 200)))
     simulation.advance(1)
     assert simulation.rescued == 1
-    fine = Simulation(
-        Uncompiled(HAMILTONIANS['tao']()), INTEGRATORS['gauss8'](), 3.0 / 200, [1.5], [-2.0],
-        [effect('periodic_drive', name, 0.1, 0.1)])
     fine.advance(200)
     # Of the clock of the drive, and roughly of the work: the first attempts are not counted.
     assert simulation.snapshot()['live.clock'].sum() == 3.0
@@ -350,10 +346,9 @@ def test_step_that_is_taken_in_parts_counts_its_time_and_work_once(integrator):
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
 def test_step_that_fails_leaves_time_work_and_noise_as_they_were():
-    simulation = Simulation(
-        free('x'), INTEGRATORS['stormer_verlet'](), 0.1, [1.0], [0.0],
-        [effect('spring', ['x'], anchor=[0.0], stiffness=1e300),
-         effect('thermostat', 1.0, 1.0)])
+    simulation = plain_run(free('x'), 'stormer_verlet', 0.1, [1.0], [0.0],
+                           effect('spring', ['x'], anchor=[0.0], stiffness=1e300),
+                           effect('thermostat', 1.0, 1.0))
     with pytest.raises(StepFailure, match='not finite'):
         simulation.advance(100)
     before = simulation.snapshot()
@@ -368,14 +363,6 @@ def test_step_that_fails_leaves_time_work_and_noise_as_they_were():
 
 # Many at once.
 
-def scene_of(tmp_path: Path, kind: str, effects: str, integrator: str, d: int):
-    """Load a scene of some effects."""
-    path = tmp_path / 'scene.yaml'
-    path.write_text(SCENE.format(kind=kind, effects=f'effects:\n{effects}',
-                                 integrator=integrator, q=[0.0] * d))
-    return load_scene(path)
-
-
 @pytest.mark.parametrize('kind, d, integrator, effects', [
     ('pendulum', 1, 'generalized_leapfrog',
      '  - {kind: damping, rate: 0.3}\n'
@@ -387,7 +374,7 @@ def scene_of(tmp_path: Path, kind: str, effects: str, integrator: str, d: int):
     ids=['forces', 'magnetic field', 'bath and wall'])
 def test_many_trajectories_with_effects_are_those_of_each_alone(
         kind, d, integrator, effects, tmp_path):
-    scene = scene_of(tmp_path, kind, effects, integrator, d)
+    scene = scene_of(tmp_path, kind, f'effects:\n{effects}', integrator, d)
     m, samples, every = BLOCK + 3, 4, 10
     q, p = np.random.default_rng(0).uniform(-0.4, 0.4, (2, m, d))
     many = simulate_many(scene, q, p, samples * every * 0.05, samples=samples, threads=2)
@@ -405,10 +392,8 @@ def test_many_trajectories_with_effects_are_those_of_each_alone(
 
 def test_energy_balance_of_trajectories_that_step_together_is_the_sum_of_theirs():
     def make(q, p) -> Simulation:
-        return Simulation(Uncompiled(HAMILTONIANS['henon_heiles']()), INTEGRATORS['gauss6'](),
-                          0.1, q, p, [effect('magnetic_field', ['x', 'y']),
-                                      effect('damping', [0.1, 0.3]),
-                                      effect('periodic_drive', 'x', 0.3, 0.2)])
+        return plain_run('henon_heiles', 'gauss6', 0.1, q, p, effect('magnetic_field', ['x', 'y']),
+                         effect('damping', [0.1, 0.3]), effect('periodic_drive', 'x', 0.3, 0.2))
 
     q, p = np.random.default_rng(1).uniform(-0.3, 0.3, (2, 3, 2))
     together, alone = make(q, p), [make(*state) for state in zip(q, p, strict=True)]
@@ -420,40 +405,15 @@ def test_energy_balance_of_trajectories_that_step_together_is_the_sum_of_theirs(
     assert abs(together.energy_balance) < 1e-8
 
 
-def test_initial_momentum_along_a_rod_is_refused():
-    rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
-    with refused(ValueError):
-        Simulation(HAMILTONIANS['free_particle'](names=['x', 'z']),
-                   INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.5, 0.2], [rod])
-
-
-def test_command_is_refused_where_no_effect_takes_one():
-    simulation = Simulation(HAMILTONIANS['pendulum'](), INTEGRATORS['rk4'](), 0.1, [1.0], [0.0])
-    with refused(ValueError):
-        simulation.set_command([1.0])
-
-
-def test_more_rods_than_coordinates_are_refused():
-    rods = [EFFECTS['holonomic_constraint'](['x'], anchor=[0.0], length=1.0) for _ in range(2)]
-    with refused(EffectError):
-        Simulation(HAMILTONIANS['free_particle'](), INTEGRATORS['stormer_verlet'](), 0.1, [1.0],
-                   [0.0], rods)
-
-
 def test_snapshot_carries_the_energy_that_the_balance_starts_from():
-    def start(q: float) -> Simulation:
-        return Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS['gauss8'](), 0.1,
-                          [q], [0.0])
-
-    first, other = start(1.0), start(0.5)
+    first, other = (plain_run('pendulum', 'gauss8', 0.1, [q], [0.0]) for q in (1.0, 0.5))
     first.advance(5)
     other.restore(first.snapshot())
     assert other.energy_balance == first.energy_balance
 
 
 def test_body_that_friction_brought_to_rest_needs_no_rescue():
-    friction = EFFECTS['dry_friction']('angle', force=0.1)
-    simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()),
-                            INTEGRATORS['variational_euler'](), 0.01, [1e-320], [0.0], [friction])
+    simulation = plain_run('pendulum', 'variational_euler', 0.01, [1e-320], [0.0],
+                           effect('dry_friction', 'angle', force=0.1))
     simulation.advance(50)
     assert simulation.rescued == 0 and simulation.gradients <= 50 * 5
