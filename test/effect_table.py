@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from helpers import random_checkpoint, Uncompiled
+from helpers import EPS, random_checkpoint, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.base import Effect, Potential
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from mechanical_models import saved
+import numpy as np
+import pytest
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,24 @@ class EffectRow:
     def create(self, folder: Path) -> list[Effect]:
         """Build the effects; a network, with random weights, is written into a folder."""
         return [create_effect(kind, arguments, folder) for kind, arguments in self.effects]
+
+
+def assert_derivatives(potential: type[Potential] | Potential, own: Any, q: np.ndarray,
+                       v: np.ndarray, tolerance: float) -> None:
+    """Compare slope and curvature of a potential along v with differences of its energy."""
+    gradient, ahead, behind, product = np.zeros((4, q.size))
+    # A central difference of spacing d errs by d^2 and eps / d, with derivatives below 100.
+    d = float(np.cbrt(EPS))
+    potential.add_gradient(own, q, gradient)
+    slope = (potential.energy(own, q + d * v) - potential.energy(own, q - d * v)) / (2 * d)
+    assert gradient @ v == pytest.approx(slope, abs=tolerance)
+    potential.add_gradient(own, q + d * v, ahead)
+    potential.add_gradient(own, q - d * v, behind)
+    potential.add_hessian_vector(own, q, v, product)
+    assert product == pytest.approx((ahead - behind) / (2 * d), abs=tolerance)
+    # They add to what is there.
+    potential.add_hessian_vector(own, q, v, product)
+    assert product == pytest.approx((ahead - behind) / d, abs=2 * tolerance)
 
 
 def create_effect(kind: str, arguments: dict[str, Any], folder: Path) -> Effect:

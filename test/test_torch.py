@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad, functional
-from urdf_robots import TREE
+from urdf_robots import SMALL_ARGUMENTS, TREE, TREE_ARGUMENTS
 import yaml
 
 Loss = Callable[[torch.Tensor], torch.Tensor]
@@ -259,15 +259,11 @@ def test_derivatives_by_numbers_of_a_machine_and_by_its_commands(tmp_path, measu
     assert error <= 1e-7
 
 
-@pytest.mark.parametrize('joints', [
-    ['tail', 'rail', 'hip'], ['wrist', 'tail', 'rail', 'hip', 'finger']], ids=['small', 'large'])
-def test_derivatives_by_numbers_of_links_of_a_urdf(tmp_path, joints, measured):
+@pytest.mark.parametrize('arguments', [SMALL_ARGUMENTS, TREE_ARGUMENTS], ids=['small', 'large'])
+def test_derivatives_by_numbers_of_links_of_a_urdf(tmp_path, arguments, measured):
     (tmp_path / 'tree.urdf').write_text(TREE)
-    held = {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}
-    choice = {
-        'kind': 'urdf', 'file': 'tree.urdf', 'joints': joints, 'rotor_inertia': {'rail': 1.5},
-        'locked': {name: value for name, value in held.items() if name not in joints}}
-    d, h = len(joints), 0.01
+    choice = {'kind': 'urdf', 'file': 'tree.urdf', **arguments}
+    d, h = len(arguments['joints']), 0.01
     (tmp_path / 'tree.yaml').write_text(yaml.safe_dump({
         'hamiltonian': choice, 'integrator': {'kind': 'implicit_midpoint'}, 'step_size': h,
         'effects': [{'kind': 'damping', 'rate': 0.1}],

@@ -57,6 +57,9 @@ TREE = """\
 TREE_ARGUMENTS = {
     'joints': ['wrist', 'tail', 'rail', 'hip', 'finger'], 'locked': {'follower': 0.03},
     'gravity': [1.0, -2.0, -9.0], 'rotor_inertia': {'hip': 0.3, 'rail': 1.5, 'wrist': 0.02}}
+# Of two branches, with a slide, and joints that are held askew.
+SMALL_ARGUMENTS = {'joints': ['tail', 'rail', 'hip'], 'rotor_inertia': {'rail': 1.5},
+                   'locked': {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}}
 
 
 def with_quaternions(text: str, version: str = '1.2') -> str:

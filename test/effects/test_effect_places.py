@@ -6,13 +6,12 @@ import ast
 from itertools import permutations
 from pathlib import Path
 
-from helpers import Uncompiled
+from helpers import free, plain_run, Uncompiled
 from hnn_vi_ros import simulation as simulation_room
 from hnn_vi_ros.effects.base import EffectError, Force, Place, StepEffect
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from messages import refused
 import numpy as np
@@ -98,16 +97,16 @@ def test_effects_act_around_a_step_in_the_order_of_their_places(effects):
 
 
 def test_declared_effect_acts_in_a_simulation():
-    simulation = Simulation(Uncompiled(FreeParticle(2.0)), INTEGRATORS['implicit_midpoint'](),
-                            0.5, [0.0], [1.0], [Kick(2.0)], 'stop')
+    simulation = plain_run(Uncompiled(FreeParticle(2.0)), 'implicit_midpoint', 0.5, [0.0], [1.0],
+                           Kick(2.0), on_failure='stop')
     simulation.advance(2)
     # Steps of 0.5 s at 0.5 and 1.5 m/s; all numbers are exact.
     assert (simulation.q[0], simulation.p[0]) == (1.0, 5.0)
 
 
 def test_declared_force_acts_at_the_nodes():
-    simulation = Simulation(Uncompiled(FreeParticle(1.0)), INTEGRATORS['stormer_verlet'](), 0.5,
-                            [0.0], [0.0], [Push()], 'stop')
+    simulation = plain_run(free('x'), 'stormer_verlet', 0.5, [0.0], [0.0], Push(),
+                           on_failure='stop')
     simulation.advance(2)
     assert (simulation.q[0], simulation.p[0]) == (0.5, 1.0)
     assert simulation.works == {'Push': 0.5}

@@ -4,9 +4,11 @@
 
 from pathlib import Path
 
-from effect_table import create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN
+from effect_table import (
+    assert_derivatives, create_effect, EFFECT_ROWS, EffectRow, TOO_LONG, UNKNOWN)
 from helpers import (
-    EPS, exact, free, jacobian, python_step, random_checkpoint, symplectic_defect, Uncompiled)
+    effect, EPS, exact, free, jacobian, plain_run, python_step, random_checkpoint,
+    symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState, Force, Potential
 from hnn_vi_ros.effects.commands import NUMBERS
@@ -24,8 +26,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 NAN, INF = float('nan'), float('inf')
 NAMES = ('x', 'y', 'z', 'x2', 'y2', 'z2')
 
@@ -33,7 +33,7 @@ NAMES = ('x', 'y', 'z', 'x2', 'y2', 'z2')
 def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path = Path(),
               integrator: str = 'generalized_leapfrog') -> System:
     """Build a system of effects, given by kind and arguments."""
-    return System(hamiltonian, [create_effect(*effect, folder) for effect in effects],
+    return System(hamiltonian, [create_effect(*one, folder) for one in effects],
                   INTEGRATORS[integrator]())
 
 
@@ -71,7 +71,10 @@ def system_of(hamiltonian: Hamiltonian, *effects: tuple[str, dict], folder: Path
     ('joint_limits', {'lower': {'x': INF}}),
     ('joint_limits', {'lower': {'x': 0.0}, 'restitution': -0.1}), ('joint_friction', {}),
     ('joint_friction', {'damping': {'x': -1.0}}), ('joint_friction', {'load': {'x': -1.0}}),
-    ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0})])
+    ('joint_friction', {'friction': {'x': 1.0}, 'speed': 0.0}),
+    *(('observer', {'coordinates': ['x']} | arguments) for arguments in (
+        {'gain': -1.0}, {'damping': INF}, {'timeout': 0.0}, {'deviations': [1.0, 2.0]},
+        {'deviations': [0.0]}, {'coordinates': ['x', 'x']}))])
 def test_effect_parameter_out_of_its_range_is_refused(kind, arguments):
     with refused(ValueError):
         EFFECTS[kind](**arguments)
@@ -127,19 +130,7 @@ def test_potential_derivatives_are_those_of_its_energy(name: str, seed: int):
     assert isinstance(potential, Potential)
     own = potential.resolve(free(*NAMES).coordinates, EffectState.empty(1, 6))
     q, v = np.random.default_rng(seed).normal(size=(2, 6))
-    gradient, ahead, behind, product = np.zeros((4, 6))
-    # A central difference of spacing d errs by d^2 and eps / d, with derivatives below 100.
-    d = float(np.cbrt(EPS))
-    potential.add_gradient(own, q, gradient)
-    slope = (potential.energy(own, q + d * v) - potential.energy(own, q - d * v)) / (2 * d)
-    assert gradient @ v == pytest.approx(slope, abs=1e-8)
-    potential.add_gradient(own, q + d * v, ahead)
-    potential.add_gradient(own, q - d * v, behind)
-    potential.add_hessian_vector(own, q, v, product)
-    assert product == pytest.approx((ahead - behind) / (2 * d), abs=1e-8)
-    # They add to what is there.
-    potential.add_hessian_vector(own, q, v, product)
-    assert product == pytest.approx((ahead - behind) / d, abs=2e-8)
+    assert_derivatives(potential, own, q, v, 1e-8)
 
 
 @pytest.mark.parametrize('side, sign', [('above', -1.0), ('below', 1.0)])
@@ -206,8 +197,8 @@ def test_hessian_vector_with_an_effect_is_the_derivative_of_its_gradient(
                          ids=lambda row: row.name)
 def test_newton_solves_steps_with_an_effect(row: EffectRow, tmp_path: Path):
     """One iteration is never enough for the first attempt of the chain."""
-    runs = [Simulation(row.uncompiled, INTEGRATORS['gauss4'](max_iterations=iterations), 0.05,
-                       row.q, row.p, row.create(tmp_path)) for iterations in (1, 100)]
+    runs = [plain_run(row.uncompiled, INTEGRATORS['gauss4'](max_iterations=iterations), 0.05,
+                      row.q, row.p, *row.create(tmp_path)) for iterations in (1, 100)]
     for simulation in runs:
         simulation.advance(10)
         assert simulation.rescued == 0
@@ -238,9 +229,9 @@ def test_learned_dissipation_is_the_gradient_of_its_network(tmp_path):
     """Take q' = H_p + D_q and p' = -H_q + D_p with H = |p|^2 / 2."""
     network = random_checkpoint([4, 8, 1], seed=5)
     save_checkpoint(tmp_path / 'D.safetensors', network)
-    effect = EFFECTS['learned_dissipation'](str(tmp_path / 'D.safetensors'))
     q, p = [0.3, -0.2], [0.7, 0.1]
-    simulation = Simulation(free('x', 'y'), INTEGRATORS['gauss4'](), 0.01, q, p, [effect])
+    simulation = plain_run(free('x', 'y'), 'gauss4', 0.01, q, p,
+                           effect('learned_dissipation', str(tmp_path / 'D.safetensors')))
     dD_dq, dD_dp = NeuralHamiltonian(network).gradient(np.array(q), np.array(p))
     assert simulation.dH_dq == pytest.approx(-dD_dp, rel=1e-14)
     assert simulation.dH_dp == pytest.approx(p + dD_dq, rel=1e-14)
@@ -260,9 +251,9 @@ def test_learned_dissipation_in_a_magnetic_field_is_that_of_the_kinetic_momentum
     q, P = np.array([0.5, -0.3]), np.array([0.4, 0.6])
     exact = solve_ivp(slope, (0.0, 1.0), [*q, *P], 'DOP853', rtol=1e-11, atol=1e-11).y[:, -1]
     half = 0.5 * field * np.array([[0.0, -1.0], [1.0, 0.0]])
-    simulation = Simulation(base, INTEGRATORS['gauss6'](), 0.05, q, P + half @ q, [
-        EFFECTS['learned_dissipation'](str(tmp_path / 'D.safetensors')),
-        EFFECTS['magnetic_field'](['x', 'y'], field=field)])
+    simulation = plain_run(base, 'gauss6', 0.05, q, P + half @ q,
+                           effect('learned_dissipation', str(tmp_path / 'D.safetensors')),
+                           effect('magnetic_field', ['x', 'y'], field=field))
     simulation.advance(20)
     # Order 6 at h = 0.05: some 1e-8. With D of p it was 0.18.
     assert simulation.q == pytest.approx(exact[:2], abs=1e-7)
@@ -271,8 +262,8 @@ def test_learned_dissipation_in_a_magnetic_field_is_that_of_the_kinetic_momentum
 
 def pushed(integrator: str, timeout: float, h: float = 0.1) -> Simulation:
     """Return a free particle of 1 kg that takes commands for x."""
-    return Simulation(free('y', 'x'), INTEGRATORS[integrator](), h, [0.0, 0.0], [0.0, 0.0],
-                      [EFFECTS['external_force'](['x'], timeout)])
+    return plain_run(free('y', 'x'), integrator, h, [0.0, 0.0], [0.0, 0.0],
+                     effect('external_force', ['x'], timeout))
 
 
 @pytest.mark.parametrize('integrator', [
@@ -300,9 +291,8 @@ def test_external_force_holds_over_steps_and_ends_in_simulated_time(integrator):
 
 
 def test_external_force_begins_with_its_initial_command_until_another_comes():
-    effect = EFFECTS['external_force'](['x'], timeout=0.2, initial=[2.0])
-    simulation = Simulation(free('y', 'x'), INTEGRATORS['rk4'](), 0.1, [0.0, 0.0], [0.0, 0.0],
-                            [effect])
+    simulation = plain_run(free('y', 'x'), 'rk4', 0.1, [0.0, 0.0], [0.0, 0.0],
+                           effect('external_force', ['x'], timeout=0.2, initial=[2.0]))
     for _ in range(2):
         assert simulation.dH_dq.tolist() == [0.0, -2.0]
         impulses = []
@@ -320,8 +310,8 @@ def test_external_force_begins_with_its_initial_command_until_another_comes():
 @pytest.mark.parametrize('initial', [[], [1.0, 2.0], [NAN], [1e13]])
 def test_external_force_refuses_a_bad_initial_command(initial):
     with refused(ValueError):
-        Simulation(free('x'), INTEGRATORS['rk4'](), 0.1, [0.0], [0.0],
-                   [EFFECTS['external_force'](['x'], initial=initial)])
+        plain_run(free('x'), 'rk4', 0.1, [0.0], [0.0],
+                  effect('external_force', ['x'], initial=initial))
 
 
 def test_external_force_shows_at_once_in_the_public_gradient():
@@ -337,9 +327,8 @@ def test_external_force_refuses_a_bad_command_whole_and_keeps_the_last(values):
     for each in (simulation, other):
         each.set_command([2.0])
         each.advance(2)
-    with refused(ValueError) as bad:
+    with refused(ValueError):
         simulation.set_command(values)
-    assert len(str(bad.value)) < 200
     # Nor is its time-out renewed.
     for each in (simulation, other):
         each.advance(5)
@@ -348,8 +337,8 @@ def test_external_force_refuses_a_bad_command_whole_and_keeps_the_last(values):
 
 
 def test_external_force_command_is_in_the_order_of_its_own_coordinates():
-    simulation = Simulation(free('x', 'y', 'z'), INTEGRATORS['stormer_verlet'](), 0.1, [0.0] * 3,
-                            [0.0] * 3, [EFFECTS['external_force'](['z', 'x'])])
+    simulation = plain_run(free('x', 'y', 'z'), 'stormer_verlet', 0.1, [0.0] * 3, [0.0] * 3,
+                           effect('external_force', ['z', 'x']))
     simulation.set_command([1.0, 2.0])
     simulation.advance(1)
     assert simulation.p == pytest.approx([0.2, 0.0, 0.1])

@@ -5,7 +5,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from helpers import Uncompiled
+from helpers import effect, plain_run, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError, EffectState
 from hnn_vi_ros.errors import SceneError
@@ -24,8 +24,6 @@ from numba import typeof
 import numpy as np
 import pytest
 from urdf_robots import ROOT, TREE, TREE_ARGUMENTS
-
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
 SCENE = """\
@@ -90,14 +88,14 @@ def test_several_stops_are_compiled_like_one(tmp_path):
 def test_friction_of_the_urdf_acts_but_where_the_scene_gives_other(tmp_path):
     robot = tree(tmp_path)
     names = [coordinate.name for coordinate in robot.coordinates]
-    effect = EFFECTS['joint_friction']('urdf', {'hip': 0.7}, {'rail': 0.2}, 0.05)
-    own = effect.resolve(robot.coordinates, EffectState.empty(1, 5))
+    friction = effect('joint_friction', 'urdf', {'hip': 0.7}, {'rail': 0.2}, 0.05)
+    own = friction.resolve(robot.coordinates, EffectState.empty(1, 5))
     assert dict(zip(names, own.damping, strict=True)) == {
         'wrist': 0.0, 'tail': 0.0, 'rail': 2.5, 'hip': 0.7, 'finger': 0.0}
     assert dict(zip(names, own.friction, strict=True)) == {
         'wrist': 0.0, 'tail': 0.0, 'rail': 0.2, 'hip': 0.0, 'finger': 0.0}
     velocity, f_q, f_p = np.array([1.0, -2.0, 0.03, 3.0, 1.0]), np.zeros(5), np.zeros(5)
-    effect.add_force(own, 0.0, velocity, velocity, velocity, f_q, f_p)
+    friction.add_force(own, 0.0, velocity, velocity, velocity, f_q, f_p)
     rail = -2.5 * 0.03 - 0.2 * np.tanh(0.6)
     assert f_p == pytest.approx([0.0, 0.0, rail, -0.7 * 3.0, 0.0], rel=1e-15)
     assert not f_q.any()
@@ -151,38 +149,29 @@ def test_friction_under_load_reads_commands_as_the_force_does(friction, tmp_path
 
 
 @pytest.mark.parametrize('kind', ['joint_limits', 'joint_friction'])
-def test_coordinates_that_are_no_joints_have_no_numbers_of_a_urdf(kind, tmp_path):
-    path = tmp_path / 'pendulum.yaml'
-    path.write_text('hamiltonian: {kind: pendulum}\n'
-                    f'effects:\n  - kind: {kind}\n    from: urdf\n'
-                    'integrator: {kind: gauss4}\nstep_size: 0.1\n'
-                    'initial_state: {q: [1.0], p: [0.0]}\n')
-    with refused(SceneError):
-        build(load_scene(path))
+def test_coordinates_that_are_no_joints_have_no_numbers_of_a_urdf(kind):
+    with refused(EffectError):
+        System(HAMILTONIANS['pendulum'](), [EFFECTS[kind]('urdf')], INTEGRATORS['gauss4']())
 
 
-def test_limits_of_a_urdf_that_has_none_are_refused(tmp_path):
+@pytest.mark.parametrize('upper, missing', [
+    ('', 'lower="-2.6" upper="2.6" '), (', upper: {shoulder: 1.5}', '')],
+    ids=['a URDF without limits', 'a state beyond a limit'])
+def test_limits_that_a_scene_cannot_have_are_refused_with_its_line(tmp_path, upper, missing):
     file = tmp_path / 'robot.urdf'
-    file.write_text(ARM.read_text().replace('lower="-2.6" upper="2.6" ', ''))
+    file.write_text(ARM.read_text().replace(missing, ''))
     with refused(SceneError):
-        build(scene(tmp_path, '{kind: joint_limits, from: urdf}', file=str(file)))
-
-
-def test_initial_state_beyond_a_limit_is_refused(tmp_path):
-    with refused(SceneError):
-        build(scene(tmp_path, '{kind: joint_limits, from: urdf, upper: {shoulder: 1.5}}'))
+        build(scene(tmp_path, f'{{kind: joint_limits, from: urdf{upper}}}', file=str(file)))
 
 
 @pytest.mark.parametrize('method, h', [('stormer_verlet', 0.05), ('gauss4', 0.2)])
 @pytest.mark.parametrize('restitution', [0.0, 0.6, 1.0])
 def test_one_stop_is_the_wall_of_an_impact(method, h, restitution):
     """Found, turned and held alike: what is left is rounding, which each impact makes larger."""
-    effects = [EFFECTS['impact']('angle', 0.3, 'above', restitution),
-               EFFECTS['joint_limits'](None, {'angle': 0.3}, {'angle': 3.0}, restitution)]
     states = []
-    for effect in effects:
-        simulation = Simulation(Uncompiled(HAMILTONIANS['pendulum']()), INTEGRATORS[method](), h,
-                                [1.0], [0.0], [effect], 'stop')
+    for one in (effect('impact', 'angle', 0.3, 'above', restitution), effect(
+            'joint_limits', None, {'angle': 0.3}, {'angle': 3.0}, restitution)):
+        simulation = plain_run('pendulum', method, h, [1.0], [0.0], one, on_failure='stop')
         q, p = simulation.record(round(4.0 / h), 1)
         states.append(np.hstack([q, p]))
         assert simulation.works.popitem()[1] == pytest.approx(simulation.work)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Servos: their answers to steps, their limits, and the paths that they follow."""
 
-from helpers import EPS, long, Uncompiled
+from helpers import EPS, long, plain_run, Uncompiled
 from hnn_vi_ros.effects.commands import JointCommand, JointPath
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.joint_limits import JointLimits
@@ -18,8 +18,6 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 NAN, INF = float('nan'), float('inf')
 MASS, STIFFNESS, DAMPING = 2.0, 18.0, 3.0
 
@@ -29,9 +27,8 @@ def servo(*names: str, h: float = 0.02, integrator: str = 'gauss8', q=0.0, p=0.0
     """Return a servo for each of some free masses, or for a pendulum."""
     hamiltonian = HAMILTONIANS[system](*[MASS, names] if system == 'free_particle' else [])
     arguments = {'stiffness': STIFFNESS, 'damping': DAMPING} | arguments
-    return Simulation(Uncompiled(hamiltonian), INTEGRATORS[integrator](), h,
-                      np.full(len(names), q), np.full(len(names), p),
-                      [Servo(list(names), **arguments), *more])
+    return plain_run(Uncompiled(hamiltonian), integrator, h, np.full(len(names), q),
+                     np.full(len(names), p), Servo(list(names), **arguments), *more)
 
 
 def command(names: str | list[str], position=NAN, velocity=NAN, effort=NAN) -> JointCommand:
@@ -133,12 +130,7 @@ def test_effort_beside_a_position_is_that_of_the_external_force():
     assert simulation.dH_dq[1] == 0.0
 
 
-def assert_refused(simulation: Simulation, given: object) -> None:
-    simulation.set_command(command('xy', position=0.3))
-    before = simulation.motors.aim.targets
-    with refused(ValueError):
-        simulation.set_command(given)
-    assert np.array_equal(simulation.motors.aim.targets, before)
+LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
 
 
 @pytest.mark.parametrize('given', [
@@ -152,9 +144,18 @@ def assert_refused(simulation: Simulation, given: object) -> None:
     path([1.0], [1.0], names='xy')._replace(accelerations=np.zeros((1, 2))),
     path([1.0], [1.0], [0.5], names='xy'), path([0.0], [1.0], names='xy'),
     path([1.0], [1.0], names='xy', delay=-3.0), path([1.0], [1.0], names='xy', delay=1.7e9),
-    path([1.0, 2.0], [1e13, 0.0], names='xy')])
-def test_command_that_cannot_be_used_is_refused_whole(given):
-    assert_refused(servo('x', 'y'), given)
+    path([1.0, 2.0], [1e13, 0.0], names='xy'),
+    # Beyond a limit.
+    command('yx', position=[0.0, 0.6]), command('x', position=-1.5),
+    command('xy', position=[NAN, 3.0], velocity=0.0),
+    path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy')])
+def test_command_that_cannot_be_used_is_refused_whole_and_the_last_one_stays(given):
+    simulation = servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog')
+    simulation.set_command(command('xy', position=0.3))
+    before = simulation.motors.aim.targets
+    with refused(ValueError):
+        simulation.set_command(given)
+    assert np.array_equal(simulation.motors.aim.targets, before)
 
 
 @pytest.mark.parametrize('columns', [1, 2, 3])
@@ -280,17 +281,6 @@ def test_method_keeps_its_order_and_the_balance_along_a_path(integrator, lengths
     order = INTEGRATORS[integrator]().order
     for values in (errors, balances):
         assert np.log2(values[0] / values[1]) > order - 0.35
-
-
-LIMITS = JointLimits(lower={'x': -1.0}, upper={'x': 0.5, 'y': 2.0})
-
-
-@pytest.mark.parametrize('given', [
-    command('yx', position=[0.0, 0.6]), command('x', position=-1.5),
-    command('xy', position=[NAN, 3.0], velocity=0.0),
-    path([1.0, 2.0, 3.0], [0.0, -1.25, 0.5], names='xy')])
-def test_position_beyond_a_limit_is_refused_and_the_last_one_stays(given):
-    assert_refused(servo('x', 'y', more=[LIMITS], integrator='generalized_leapfrog'), given)
 
 
 def test_position_on_a_limit_to_the_digits_of_a_file_is_taken():

@@ -5,7 +5,8 @@
 from functools import cached_property
 from typing import Any
 
-from helpers import EPS, Uncompiled
+from effect_table import assert_derivatives
+from helpers import plain_run, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect, EffectError, EffectState
 from hnn_vi_ros.effects.spring import BodySpring, Elastic
@@ -24,8 +25,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-
-pytestmark = pytest.mark.filterwarnings('ignore:(Uncompiled|Two) is not')
 
 MASS, INERTIA, GRAVITY = 0.8, [0.3, 0.4, 0.5], 2.0
 FLYING = HAMILTONIANS['quadrotor'](MASS, INERTIA, GRAVITY)
@@ -55,7 +54,7 @@ def made(*effects: tuple[str, dict[str, Any]]) -> list[Effect]:
 def simulation(method: Integrator, h: float, *effects: tuple[str, dict[str, Any]],
                hamiltonian: Hamiltonian = FLYING, state: tuple = (Q, P), **options: str
                ) -> Simulation:
-    run = Simulation(Uncompiled(hamiltonian), method, h, *state, made(*effects), **options)
+    run = plain_run(Uncompiled(hamiltonian), method, h, *state, *made(*effects), **options)
     if run.takes_commands:
         run.set_command(COMMAND)
     return run
@@ -186,8 +185,8 @@ def test_drag_of_turning_is_that_of_the_angular_velocity():
     (['body_x', 'body_z'], [2.0, -1.0], [2.0, 0.0, -1.0], [0.0, 0.0, 0.0]),
     (['body_rz', 'body_fx', 'body_fy'], [0.5, 2.0, -1.0], 'body', [0.0, 0.0, 0.5])])
 def test_commands_act_along_axes_of_space_or_of_the_body(names, command, force, torque):
-    run = Simulation(Uncompiled(FREE), INTEGRATORS['lie_leapfrog'](), 0.1, Q, P,
-                     made(('external_force', {'coordinates': names})))
+    run = plain_run(Uncompiled(FREE), 'lie_leapfrog', 0.1, Q, P,
+                    *made(('external_force', {'coordinates': names})))
     assert tuple(run.command_names) == tuple(names)
     run.set_command(command)
     rates = momentum_rates((3,), run.q, run.p, run.dH_dq, run.dH_dp)
@@ -245,16 +244,7 @@ def test_potential_on_bodies_has_the_energy_and_the_derivatives_of_its_formula(n
         stretch = np.linalg.norm(first - second) - arguments.get('rest_length', 0.0)
         expected = 0.5 * arguments.get('stiffness', 1.0) * stretch ** 2
     assert potential.energy(own, q) == pytest.approx(expected, rel=1e-13)
-    # As in test_effects.py: a central difference of spacing d errs by d^2 and eps / d.
-    gradient, ahead, behind, product = np.zeros((4, 14))
-    d = float(np.cbrt(EPS))
-    potential.add_gradient(own, q, gradient)
-    slope = (potential.energy(own, q + d * v) - potential.energy(own, q - d * v)) / (2 * d)
-    assert gradient @ v == pytest.approx(slope, abs=1e-7)
-    potential.add_gradient(own, q + d * v, ahead)
-    potential.add_gradient(own, q - d * v, behind)
-    potential.add_hessian_vector(own, q, v, product)
-    assert product == pytest.approx((ahead - behind) / (2 * d), abs=1e-7)
+    assert_derivatives(potential, own, q, v, 1e-7)
 
 
 class Two(Hamiltonian):
@@ -370,7 +360,7 @@ def test_effects_compiled_and_uncompiled_agree():
     assert compiled.work == end[2]
 
 
-REFUSED = [
+@pytest.mark.parametrize('kind, arguments', [
     ('soft_wall', {'coordinate': 'body_z'}),
     ('dry_friction', {'coordinate': 'body_z', 'force': 1.0}),
     ('magnetic_field', {'plane': ['body_x', 'body_y']}),
@@ -378,23 +368,8 @@ REFUSED = [
     ('servo', {'coordinates': ['body_z'], 'stiffness': 1.0}),
     ('thermostat', {'temperature': 1.0, 'rate': 1.0}),
     ('holonomic_constraint', {'point': ['body_x', 'body_z'], 'anchor': [0.0, 0.0]}),
-    ('impact', {'coordinate': 'body_z'})]
-
-
-@pytest.mark.parametrize('kind, arguments', REFUSED)
-def test_other_effects_on_bodies_are_refused_by_name(kind: str, arguments: dict):
-    with refused(EffectError) as raised:
-        System(Uncompiled(FLYING), made(DRAG, (kind, arguments)), INTEGRATORS['lie_leapfrog']())
-    assert raised.value.index == 1
-
-
-def test_effects_that_bodies_take_are_these():
-    assert {kind for kind, effect in EFFECTS.items() if effect.turns} == {
-        # A model's friction has tests of its own: test_lie_group.py.
-        *(kind for kind, _ in ALL), 'learned_friction'}
-
-
-@pytest.mark.parametrize('kind, arguments', [
+    ('impact', {'coordinate': 'body_z'}),
+    # Those that bodies take, on what is no part of a body, or not as it is one.
     ('gravity', {'coordinate': 'body_qx'}), ('damping', {'rate': [1.0] * 7}),
     ('quadratic_drag', {'coordinates': ['body_qx'], 'coefficient': 1.0}),
     ('external_force', {'coordinates': ['body']}),
@@ -406,6 +381,13 @@ def test_effects_that_bodies_take_are_these():
     ('spring', {'point': ['body'], 'other': ['body_x']}),
     ('spring', {'point': ['body'], 'anchor': ARM, 'other_in_body': ARM}),
     ('spring', {'point': ['body'], 'anchor': ARM, 'point_in_body': [1.0]})])
-def test_effect_that_does_not_fit_a_body_is_refused(kind, arguments):
-    with refused(EffectError):
-        System(Uncompiled(FLYING), made((kind, arguments)), INTEGRATORS['lie_leapfrog']())
+def test_effect_that_does_not_fit_a_body_is_refused_by_name(kind: str, arguments: dict):
+    with refused(EffectError) as raised:
+        System(Uncompiled(FLYING), made(DRAG, (kind, arguments)), INTEGRATORS['lie_leapfrog']())
+    assert raised.value.index == 1
+
+
+def test_effects_that_bodies_take_are_these():
+    assert {kind for kind, effect in EFFECTS.items() if effect.turns} == {
+        # A model's friction has tests of its own: test_lie_group.py.
+        *(kind for kind, _ in ALL), 'learned_friction'}

@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 import numpy as np
 import pytest
-from urdf_robots import SHIPPED, TREE, TREE_ARGUMENTS, with_quaternions
+from urdf_robots import SHIPPED, SMALL_ARGUMENTS, TREE, TREE_ARGUMENTS, with_quaternions
 
 pinocchio = pytest.importorskip('pinocchio', reason='pin is not installed; see `make test`')
 
@@ -55,10 +55,7 @@ def pair(request, tmp_path) -> tuple[RigidBodyTree, Peer]:
     if request.param in ('tree', 'quaternions', 'small'):
         file.write_text(with_quaternions(TREE) if request.param == 'quaternions' else TREE)
         if request.param == 'small':
-            # Two branches, a slide, and joints that are held askew.
-            arguments = {'joints': ['tail', 'rail', 'hip'], 'gravity': [0.0, 3.0, -9.0],
-                         'rotor_inertia': {'rail': 1.5},
-                         'locked': {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}}
+            arguments = SMALL_ARGUMENTS | {'gravity': [0.0, 3.0, -9.0]}
     else:
         file = next(path for path in SHIPPED if path.stem == request.param or (
             request.param == 'rotors' and path.stem == 'six_joint_arm'))

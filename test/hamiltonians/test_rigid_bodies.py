@@ -67,24 +67,13 @@ def test_body_has_the_derivatives_of_its_energy(name: str):
         assert np.allclose(product, plus - minus, rtol=0.0, atol=1e-14)
 
 
-@pytest.mark.parametrize('arguments', [
-    {'inertia': [1.0, 1.0]}, {'inertia': [1.0, 0.0, 1.0]}, {'inertia': [1.0, 1.0, 2.5]}])
-@pytest.mark.parametrize('name', [name for name in BODIES if name != 'ball_joint_pendulum'])
-def test_body_refuses_what_is_no_inertia(name: str, arguments: dict):
-    with refused(ValueError):
-        HAMILTONIANS[name](**arguments)
-
-
-@pytest.mark.parametrize('name', ['mass', 'length', 'gravity'])
-def test_heavy_top_refuses_a_constant_out_of_range(name: str):
-    with refused(ValueError):
-        HAMILTONIANS['heavy_top'](**{name: float('nan')})
-
-
 @pytest.mark.parametrize('name, arguments', [
+    *((name, {'inertia': inertia}) for name in ('free_rigid_body', 'heavy_top', 'quadrotor')
+      for inertia in ([1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 2.5])),
+    *(('heavy_top', {name: float('nan')}) for name in ('mass', 'length', 'gravity')),
     ('quadrotor', {'mass': 0.0}), ('quadrotor', {'gravity': -9.81}),
     ('quadrotor', {'gravity': float('inf')}), ('ball_joint_pendulum', {'radius': 0.0})])
-def test_body_refuses_a_constant_out_of_range(name: str, arguments: dict):
+def test_body_refuses_what_is_no_inertia_and_a_constant_out_of_range(name: str, arguments: dict):
     with refused(ValueError):
         HAMILTONIANS[name](**arguments)
 

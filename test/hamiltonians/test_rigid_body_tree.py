@@ -16,7 +16,7 @@ from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np
 import pytest
-from urdf_robots import chain, ROOT, SHIPPED, TREE, TREE_ARGUMENTS
+from urdf_robots import chain, ROOT, SHIPPED, SMALL_ARGUMENTS, TREE, TREE_ARGUMENTS
 import yaml
 
 STATES = 20
@@ -27,9 +27,7 @@ def robot(request, tmp_path) -> RigidBodyTree:
     if request.param == 'tree':
         return tree(tmp_path)
     if request.param == 'small tree':
-        # Two branches, a slide, and joints that are held askew.
-        return tree(tmp_path, joints=['tail', 'rail', 'hip'], rotor_inertia={'rail': 1.5},
-                    locked={'follower': 0.03, 'wrist': 0.6, 'finger': 0.3})
+        return tree(tmp_path, **SMALL_ARGUMENTS)
     return RigidBodyTree(str(ROOT / 'config' / 'robots' / f'{request.param}.urdf'))
 
 

@@ -23,6 +23,10 @@ def build(folder, text: str = TREE, **arguments) -> RigidBodyTree:
     return RigidBodyTree(str(path), **TREE_ARGUMENTS | arguments)
 
 
+# In place of the arguments of TREE, of a robot that has none of its joints.
+PLAIN = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
+
+
 def test_robot_is_read_with_what_effects_will_ask_for():
     robot = parse_urdf(TREE.encode(), 'robot.urdf')
     assert (robot.name, robot.root, len(robot.links)) == ('tree', 'ground', 9)
@@ -217,12 +221,11 @@ def test_link_that_no_body_could_be_is_told_where_it_does_not_matter(
 
 def test_slide_on_what_rests_turns_no_moments_of_inertia(tmp_path):
     text = chain([1.0], [1.0]).replace('continuous', 'prismatic').replace('ixx="0"', 'ixx="-5"')
-    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
     with pytest.warns(UserWarning, match="'l1': .* none may be negative; .* it does not turn"):
-        robot = build(tmp_path, text, **arguments)
+        robot = build(tmp_path, text, **PLAIN)
     assert robot.masses(np.zeros((1, 1))).item() == 1.0
     with refused(ModelError):
-        build(tmp_path, text.replace('value="1.0"', 'value="-1"'), **arguments)
+        build(tmp_path, text.replace('value="1.0"', 'value="-1"'), **PLAIN)
 
 
 def test_many_links_that_no_body_could_be_are_one_warning(tmp_path):
@@ -258,8 +261,7 @@ def test_joint_that_moves_no_inertia_is_named(tmp_path, mass, inertia, rotor, si
     <origin xyz="0 0 -1"/><axis xyz="1 0 0"/></joint>
   <link name="disc"><inertial><mass value="{mass}"/><inertia ixx="{inertia}" ixy="0" ixz="0"
     iyy="{inertia}" iyz="0" izz="{inertia}"/></inertial></link></robot>""")
-    arguments = {**dict.fromkeys(TREE_ARGUMENTS), 'gravity': [0.0, 0.0, -9.81],
-                 'rotor_inertia': {'spin': rotor}}
+    arguments = PLAIN | {'rotor_inertia': {'spin': rotor}}
     if not singular:
         assert build(tmp_path, text, **arguments).dimension == 3
         return
@@ -268,10 +270,9 @@ def test_joint_that_moves_no_inertia_is_named(tmp_path, mass, inertia, rotor, si
 
 
 def test_robot_moves_up_to_twelve_joints(tmp_path):
-    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
-    assert build(tmp_path, chain([1.0] * 12, [0.5] * 12), **arguments).dimension == 12
+    assert build(tmp_path, chain([1.0] * 12, [0.5] * 12), **PLAIN).dimension == 12
     with refused(ValueError):
-        build(tmp_path, chain([1.0] * 13, [0.5] * 13), **arguments)
+        build(tmp_path, chain([1.0] * 13, [0.5] * 13), **PLAIN)
 
 
 def ladder(number: int, tail: str = '') -> str:
@@ -298,17 +299,15 @@ ALL = [f'joint{i}' for i in range(1, 1900)]
     (1900, f'<joint name="j" type="{"x" * 10**6}"><parent link="link7"/><child link="end"/>'
      '</joint><link name="end"/>', {})], ids=range(12))
 def test_robot_of_very_many_joints_is_refused_in_one_short_line(tmp_path, number, tail, arguments):
-    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]} | arguments
     with refused(ModelError, ValueError):
-        build(tmp_path, ladder(number, tail), **arguments)
+        build(tmp_path, ladder(number, tail), **PLAIN | arguments)
 
 
 def test_joint_whose_name_cannot_name_a_coordinate_is_refused_unless_it_is_held(tmp_path):
     text = chain([1.0, 1.0], [1.0, 1.0]).replace('name="j2"', 'name="j 2/x"')
-    arguments = dict.fromkeys(TREE_ARGUMENTS) | {'gravity': [0.0, 0.0, -9.81]}
     with refused(ModelError):
-        build(tmp_path, text, **arguments)
-    assert build(tmp_path, text, **arguments | {'locked': {'j 2/x': 0.0}}).dimension == 1
+        build(tmp_path, text, **PLAIN)
+    assert build(tmp_path, text, **PLAIN | {'locked': {'j 2/x': 0.0}}).dimension == 1
 
 
 SCENE = """\

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of scenes: what their conditions may be, and that each is found, once and in time."""
 
-from helpers import effect, free, kepler_orbit, long, plain_run, Uncompiled
+from helpers import effect, free, kepler_orbit, long, plain_run
 from hnn_vi_ros.commands.scene_tool import explain
-from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import SceneError, StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.scene.choices import Condition

@@ -8,7 +8,6 @@ import sys
 
 from effect_table import create_effect, EFFECT_ROWS, EffectRow
 from helpers import effect, EPS, free, long, plain_run
-from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.commands import JointPath
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
