@@ -45,6 +45,11 @@ def sweep_file(tmp_path_factory):
     return folder / 'sweep.yaml'
 
 
+def lerobot_words(sweep_file: Path, out: Path, *more: str) -> list[str]:
+    """Return the words that make a dataset of a sweep."""
+    return [str(sweep_file), '--episodes', 'lerobot', '--out', str(out), *more]
+
+
 def frames_of(root: Path) -> tuple[dict, pa.Table, pa.Table]:
     """Return the info, the episodes and the frames of a dataset, found by its own templates."""
     info = json.loads((root / 'meta' / 'info.json').read_text())
@@ -60,7 +65,7 @@ def frames_of(root: Path) -> tuple[dict, pa.Table, pa.Table]:
 
 def test_lerobot_dataset_is_read_by_the_rules_of_its_format(sweep_file, tmp_path, capsys):
     out = tmp_path / 'dataset'
-    assert main([str(sweep_file), '--episodes', 'lerobot', '--out', str(out)]) == 0
+    assert main(lerobot_words(sweep_file, out)) == 0
     assert capsys.readouterr().out.startswith(
         f'{out}: 2 of 4 episodes; 2 not: ') and (out / 'meta' / 'tasks.parquet').is_file()
     info, episodes, frames = frames_of(out)
@@ -102,7 +107,7 @@ def test_lerobot_dataset_is_read_by_the_rules_of_its_format(sweep_file, tmp_path
 
 def test_statistics_of_a_lerobot_dataset_are_those_of_its_frames(sweep_file, tmp_path):
     out = tmp_path / 'dataset'
-    main([str(sweep_file), '--episodes', 'lerobot', '--select', '0:2', '--out', str(out)])
+    main(lerobot_words(sweep_file, out, '--select', '0:2'))
     _, episodes, frames = frames_of(out)
     stats = json.loads((out / 'meta' / 'stats.json').read_text())
     whole = np.array(frames['observation.state'].to_pylist())
@@ -121,17 +126,14 @@ def test_another_reader_takes_a_lerobot_dataset_of_many_files(sweep_file, tmp_pa
     monkeypatch.setattr(lerobot, '_MEGABYTES', 0)
     monkeypatch.setattr(lerobot, '_CHUNK', 1)
     out = tmp_path / 'dataset'
-    main([str(sweep_file), '--episodes', 'lerobot', '--select', '0,1', '--out', str(out)])
+    main(lerobot_words(sweep_file, out, '--select', '0,1'))
     assert sorted(path.relative_to(out).as_posix() for path in out.glob('data/*/*')) == [
         'data/chunk-000/file-000.parquet', 'data/chunk-001/file-000.parquet']
     reader = LeRobotReader(out)
     assert reader.version == 'v3' and reader.episodes() == [0, 1]
     _, episodes, _ = frames_of(out)
     assert [row['meta/episodes/chunk_index'] for row in episodes.to_pylist()] == [0, 1]
-    paths = set()
-    for chunk in reader.stream(1):
-        paths.add(str(chunk.entity_path))
-    assert any('observation.state' in path or 'state' in path for path in paths)
+    assert any('state' in str(chunk.entity_path) for chunk in reader.stream(1))
 
 
 def test_selections_are_numbers_and_slices():
@@ -157,10 +159,9 @@ def test_lerobot_dataset_needs_whole_samples_a_second_and_a_folder_of_its_own(
         sweep_file, tmp_path):
     other = sweep_file.with_name('other.yaml')
     other.write_text(SWEEP.replace('every: 2', 'every: 3'))
-    with refused(HnnViRosError):
-        main([str(other), '--episodes', 'lerobot', '--out', str(tmp_path / 'out')])
-    with refused(HnnViRosError):
-        main([str(sweep_file), '--episodes', 'lerobot', '--out', str(tmp_path)])
+    for file, out in ((other, tmp_path / 'out'), (sweep_file, tmp_path)):
+        with refused(HnnViRosError):
+            main(lerobot_words(file, out))
 
 
 def test_dataset_that_cannot_be_written_whole_leaves_nothing(sweep_file, tmp_path):
@@ -168,8 +169,7 @@ def test_dataset_that_cannot_be_written_whole_leaves_nothing(sweep_file, tmp_pat
     # Of such a momentum the energy is beyond float32.
     text = text.replace('hamiltonian.length', 'initial_state.p.angle')
     (tmp_path / 'sweep.yaml').write_text(text.replace('[1.0, -1.0]', '[0.0, 1.0e+20]'))
-    command = [str(tmp_path / 'sweep.yaml'), '--episodes', 'lerobot', '--out',
-               str(tmp_path / 'out')]
+    command = lerobot_words(tmp_path / 'sweep.yaml', tmp_path / 'out')
     with refused(HnnViRosError):
         main(command)
     assert not (tmp_path / 'out').exists()

@@ -14,6 +14,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from textwrap import dedent, indent
 import time
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
@@ -24,7 +25,7 @@ from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
 from hnn_vi_ros.sweeps.trajectories import Runner
-from hnn_vi_ros.trajectory.simulate import BLOCK, simulate, simulate_many
+from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 import numpy as np
 from ports import free_port
 import pyarrow as pa
@@ -40,6 +41,8 @@ AT_ONCE = 'RAY_worker_niceness', '0'
 LENGTHS = {'scene': 'exact_pendulum', 'duration': 0.2, 'shard_size': 64, 'vary': [
     {'kind': 'values', 'key': 'hamiltonian.length', 'values': [0.5, 1.0, 2.0]},
     BOX | {'count': 70}]}
+COMMAND = [sys.executable, '-c',
+           'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()']
 EVENTS = """\
 hamiltonian: {kind: pendulum, mass: 1.0, length: 1.0, gravity: 9.81}
 integrator: {kind: variational_euler}
@@ -55,6 +58,26 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def table_of(folder: Path) -> pa.Table:
     return pa.concat_tables([pq.read_table(path) for path in sorted(folder.glob('part-*'))])
+
+
+def shards(folder: Path) -> dict[str, bytes]:
+    """Return the contents but for the record."""
+    return {name: data for name, data in contents(folder).items() if name != 'sweep.json'}
+
+
+def reducing(folder: Path, name: str, body: str, columns: list[str],
+             grid: tuple[float, float, int], **more: object) -> Path:
+    """Write a sweep over initial angles with a reduction of the user's own; return its file."""
+    (folder / f'{name}.py').write_text(
+        'import ctypes, os, pathlib, signal, time\n'
+        f'def reduce(path):\n{indent(dedent(body), 4 * " ")}\n')
+    low, high, count = grid
+    path = folder / 'a.yaml'
+    path.write_text(json.dumps({'scene': 'exact_pendulum', 'duration': 0.2, 'vary': [
+        {'kind': 'grid', 'keys': ['initial_state.q.0'], 'low': [low], 'high': [high],
+         'counts': [count]}],
+        'reduction': {'function': f'{name}:reduce', 'columns': columns}, **more}))
+    return path
 
 
 @pytest.fixture(scope='module')
@@ -98,16 +121,6 @@ def test_rows_are_the_trajectories_of_their_values(whole):
         assert row['q_angle'] == pytest.approx(found.q[-1, 0], abs=tolerance)
         assert row['p_angle'] == pytest.approx(found.p[-1, 0], abs=tolerance)
         assert row['energy'] == pytest.approx(found.energy[-1], abs=1e2 * tolerance)
-
-
-def test_states_are_those_of_many_trajectories_bit_by_bit(tmp_path):
-    definition = {'scene': 'exact_pendulum', 'duration': 0.2,
-                  'vary': [BOX | {'count': 2 * BLOCK + 5}]}
-    table = table_of(sweep(definition, tmp_path / 'out'))
-    q, p = (np.array(table[key])[:, None] for key in STATE)
-    many = simulate_many('exact_pendulum', q, p, 0.2, threads=1)
-    assert np.array_equal(np.array(table['q_angle']), many.q[-1, :, 0])
-    assert np.array_equal(np.array(table['energy']), many.energy[-1])
 
 
 @pytest.mark.long
@@ -158,24 +171,21 @@ def test_grid_and_file_and_coordinates_by_name(tmp_path):
 
 
 def test_each_repeat_has_noise_of_its_own_by_index(tmp_path):
-    path = tmp_path / 'scene.yaml'
-    path.write_text(
-        'hamiltonian: {kind: harmonic_oscillator, mass: 1.0, stiffness: 1.0}\n'
-        'effects: [{kind: thermostat, temperature: 0.1, rate: 0.5, seed: 1}]\n'
-        'integrator: {kind: stormer_verlet}\nstep_size: 0.01\n'
-        'initial_state: {q: [1.0], p: [0.0]}\n')
-    definition = {'scene': str(path), 'duration': 0.1, 'vary': [
+    scene = 'exact_brownian_oscillator'
+    definition = {'scene': scene, 'duration': 0.1, 'vary': [
         {'kind': 'repeats', 'count': 40, 'key': 'effects.0.seed'}]}
     table = table_of(sweep(definition, tmp_path / 'a'))
     assert len(set(table['q_x'].to_pylist())) == 40
     assert len(set(table['effects.0.seed'].to_pylist())) == 40
     few = table_of(sweep(definition | {'vary': [{'kind': 'repeats', 'count': 40}]},
                          tmp_path / 'b'))
-    many = simulate_many(path, [[1.0]] * 40, [[0.0]] * 40, 0.1, threads=1)
+    start = load_scene(scene).initial_state
+    many = simulate_many(scene, [start.q] * 40, [start.p] * 40, 0.1, threads=1)
     assert np.array_equal(np.array(few['q_x']), many.q[-1, :, 0])
 
 
-def test_samples_are_rows_and_shards_stay_small(tmp_path, monkeypatch):
+def test_samples_are_rows_of_many_trajectories_bit_by_bit_and_shards_stay_small(
+        tmp_path, monkeypatch):
     monkeypatch.setattr('hnn_vi_ros.sweeps.plan._MOST_ROWS', 500)
     definition = {'scene': 'exact_pendulum', 'duration': 0.2, 'every': 4, 'keep': 'samples',
                   'vary': [BOX | {'count': 200}]}
@@ -190,7 +200,8 @@ def test_samples_are_rows_and_shards_stay_small(tmp_path, monkeypatch):
     table = table_of(folder)
     q, p = (np.array(table[key])[::6, None] for key in STATE)
     many = simulate_many('exact_pendulum', q, p, 0.2, samples=5, threads=1)
-    assert np.array_equal(np.array(table['q_angle']).reshape(200, 6).T, many.q[:, :, 0])
+    for column, values in (('q_angle', many.q[:, :, 0]), ('energy', many.energy)):
+        assert np.array_equal(np.array(table[column]).reshape(200, 6).T, values)
     assert np.array_equal(np.array(table['t'])[:6], many.t)
 
 
@@ -254,15 +265,12 @@ def test_lyapunov_time_is_that_of_the_scene(tmp_path):
 
 
 def test_reduction_of_the_users(tmp_path, monkeypatch):
-    (tmp_path / 'mine_of_sweeps.py').write_text(
-        'def reduce(path):\n    if path.q[0, 0] > 1.0: raise RuntimeError("too far")\n'
-        '    return {"mean": path.q.mean(), "count": len(path.t)}\n')
-    (tmp_path / 'a.yaml').write_text(
-        'scene: exact_pendulum\nduration: 0.2\nevery: 4\nvary: [{kind: grid, keys: '
-        '[initial_state.q.0], low: [0], high: [2], counts: [3]}]\n'
-        'reduction: {function: "mine_of_sweeps:reduce", columns: [mean, count]}\n')
+    path = reducing(tmp_path, 'mine_of_sweeps', """\
+        if path.q[0, 0] > 1.0: raise RuntimeError("too far")
+        return {"mean": path.q.mean(), "count": len(path.t)}""",
+                    ['mean', 'count'], (0.0, 2.0, 3), every=4)
     monkeypatch.setattr(sys, 'path', list(sys.path))
-    first, second, third = table_of(sweep(tmp_path / 'a.yaml', tmp_path / 'out')).to_pylist()
+    first, second, third = table_of(sweep(path, tmp_path / 'out')).to_pylist()
     found = simulate_many('exact_pendulum', [[0.0], [1.0], [2.0]], [[0.0]] * 3, 0.2, samples=5,
                           threads=1)
     assert (first['mean'], first['count']) == (0.0, 6.0)
@@ -276,15 +284,12 @@ def test_reduction_of_the_users(tmp_path, monkeypatch):
     ('path.q[:] = 0.0', 'ValueError: assignment destination is read-only')])
 def test_reduction_neither_ends_a_sweep_nor_changes_what_is_kept(
         tmp_path, monkeypatch, line, failure):
-    (tmp_path / 'rude_to_sweeps.py').write_text(
-        f'def reduce(path):\n    if path.q[0, 0] > 0.5: {line}\n    return {{"one": 1.0}}\n')
-    (tmp_path / 'a.yaml').write_text(
-        'scene: exact_pendulum\nduration: 0.2\nvary: [{kind: grid, keys: '
-        '[initial_state.q.0], low: [0.25], high: [1], counts: [2]}]\n'
-        'reduction: {function: "rude_to_sweeps:reduce", columns: [one]}\n')
+    path = reducing(tmp_path, 'rude_to_sweeps',
+                    f'if path.q[0, 0] > 0.5: {line}\nreturn {{"one": 1.0}}', ['one'],
+                    (0.25, 1.0, 2))
     monkeypatch.setattr(sys, 'path', list(sys.path))
     monkeypatch.delitem(sys.modules, 'rude_to_sweeps', raising=False)
-    first, second = table_of(sweep(tmp_path / 'a.yaml', tmp_path / 'out')).to_pylist()
+    first, second = table_of(sweep(path, tmp_path / 'out')).to_pylist()
     assert (first['one'], first['failure']) == (1.0, None)
     assert second['failure'] == f'rude_to_sweeps:reduce: {failure}'
 
@@ -350,26 +355,19 @@ def test_killed_sweep_goes_on_where_it_stopped(whole, tmp_path, jobs):
     (out / 'part-000003.parquet').unlink(missing_ok=True)
     (out / '.part-000003.parquet.elsewhere.1').write_bytes(b'half')
     sweep(LENGTHS, out)
-    assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
-        name: data for name, data in contents(whole).items() if name != 'sweep.json'}
+    assert shards(out) == shards(whole)
 
 
 @pytest.fixture(scope='module')
 def deadly(tmp_path_factory):
     """Return a sweep that kills a process at its 100th trajectory, once, and its folder."""
     folder = tmp_path_factory.mktemp('deadly')
-    (folder / 'deadly_to_sweeps.py').write_text(
-        'import os, pathlib, signal\n'
-        'def reduce(path):\n'
-        '    mark = pathlib.Path(__file__).with_name("done")\n'
-        '    if path.q[0, 0] == 1.0 and not mark.exists():\n'
-        '        mark.touch()\n'
-        '        os.kill(os.getpid(), signal.SIGKILL)\n'
-        '    return {"mean": path.q.mean()}\n')
-    (folder / 'a.yaml').write_text(
-        'scene: exact_pendulum\nduration: 0.2\nevery: 5\nshard_size: 32\n'
-        'vary: [{kind: grid, keys: [initial_state.q.0], low: [0], high: [1.5], counts: [151]}]\n'
-        'reduction: {function: "deadly_to_sweeps:reduce", columns: [mean]}\n')
+    reducing(folder, 'deadly_to_sweeps', """\
+        mark = pathlib.Path(__file__).with_name("done")
+        if path.q[0, 0] == 1.0 and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"mean": path.q.mean()}""", ['mean'], (0.0, 1.5, 151), every=5, shard_size=32)
     (folder / 'done').touch()
     before = list(sys.path)
     sweep(folder / 'a.yaml', folder / 'whole')
@@ -394,20 +392,13 @@ def test_worker_that_is_killed_is_replaced(deadly, tmp_path, monkeypatch, way):
 def test_first_interrupt_ends_a_sweep_whose_reduction_hangs(tmp_path, jobs):
     # With several processes in C, where nothing else of Python runs.
     hang = 'time.sleep(1e6)' if jobs == 1 else 'ctypes.PyDLL(None).pause()'
-    (tmp_path / 'hangs_in_sweeps.py').write_text(
-        'import ctypes, os, pathlib, time\n'
-        'def reduce(path):\n'
-        '    pathlib.Path(__file__).with_name(f"pid{os.getpid()}").touch()\n'
-        f'    {hang}\n')
-    (tmp_path / 'a.yaml').write_text(
-        'scene: exact_pendulum\nduration: 0.2\nshard_size: 32\n'
-        'vary: [{kind: grid, keys: [initial_state.q.0], low: [0], high: [1.5], counts: [64]}]\n'
-        'reduction: {function: "hangs_in_sweeps:reduce", columns: [mean]}\n')
-    code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
+    path = reducing(
+        tmp_path, 'hangs_in_sweeps',
+        f'pathlib.Path(__file__).with_name(f"pid{{os.getpid()}}").touch()\n{hang}', ['mean'],
+        (0.0, 1.5, 64), shard_size=32)
     with subprocess.Popen(
-            [sys.executable, '-c', code, str(tmp_path / 'a.yaml'), '--out', str(tmp_path / 'out'),
-             '--jobs', str(jobs)], stderr=subprocess.PIPE, text=True,
-            start_new_session=True) as run:
+            [*COMMAND, str(path), '--out', str(tmp_path / 'out'), '--jobs', str(jobs)],
+            stderr=subprocess.PIPE, text=True, start_new_session=True) as run:
         try:
             while len(workers := list(tmp_path.glob('pid*'))) < jobs:
                 assert run.poll() is None
@@ -453,10 +444,9 @@ def cluster(monkeypatch):
 @pytest.mark.long
 def test_cluster_begun_by_the_documented_command_makes_the_same_bytes(deadly, tmp_path, cluster):
     (deadly / 'done').unlink(missing_ok=True)
-    code = 'import sys; sys.argv[0] = "sweep"; from hnn_vi_ros.cli import sweep; sweep()'
     run = subprocess.run(
-        [sys.executable, '-c', code, str(deadly / 'a.yaml'), '--out', str(tmp_path / 'out'),
-         '--ray', cluster], capture_output=True, text=True, check=False, timeout=300.0)
+        [*COMMAND, str(deadly / 'a.yaml'), '--out', str(tmp_path / 'out'), '--ray', cluster],
+        capture_output=True, text=True, check=False, timeout=300.0)
     assert run.returncode == 0, run.stderr
     # A worker was killed on the way.
     assert (deadly / 'done').exists()
@@ -584,8 +574,7 @@ def test_shards_that_were_swapped_or_are_of_another_sweep_are_found(whole, tmp_p
     for line in lines:
         assert f'part-{line}' in told.err
     assert '4 of 4 shards of 210 trajectories, none failed' in told.out
-    assert {name: data for name, data in contents(out).items() if name != 'sweep.json'} == {
-        name: data for name, data in contents(whole).items() if name != 'sweep.json'}
+    assert shards(out) == shards(whole)
 
 
 @pytest.mark.parametrize(('old', 'new', 'message'), [

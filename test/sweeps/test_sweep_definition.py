@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a sweep cannot be is one line that says what, where, and what is valid."""
 
-from hnn_vi_ros.errors import DataError, HnnViRosError
+from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.sweeps.folder import shards_of
 from hnn_vi_ros.sweeps.plan import make_plan
@@ -69,12 +69,10 @@ def test_arguments_that_cannot_be_used_are_told():
         with refused(ValueError):
             shards_of(share)
     assert shards_of('2/3') == (2, 3)
-    with refused(HnnViRosError):
-        main(['pendulum_lengths', '--shard', '3/3'])
-    with refused(HnnViRosError):
-        main(['pendulum_lengths', '--jobs', '0'])
-    with refused(DataError):
-        main(['nothing'])
+    for words in (['pendulum_lengths', '--shard', '3/3'], ['pendulum_lengths', '--jobs', '0'],
+                  ['nothing']):
+        with refused(HnnViRosError):
+            main(words)
     with refused(TypeError):
         sweep(3, 'out')
     with refused(ValueError):
