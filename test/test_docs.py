@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The site: its pages tell all that the code has, and lead to files that are there."""
 
-import importlib.util
+from importlib import import_module
 import json
 import re
-import sys
 from types import ModuleType
 
 import hnn_vi_ros
@@ -41,14 +40,7 @@ def text(name: str) -> str:
 def generate() -> ModuleType:
     """Return the module that writes pages, which is in no package."""
     pytest.importorskip('PIL', reason='pictures of the gallery take pillow')
-    sys.path.insert(0, str(DOCS))
-    try:
-        spec = importlib.util.spec_from_file_location('generate', DOCS / 'generate.py')
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return module
-    finally:
-        sys.path.remove(str(DOCS))
+    return import_module('generate')
 
 
 def test_pages_are_short_and_their_links_lead_to_files():

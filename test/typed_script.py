@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Script of a user, which mypy accepts with --strict; test_mypy.py checks it, nothing runs it."""
+"""Script of a user that mypy accepts with --strict, as test_linters.py asks; nothing runs it."""
 
 from pathlib import Path
 
