@@ -28,7 +28,6 @@ def test_defects_tell_what_each_method_claims(method: Method):
     reversal = reversal_defect(hamiltonian, integrator, H, Q, P)
     symplectic = symplectic_defect(hamiltonian, integrator, H, Q, P)
     # Round-off on one side; on the other, the smallest defect here is that of RK4, O(h^5).
-    assert (reversal <= 1e-14) == integrator.requirements.symmetric or reversal > 1e-9
     assert (reversal <= 1e-14) == integrator.requirements.symmetric
     assert (symplectic <= 1e-11) == integrator.requirements.symplectic
 
@@ -113,34 +112,6 @@ def test_sign_flip_in_the_adjoint_is_found_by_both_defects():
 
     assert reversal_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
     assert symplectic_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
-
-
-def test_rk4_with_its_last_stage_at_half_a_step_is_found_by_its_order():
-    def rk4(last: float):
-        def formula(gradient, h, q, p):
-            def field(q, p):
-                dH_dq, dH_dp = gradient(q, p)
-                return np.array([dH_dp, -dH_dq])
-            z = np.array([q, p])
-            a = field(*z)
-            b = field(*(z + 0.5 * h * a))
-            c = field(*(z + 0.5 * h * b))
-            d = field(*(z + last * h * c))
-            return z + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-        return _Planted(formula)
-
-    def order(integrator: Integrator) -> float:
-        steps, ends = (0.1, 0.05, 0.025, 0.0125), []
-        for h in (*steps, 1e-3):
-            q, p = Q, P
-            for _ in range(round(1.0 / h)):
-                q, p = take_step(TAO.kernel, integrator, h, q, p)
-            ends.append(np.array([q[0], p[0]]))
-        errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
-        return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
-
-    assert order(rk4(1.0)) == pytest.approx(4.0, abs=0.35)
-    assert order(rk4(0.5)) < 2.0
 
 
 def test_take_step_raises_where_a_step_is_not_finite():
