@@ -3,14 +3,13 @@
 """The machinery of `make bench`, on rows that are made up: needs none of the peers."""
 
 import ast
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import PackageNotFoundError, requires
 import json
 import os
 from pathlib import Path
+import platform
 import re
 import subprocess
 import sys
@@ -22,9 +21,10 @@ from benchmarks.report import Group, measured_here, read_groups
 from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.errors import StepFailure
 import numpy as np
+from packaging.utils import canonicalize_name
 import pytest
+from sources import brought, requirements_of, ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / 'docs'
 # The files of docs that each target of the Makefile runs, and whether it may call any function of
 # them: peers are imported in functions, which only --peers calls.
@@ -53,28 +53,38 @@ class Clock:
 
     process_time = perf_counter
 
-    def waiting(self, seconds: float) -> Callable:
-        """Return a contestant whose runs take this long."""
-        def wait() -> None:
-            self.now += seconds
-        return lambda: wait
-
 
 CLOCK = Clock()
+
+
+@pytest.fixture(autouse=True)
+def clock(request, monkeypatch):
+    """Have runs timed by that clock, but where they are real; no garbage is in the way."""
+    monkeypatch.setattr('gc.collect', int)
+    if 'alternates' not in request.node.name:
+        monkeypatch.setattr('benchmarks.measurement.time', CLOCK)
+
+
+def waiting(*seconds: float) -> Callable:
+    """Return a contestant whose runs take these times in turn, the last of them from then on."""
+    times = [*seconds]
+
+    def wait() -> None:
+        CLOCK.now += times.pop(0) if len(times) > 1 else times[0]
+    return lambda: wait
 
 
 def measure(settings: Settings) -> Iterator[Row]:
     """Measure a run that takes half as long as its peer's, and make up one that misses."""
     settings.say('waiting')
-    times = interleave([CLOCK.waiting(0.01), CLOCK.waiting(0.02)], settings.repetitions)
+    times = interleave([waiting(0.01), waiting(0.02)], settings.repetitions)
     yield compare('half', times[:, 0], times[:, 1], target=0.9, scale=1e3, unit='ms',
                   peer_name='sleep')
     yield Row('slow', '3 s', '1 s', 3.0, (3.0, 3.0), 2.5, 1, unit='s more', miss='It sleeps.')
     yield Row('told', '1', '1', 1.0, (1.0, 1.0), None, 1)
 
 
-def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr('benchmarks.measurement.time', CLOCK)
+def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     rows = run({'fake': (measure, 1.0)}, repetitions=5, quick=False)
     write({'fake': measured_here(rows['fake'], 7)}, tmp_path / 'out')
     written = json.loads((tmp_path / 'out' / 'benchmarks.json').read_text())['fake']['rows']
@@ -154,17 +164,7 @@ def test_times_of_different_results_are_refused(theirs):
         assert_close('other', np.array([1.0]), np.array([theirs]), 1e-12)
 
 
-def waiting(*seconds: float) -> Callable:
-    """Return a contestant whose runs take these times in turn, the last of them from then on."""
-    times = [*seconds]
-
-    def wait() -> None:
-        CLOCK.now += times.pop(0) if len(times) > 1 else times[0]
-    return lambda: wait
-
-
-def test_race_is_between_the_least_medians_not_the_least_times(monkeypatch):
-    monkeypatch.setattr('benchmarks.measurement.time', CLOCK)
+def test_race_is_between_the_least_medians_not_the_least_times():
     # One is fast once, and so is a peer; the first run of each warms up.
     ours = {'lucky': waiting(30.0, 1.0, 30.0), 'steady': waiting(10.0)}
     peers = {'lucky': waiting(50.0, 2.0, 50.0), 'steady': waiting(40.0)}
@@ -172,8 +172,7 @@ def test_race_is_between_the_least_medians_not_the_least_times(monkeypatch):
     assert (row.ours, row.peer) == ('10 s', 'steady 40 s') and abs(row.ratio - 0.25) < 1e-12
 
 
-def test_times_of_a_peer_that_makes_several_results_are_shared(monkeypatch):
-    monkeypatch.setattr('benchmarks.measurement.time', CLOCK)
+def test_times_of_a_peer_that_makes_several_results_are_shared():
     row = race('batch', {'ours': waiting(1.0)}, {'peer': waiting(16.0)}, Settings(3, True, print),
                target=None, scale=1.0, unit='s', copies=8)
     assert abs(row.ratio - 0.5) < 1e-12 and row.peer == 'peer 2 s'
@@ -287,37 +286,20 @@ def imported_by(starts: list[Path], nested: bool) -> dict[str, str]:
     return found
 
 
-def normal(name: str) -> str:
-    """Return the name of a distribution as they are compared."""
-    return re.sub('[-_.]+', '-', name).lower()
-
-
-def distributions_of(files: Iterable[str]) -> set[str]:
-    """Return what some files of requirements name, and what that brings."""
-    text = '\n'.join((ROOT / 'requirements' / f'{file}.txt').read_text() for file in files)
-    found, rest = set(), re.findall(r'^([\w.-]+)', text, re.MULTILINE)
-    while rest:
-        name = normal(rest.pop())
-        if name not in found:
-            found.add(name)
-            with suppress(PackageNotFoundError):
-                rest += [re.match(r'[\w.-]+', line)[0] for line in requires(name) or ()
-                         if 'extra ==' not in line]
-    return found
-
-
 def missing(target: str, without: str = '') -> dict[str, str]:
     """Return the packages that a target imports and does not install, and where."""
     recipe = subprocess.run(['make', '-n', target], cwd=ROOT, capture_output=True, text=True,
                             check=True).stdout
     groups = re.search(r'requirements/make_venv(( \w+)+)', recipe)[1].split()
-    there = distributions_of(file for group in groups for file in FILES.get(group, [group]))
+    files = [file for group in groups for file in FILES.get(group, [group])]
+    there = brought(requirements_of(*files), '.'.join(platform.python_version_tuple()[:2]))
     there -= {without}
     pattern, nested = IMPORTING[target]
     starts = [path for glob in pattern for path in DOCS.glob(glob)]
     assert starts
     return {name: where for name, where in imported_by(starts, nested).items()
-            if not {normal(DISTRIBUTIONS.get(name, name)), f'ros-{normal(name)}'} & there}
+            if not {canonicalize_name(DISTRIBUTIONS.get(name, name)),
+                    canonicalize_name(f'ros-{name}')} & there}
 
 
 @pytest.mark.parametrize('target', IMPORTING)

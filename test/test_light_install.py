@@ -2,20 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """What works without the extras `train`, `rerun` and `sweep`, and what names the missing one."""
 
-import subprocess
-import sys
-
 from hnn_vi_ros.files.resources import shipped_names
+from sources import run_without
 
-HIDE = """
+IMPORTS = """
 from importlib import import_module
-import sys
-hidden = {hidden!r}
-class Hide:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition('.')[0] in hidden:
-            raise ModuleNotFoundError(f'No module named {{name!r}}', name=name)
-sys.meta_path.insert(0, Hide())
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import MissingPackage
 """
@@ -29,15 +20,15 @@ assert abs(trajectory.energy - trajectory.energy[0]).max() < 0.01 * trajectory.e
 """
 
 
-def status_of(code: str, hidden: set[str]) -> int:
-    """Run code in a process that cannot import some packages; return its status."""
-    return subprocess.run([sys.executable, '-c', HIDE.format(hidden=hidden) + code], check=False,
-                          timeout=300).returncode
+def assert_done(code: str, hidden: set[str]) -> None:
+    """Run code in a process that cannot import some packages."""
+    done = run_without(hidden, IMPORTS + code)
+    assert done.returncode == 0, done.stderr
 
 
 def test_light_install_imports_nodes_simulates_and_names_what_a_sweep_takes():
     # Scipy takes a tenth of a start. What is imported stays so: what is hidden gets less.
-    assert status_of(f"""
+    assert_done(f"""
 for module in ('bags.recover_bag', 'commands.scene_tool', 'ros.listener_node',
                'ros.replay.replay_node', 'ros.simulator_node'):
     import_module(f'hnn_vi_ros.{{module}}')
@@ -57,12 +48,12 @@ hidden -= {RECORDING!r}
 for module in ('ros.rerun_bridge', 'viewer.rerun_sink'):
     import_module(f'hnn_vi_ros.{{module}}')
 assert not {TRAINING!r} & {{*sys.modules}}
-""", TRAINING | RECORDING | {'scipy'}) == 0
+""", TRAINING | RECORDING | {'scipy'})
 
 
 def test_run_is_simulated_and_drawn_without_what_a_recording_takes(tmp_path):
     # matplotlib takes pillow itself.
-    assert status_of(f"""
+    assert_done(f"""
 for module in ('commands.cost', 'envs', 'learning.scene_numbers.identify',
                'learning.import_checkpoint', 'ros.controller_node', 'companions.members', 'torch'):
     import_module(f'hnn_vi_ros.{{module}}')
@@ -78,6 +69,6 @@ else:
 from hnn_vi_ros import cli
 sys.argv = ['hnn', 'run', 'pendulum', '--duration', '1', '--plot', {str(tmp_path / 'run.png')!r}]
 cli.main()
-""", RECORDING - {'PIL'}) == 0
+""", RECORDING - {'PIL'})
     for name in ('trajectory.png', 'run.png'):
         assert (tmp_path / name).stat().st_size > 0

@@ -75,11 +75,10 @@ def test_results_of_public_functions_are_pickled(tmp_path):
     many = simulate_many('exact_pendulum', [[0.5], [1.0]], [[0.0], [0.0]], 0.1)
     assert np.array_equal(again(many).energy, many.energy)
     save_checkpoint(tmp_path / 'several.safetensors', ensemble(2))
-    (tmp_path / 'scene.yaml').write_text(
-        'hamiltonian: {kind: learned, model: several.safetensors}\n'
-        'integrator: {kind: implicit_midpoint}\nstep_size: 0.05\n'
-        'initial_state: {q: [0.5], p: [-0.3]}\nuncertainty: {}\n')
-    spread = simulate_spread(load_scene(tmp_path / 'scene.yaml'), 0.2)
+    spread = simulate_spread(Scene.build(
+        hamiltonian={'kind': 'learned', 'model': str(tmp_path / 'several.safetensors')},
+        integrator='implicit_midpoint', step_size=0.05, initial_state=([0.5], [-0.3]),
+        uncertainty={}), 0.2)
     other = again(spread)
     assert np.array_equal(other.spread_q, spread.spread_q)
     assert other.mean.scene == spread.mean.scene

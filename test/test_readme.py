@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The code in the README and in the pages of docs runs."""
 
-from pathlib import Path
 import re
 import subprocess
 import sys
@@ -15,16 +14,10 @@ from hnn_vi_ros.learning.data.bags import BagData
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
+from sources import blocks, ROOT
 import yaml
 
-ROOT = Path(__file__).parents[1]
 SHIPPED_SCENE = ROOT / 'config' / 'scenes' / 'harmonic_oscillator.yaml'
-
-
-def blocks(page: str, language: str) -> list[str]:
-    """Return the blocks of code of a page that are of one language."""
-    text = (ROOT / page).read_text(encoding='utf-8')
-    return re.findall(rf'```{language}\n(.*?)```', text, re.DOTALL)
 
 
 def run(code: str, names: dict[str, object] | None = None) -> dict[str, object]:
@@ -36,7 +29,7 @@ def run(code: str, names: dict[str, object] | None = None) -> dict[str, object]:
 
 def test_listener_of_the_tutorial_is_the_executable():
     source = (ROOT / 'hnn_vi_ros/ros/listener_node.py').read_text(encoding='utf-8')
-    (listener,) = blocks('docs/tutorials/first-simulation.md', 'python')
+    (listener,) = blocks(ROOT / 'docs/tutorials/first-simulation.md', 'python')
     # What a RobustNode is more than a Node is of no interest there.
     _, _, body = listener.strip().partition('class Listener(Node):\n')
     assert body and f'class Listener(RobustNode):\n{body}' in source
@@ -44,31 +37,31 @@ def test_listener_of_the_tutorial_is_the_executable():
 
 def test_first_scene_of_a_page_is_a_shipped_one():
     for page in ('README.md', 'docs/tutorials/scene.md'):
-        assert blocks(page, 'yaml')[0] == SHIPPED_SCENE.read_text(encoding='utf-8'), page
+        assert blocks(ROOT / page, 'yaml')[0] == SHIPPED_SCENE.read_text(encoding='utf-8'), page
 
 
 def test_data_of_the_bag_tutorial_are_valid():
-    (data,) = blocks('docs/tutorials/bag-to-verdict.md', 'yaml')
+    (data,) = blocks(ROOT / 'docs/tutorials/bag-to-verdict.md', 'yaml')
     assert BagData.model_validate(yaml.safe_load(data)['data']).block == 2.0
 
 
 def test_readme_python_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (example,) = blocks('README.md', 'python')
+    (example,) = blocks(ROOT / 'README.md', 'python')
     run(example)
     assert '1001' in capsys.readouterr().out
     assert (tmp_path / 'oscillator.png').is_file()
 
 
 def test_python_tutorial_runs(capsys):
-    for example in blocks('docs/tutorials/python.md', 'python'):
+    for example in blocks(ROOT / 'docs/tutorials/python.md', 'python'):
         run(example)
     assert '(2, 1000, 1)' in capsys.readouterr().out
 
 
 def test_quadrotor_of_the_tutorial_climbs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (example,) = blocks('docs/tutorials/quadrotor.md', 'python')
+    (example,) = blocks(ROOT / 'docs/tutorials/quadrotor.md', 'python')
     names = run(example)
     # A tenth of g for 2 s is 1.962 m; the drag takes less than a tenth of that.
     height = names['height']
@@ -82,13 +75,13 @@ def test_bag_example_reads_the_bag_of_a_run(tmp_path, monkeypatch, capsys):
          *[word for name, value in values.items() for word in ('-p', f'{name}:={value}')]],
         cwd=tmp_path, capture_output=True, timeout=120, check=True)
     monkeypatch.chdir(tmp_path)
-    (example,) = blocks('docs/how-to/bags.md', 'python')
+    (example,) = blocks(ROOT / 'docs/how-to/bags.md', 'python')
     run(example)
     assert re.match(r'runs/harmonic_oscillator-.*/bag 1.0 s 0.[45]\d+ J', capsys.readouterr().out)
 
 
 def test_effect_of_your_own_works():
-    (source,) = blocks('docs/how-to/own-effect.md', 'python')
+    (source,) = blocks(ROOT / 'docs/how-to/own-effect.md', 'python')
     names = run(source, {'Force': Force, 'coordinate_index': coordinate_index,
                          'inlined': inlined, '__name__': 'wind'})
     wind = names['Wind']('x', coefficient=0.5, speed=2.0)

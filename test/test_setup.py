@@ -2,11 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Run setup.py without installing: what it ships, and whose Python its executables run."""
 
-from collections.abc import Iterator
-from importlib import metadata
 import os
 from pathlib import Path
-import re
 import runpy
 import tomllib
 
@@ -15,7 +12,7 @@ from hnn_vi_ros.errors import pip_command
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 import pytest
-from sources import ROOT
+from sources import brought, requirements_of, ROOT
 
 
 @pytest.fixture
@@ -101,7 +98,7 @@ def test_setup_names_the_packages_of_the_requirements(run_setup):
         ranges = {canonicalize_name(item.name): item.specifier
                   for item in map(Requirement, named)}
         pins = {canonicalize_name(pin.name): str(pin.specifier)
-                for pin in _requirements(f'{name}.txt')}
+                for pin in requirements_of(name)}
         # None: the requirements pin as well what the package brings.
         assert of_studies is None or ranges.keys() - besides == pins.keys() - of_studies
         assert all(pins[package].removeprefix('==') in ranges[package]
@@ -112,49 +109,17 @@ def test_setup_names_the_packages_of_the_requirements(run_setup):
     assert pip_command('rerun').endswith(f'-m pip install "{extra}"')
 
 
-def _requirements(name: str) -> Iterator[Requirement]:
-    """Yield the lines of a file of requirements that name a package."""
-    for line in (ROOT / 'requirements' / name).read_text().splitlines():
-        if re.match('[A-Za-z]', line):
-            yield Requirement(line)
-
-
 @pytest.mark.parametrize('python', ['3.11', '3.12', '3.13', '3.14'])
 def test_constraints_pin_every_package_that_an_install_brings(python):
-    pins = {canonicalize_name(pin.name): str(pin.specifier) for name in (
-        'constraints.txt', 'bench.txt', 'ray.txt', 'jazzy.txt', 'jazzy_test.txt')
-            for pin in _requirements(name)}
-    environment = {'python_version': python, 'python_full_version': f'{python}.0'}
-    pending = [requirement for name in (
-        'build.txt', 'runtime.txt', 'rerun.txt', 'sweep.txt', 'jazzy.txt', 'train.txt', 'test.txt',
-        'jazzy_test.txt', 'ray.txt')
-               for requirement in _requirements(name)]
-    seen: set[tuple[str, frozenset[str]]] = set()
-    unpinned = set()
-    while pending:
-        requirement = pending.pop()
-        name = canonicalize_name(requirement.name)
-        key = name, frozenset(requirement.extras)
-        if key in seen:
-            continue
-        seen.add(key)
-        if not pins.get(name, '').startswith('=='):
-            unpinned.add(name)
-        try:
-            brought = metadata.requires(requirement.name) or []
-        except metadata.PackageNotFoundError:
-            # Not of this platform or Python, or ROS is not from wheels: its own needs are unknown.
-            continue
-        for text in brought:
-            child = Requirement(text)
-            if child.marker is None or any(child.marker.evaluate(environment | {'extra': extra})
-                                           for extra in ('', *requirement.extras)):
-                pending.append(child)
-    assert not unpinned
+    pins = {canonicalize_name(pin.name): str(pin.specifier) for pin in requirements_of(
+        'constraints', 'bench', 'ray', 'jazzy', 'jazzy_test')}
+    names = brought(requirements_of('build', 'runtime', 'rerun', 'sweep', 'jazzy', 'train', 'test',
+                                    'jazzy_test', 'ray'), python)
+    assert not [name for name in names if not pins.get(name, '').startswith('==')]
 
 
 def test_constraints_pin_what_the_default_torch_brings():
-    names = {canonicalize_name(pin.name) for pin in _requirements('constraints.txt')}
+    names = {canonicalize_name(pin.name) for pin in requirements_of('constraints')}
     # Of its wheel for Linux; the CUDA packages that these bring are among them.
     assert {'triton', 'cuda-toolkit', 'cuda-bindings', 'cuda-pathfinder', 'nvidia-cublas',
             'nvidia-cudnn-cu13', 'nvidia-cusparselt-cu13', 'nvidia-nccl-cu13',

@@ -10,7 +10,7 @@ import shlex
 from hnn_vi_ros.commands.table import COMMANDS, EXECUTABLES, parser_of
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.ros import settings as parameters
-from sources import python_files, ROOT
+from sources import blocks, python_files, ROOT
 
 PAGES = [ROOT / 'README.md', *sorted((ROOT / 'docs').glob('*.md')),
          *sorted((ROOT / 'docs').glob('[!_]*/*.md'))]
@@ -24,8 +24,8 @@ READERS = re.compile(r'my_|^\./|\.npz$|\.yaml$')
 
 def shown(page: Path) -> list[str]:
     """Return the lines of the blocks for a shell, those that go on joined."""
-    blocks = re.findall(r'```bash\n(.*?)```', page.read_text(encoding='utf-8'), re.DOTALL)
-    return [line for block in blocks for line in block.replace('\\\n', ' ').splitlines()]
+    return [line for block in blocks(page, 'bash')
+            for line in block.replace('\\\n', ' ').splitlines()]
 
 
 def words_of(line: str) -> list[str]:

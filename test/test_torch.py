@@ -22,10 +22,10 @@ from mechanical_models import random_mechanical, saved, SHAPES
 from messages import refused
 import numpy as np
 import pytest
+from sources import blocks, ROOT
 import torch
 from torch.autograd import forward_ad, functional
 from urdf_robots import SMALL_ARGUMENTS, TREE, TREE_ARGUMENTS
-import yaml
 
 Loss = Callable[[torch.Tensor], torch.Tensor]
 # Of the pendulum: q, p, mass, length, gravity and h; the step is complex, the numbers are not.
@@ -203,16 +203,13 @@ def test_gradient_by_weights_is_that_of_differences_and_of_tangents(scene, prefi
 @pytest.mark.parametrize('shape, rubs', [
     ('double pendulum', False), ('three', False), ('worn', True)])
 def test_gradient_by_weights_of_a_mechanism_is_that_of_differences(tmp_path, shape, rubs):
-    model = saved(tmp_path, shape)
-    friction = f'\neffects: [{{kind: learned_friction, model: {model}}}]' if rubs else ''
-    d = len(SHAPES[shape]['kinds'])
-    (tmp_path / 'scene.yaml').write_text(
-        f'hamiltonian: {{kind: learned, model: {model}}}{friction}\n'
-        'integrator: {kind: implicit_midpoint}\nstep_size: 0.05\n'
-        f'initial_state: {{q: {d * [0.4]}, p: {d * [0.3]}}}\n', encoding='utf-8')
-    check_weights(load_scene(tmp_path / 'scene.yaml'), {
-        f'{network}.': network for network in ('mass', 'potential', *['friction'] * rubs)},
-        d * [0.4])
+    model, d = saved(tmp_path, shape), len(SHAPES[shape]['kinds'])
+    scene = Scene.build(
+        hamiltonian={'kind': 'learned', 'model': model}, integrator='implicit_midpoint',
+        step_size=0.05, initial_state=(d * [0.4], d * [0.3]),
+        effects=[{'kind': 'learned_friction', 'model': model}] * rubs)
+    check_weights(scene, {f'{network}.': network for network in (
+        'mass', 'potential', *['friction'] * rubs)}, d * [0.4])
 
 
 def machine(folder: Path) -> Scene:
@@ -222,16 +219,14 @@ def machine(folder: Path) -> Scene:
     friction = card.friction.model_copy(update={
         'viscous_back': [0.3, 0.1], 'switch': [0.4, 0.5], 'offset': [0.1, -0.2],
         'load': [0.3, 0.5]})
-    path = folder / 'machine.safetensors'
+    path = str(folder / 'machine.safetensors')
     save_checkpoint(path, replace(model, card=model.card.model_copy(update={
         'mechanical': card.model_copy(update={'friction': friction})})))
-    (folder / 'scene.yaml').write_text(
-        f'hamiltonian: {{kind: learned, model: {path}, confine: false}}\n'
-        f'effects: [{{kind: learned_friction, model: {path}}}, '
-        f'{{kind: external_force, model: {path}}}]\n'
-        'integrator: {kind: implicit_midpoint}\nstep_size: 0.02\n'
-        'initial_state: {q: [0.5, -0.3], p: [0.1, 0.2]}\n', encoding='utf-8')
-    return load_scene(folder / 'scene.yaml')
+    return Scene.build(
+        hamiltonian={'kind': 'learned', 'model': path, 'confine': False},
+        effects=[{'kind': kind, 'model': path} for kind in ('learned_friction', 'external_force')],
+        integrator='implicit_midpoint', step_size=0.02,
+        initial_state=([0.5, -0.3], [0.1, 0.2]))
 
 
 def test_derivatives_by_numbers_of_a_machine_and_by_its_commands(tmp_path, measured):
@@ -262,15 +257,14 @@ def test_derivatives_by_numbers_of_a_machine_and_by_its_commands(tmp_path, measu
 @pytest.mark.parametrize('arguments', [SMALL_ARGUMENTS, TREE_ARGUMENTS], ids=['small', 'large'])
 def test_derivatives_by_numbers_of_links_of_a_urdf(tmp_path, arguments, measured):
     (tmp_path / 'tree.urdf').write_text(TREE)
-    choice = {'kind': 'urdf', 'file': 'tree.urdf', **arguments}
     d, h = len(arguments['joints']), 0.01
-    (tmp_path / 'tree.yaml').write_text(yaml.safe_dump({
-        'hamiltonian': choice, 'integrator': {'kind': 'implicit_midpoint'}, 'step_size': h,
-        'effects': [{'kind': 'damping', 'rate': 0.1}],
-        'initial_state': {'q': d * [0.3], 'p': d * [0.0]}}))
+    scene = Scene.build(
+        hamiltonian={'kind': 'urdf', 'file': str(tmp_path / 'tree.urdf'), **arguments},
+        integrator='implicit_midpoint', step_size=h, effects=[{'kind': 'damping', 'rate': 0.1}],
+        initial_state=(d * [0.3], d * [0.0]))
     start = {'urdf.trunk.mass': 3.5, 'urdf.end.mass': 1.1, 'urdf.end.centre_z': 0.2,
              'urdf.tool.mass': 0.4, 'urdf.slider.ixx': 0.01, 'hamiltonian.rotor_inertia.rail': 1.5}
-    simulation = DifferentiableSimulation(tmp_path / 'tree.yaml', [*start])
+    simulation = DifferentiableSimulation(scene, [*start])
     q = torch.full((d,), 0.3, dtype=torch.float64)
 
     def loss(numbers: list[torch.Tensor]) -> torch.Tensor:
@@ -304,21 +298,17 @@ def test_number_that_no_link_of_a_urdf_has_is_refused_by_name(tmp_path, pendulum
 
 
 @pytest.mark.parametrize('hamiltonian, effect, names', [
-    ('kind: free_particle, mass: 2.0',
-     'kind: spring, point: [x], anchor: [0.0], stiffness: 3.0',
+    ({'kind': 'free_particle', 'mass': 2.0},
+     {'kind': 'spring', 'point': ['x'], 'anchor': [0.0], 'stiffness': 3.0},
      ['hamiltonian.mass', 'effects.0.stiffness']),
-    ('kind: formula, coordinates: [x], parameters: {m: 2.0}, H: p_x^2/(2*m)',
-     'kind: potential, formula: k*x^2/2, parameters: {k: 3.0}',
+    ({'kind': 'formula', 'coordinates': ['x'], 'parameters': {'m': 2.0}, 'H': 'p_x^2/(2*m)'},
+     {'kind': 'potential', 'formula': 'k*x^2/2', 'parameters': {'k': 3.0}},
      ['hamiltonian.parameters.m', 'effects.0.parameters.k'])])
-def test_number_of_an_effect_that_joins_h_is_followed(tmp_path, hamiltonian, effect, names):
-    text = (f'hamiltonian: {{{hamiltonian}}}\neffects: [{{{effect}}}]\n'
-            'integrator: {kind: implicit_midpoint}\nstep_size: 0.1\n'
-            'initial_state: {q: [1.0], p: [0.0]}\n')
-    path = tmp_path / 'spring.yaml'
-    path.write_text(text)
-    numbers = [number(2.0), number(3.0)]
-    one = torch.ones(1, dtype=torch.float64)
-    motion = simulate(path, one, 0.0 * one, duration=2.0, every=20,
+def test_number_of_an_effect_that_joins_h_is_followed(hamiltonian, effect, names):
+    scene = Scene.build(hamiltonian=hamiltonian, effects=[effect], integrator='implicit_midpoint',
+                        step_size=0.1, initial_state=([1.0], [0.0]))
+    numbers, one = [number(2.0), number(3.0)], torch.ones(1, dtype=torch.float64)
+    motion = simulate(scene, one, 0.0 * one, duration=2.0, every=20,
                       parameters=dict(zip(names, numbers, strict=True)))
     found = torch.autograd.grad(motion.q[-1, 0], numbers)
     # In each step the midpoint rule turns by theta, with tan(theta / 2) = h omega / 2.
@@ -434,9 +424,8 @@ def test_what_cannot_be_differentiated_is_refused_by_name(pendulum, changes, err
 
 
 def test_examples_of_the_docs_run(capsys):
-    text = (Path(__file__).parents[1] / 'docs' / 'gradients.md').read_text(encoding='utf-8')
     names: dict = {}
-    for example in re.findall(r'```python\n(.*?)```', text, re.DOTALL):
+    for example in blocks(ROOT / 'docs' / 'gradients.md', 'python'):
         exec(compile(example, 'gradients.md', 'exec'), names)
     assert torch.equal(names['motion'].q, names['simulation'](
         names['q0'], names['p0'], duration=10.0, every=100,
