@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lyapunov times, against the variational equations and for motions that are not chaotic."""
 
-from pathlib import Path
 
 from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError
@@ -21,17 +20,15 @@ REGULAR = {
 }
 
 
-def scene_of(folder: Path, kind: str, q: list[float], p: list[float], h: float) -> Scene:
-    """Write a scene and read it."""
-    path = folder / 'scene.yaml'
-    path.write_text(f'hamiltonian: {{kind: {kind}}}\nintegrator: {{kind: generalized_leapfrog}}\n'
-                    f'step_size: {h}\ninitial_state: {{q: {q}, p: {list(map(float, p))}}}\n')
-    return load_scene(path)
+def scene_of(kind: str, q: list[float], p: list[float], h: float,
+             method: str = 'generalized_leapfrog') -> Scene:
+    """Build a scene."""
+    return Scene.build(hamiltonian=kind, integrator=method, step_size=h, initial_state=(q, p))
 
 
 @pytest.mark.parametrize('name', REGULAR)
-def test_lyapunov_time_of_a_regular_motion_is_infinite(name: str, tmp_path: Path):
-    scene = scene_of(tmp_path, *REGULAR[name])
+def test_lyapunov_time_of_a_regular_motion_is_infinite(name: str):
+    scene = scene_of(*REGULAR[name])
     assert lyapunov_time(scene, 4096 * scene.step_size) == np.inf
 
 
@@ -49,9 +46,9 @@ def tangent_growth(duration: float, q: list[float], p: list[float]) -> float:
     return growth / duration
 
 
-def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations(tmp_path: Path):
+def test_lyapunov_time_of_a_chaotic_motion_is_that_of_the_variational_equations():
     q, p = [0.0, -0.25], [0.42, 0.1]
-    found = lyapunov_time(scene_of(tmp_path, 'henon_heiles', q, p, 0.05))
+    found = lyapunov_time(scene_of('henon_heiles', q, p, 0.05))
     # Exponents over some twenty Lyapunov times fluctuate by a quarter of their value.
     assert found == pytest.approx(1.0 / tangent_growth(2000.0, q, p), rel=0.5)
 
@@ -60,11 +57,10 @@ def test_lyapunov_time_takes_the_name_of_a_scene():
     assert lyapunov_time('exact_harmonic_oscillator', 4.0) == np.inf
 
 
-def test_a_motion_that_runs_away_has_no_lyapunov_time_and_that_is_said(tmp_path: Path):
+def test_a_motion_that_runs_away_has_no_lyapunov_time_and_that_is_said():
     """Beyond h = 2 the method of Størmer and Verlet is unstable on the oscillator of 1 rad/s."""
-    scene = scene_of(tmp_path, 'harmonic_oscillator', [1.0], [0.0], 2.1)
     with pytest.raises(HnnViRosError, match='so far away, to .*, that a neighbour is lost'):
-        lyapunov_time(scene.changed({'integrator': {'kind': 'stormer_verlet'}}))
+        lyapunov_time(scene_of('harmonic_oscillator', [1.0], [0.0], 2.1, 'stormer_verlet'))
 
 
 @pytest.mark.parametrize('name, duration, error', [
@@ -75,6 +71,6 @@ def test_lyapunov_time_refuses_what_it_cannot_use_in_a_sentence(name, duration, 
         lyapunov_time(load_scene(name), duration)
 
 
-def test_lyapunov_time_is_the_same_each_time(tmp_path: Path):
-    scene = scene_of(tmp_path, 'henon_heiles', [0.0, -0.25], [0.42, 0.1], 0.1)
+def test_lyapunov_time_is_the_same_each_time():
+    scene = scene_of('henon_heiles', [0.0, -0.25], [0.42, 0.1], 0.1)
     assert lyapunov_time(scene) == lyapunov_time(scene)

@@ -6,10 +6,9 @@ from helpers import GENERIC, Method, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, OK, Requirements
+from hnn_vi_ros.integrators.base import Requirements
 from hnn_vi_ros.integrators.composition import Composition, Yoshida4
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.symplectic_euler import SymplecticEuler
 from messages import refused
 import numpy as np
 import pytest
@@ -32,17 +31,6 @@ def test_defects_tell_what_each_method_claims(method: Method):
     assert (symplectic <= 1e-11) == integrator.requirements.symplectic
 
 
-def test_symplectic_defect_of_variational_euler_is_large_in_the_naive_two_form():
-    """In dq ^ dp it is abs(det - 1), predicted by (1 + h H_qp(z)) / (1 + h H_qp(z'))."""
-    class Naive(SymplecticEuler):
-        step = staticmethod(INTEGRATORS['variational_euler'].step)
-
-    q1, p1 = take_step(TAO.kernel, INTEGRATORS['variational_euler'](), H, Q, P)
-    predicted = (1.0 + 2.0 * H * Q[0] * P[0]) / (1.0 + 2.0 * H * q1[0] * p1[0]) - 1.0
-    assert symplectic_defect(TAO, Naive(), H, Q, P) == pytest.approx(abs(predicted), rel=1e-6)
-    assert abs(predicted) > 1e-4
-
-
 def test_two_form_of_variational_euler_is_that_of_its_staggered_momentum():
     form = two_form(TAO, INTEGRATORS['variational_euler'](), H, np.array([0.7, -1.2]))
     # H_qp = 2 q p, so that dq ^ d(p + h H_q) = (1 + h H_qp) dq ^ dp.
@@ -63,55 +51,6 @@ def test_swapped_composition_is_found_by_the_defect_of_reversal():
 
     assert reversal_defect(TAO, Yoshida4(), H, Q, P) <= 1e-14
     assert reversal_defect(TAO, Swapped(), H, Q, P) > 2e-8
-
-
-class _Planted(Integrator):
-    """A one-step map written as plain formulas of the gradient."""
-
-    order, explicit = 2, True
-    requirements = Requirements(symmetric=True, symplectic=True)
-
-    def __init__(self, formula):
-        self._formula = formula
-
-    def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
-        """Return no options."""
-        return ()
-
-    def step(self, kernel, h, options, z, z1, memory):
-        """Take one step; see Integrator."""
-        def gradient(q, p):
-            dH_dq, dH_dp = np.empty_like(q), np.empty_like(p)
-            kernel.gradient(kernel.parameters, q, p, dH_dq, dH_dp)
-            return dH_dq, dH_dp
-        z1.q[:], z1.p[:] = self._formula(gradient, h, z.q, z.p)
-        z1.dH_dq[:], z1.dH_dp[:] = 0.0, 0.0
-        return OK, 0.0, 1
-
-
-def test_leapfrog_that_assumes_q_dot_is_p_is_found_by_its_defect():
-    def formula(gradient, h, q, p):
-        p = p - 0.5 * h * gradient(q, p)[0]
-        q = q + h * p
-        return q, p - 0.5 * h * gradient(q, p)[0]
-
-    assert symplectic_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
-
-
-def test_sign_flip_in_the_adjoint_is_found_by_both_defects():
-    def formula(gradient, h, q, p):
-        # The first half as it should be, by fixed point; the second with p + (h / 2) H_q.
-        half = p
-        for _ in range(100):
-            half = p - 0.5 * h * gradient(q, half)[0]
-        q = q + 0.5 * h * gradient(q, half)[1]
-        end = q
-        for _ in range(100):
-            end = q + 0.5 * h * gradient(end, half)[1]
-        return end, half + 0.5 * h * gradient(end, half)[0]
-
-    assert reversal_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
-    assert symplectic_defect(TAO, _Planted(formula), H, Q, P) > 1e-3
 
 
 def test_take_step_raises_where_a_step_is_not_finite():

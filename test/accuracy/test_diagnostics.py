@@ -1,17 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The energy scale of a path is that of its energies, wherever H is zero and the path starts."""
+"""Energy scales, wherever H is zero and a path starts, and errors of single steps."""
+
+import math
 
 from helpers import kepler_orbit
 from hnn_vi_ros.accuracy.diagnostics import (
-    energy_band, energy_scale, EnergyScale, rounding_walk, scales_along, scales_of,
+    energy_band, energy_scale, EnergyScale, local_error, rounding_walk, scales_along, scales_of,
     secular_change)
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.scene.choices import Condition
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
-from plain_systems import double_well, figure_eight, Motion, MOTIONS, pendulum, Plain
+from plain_systems import double_well, Motion, MOTIONS, pendulum, Plain
 import pytest
 
 _SAMPLES = 2000
@@ -19,17 +25,17 @@ _SAMPLES = 2000
 
 def path(motion: Motion, periods: float) -> tuple[np.ndarray, np.ndarray]:
     """Return q and p at equal distances in time, by many small steps of Störmer and Verlet."""
-    gradient, q, p = motion.hamiltonian.kernel.gradient, motion.q.copy(), motion.p.copy()
+    kernel, q, p = motion.hamiltonian.kernel, motion.q.copy(), motion.p.copy()
     steps = round(periods * _SAMPLES)
     h, H_q, H_p = motion.period / _SAMPLES, np.empty_like(q), np.empty_like(q)
     states = np.empty((steps + 1, 2, q.size))
-    gradient((), q, p, H_q, H_p)
+    kernel.gradient(kernel.parameters, q, p, H_q, H_p)
     for state in states:
         state[:] = q, p
         p -= 0.5 * h * H_q
-        gradient((), q, p, H_q, H_p)
+        kernel.gradient(kernel.parameters, q, p, H_q, H_p)
         q += h * H_p
-        gradient((), q, p, H_q, H_p)
+        kernel.gradient(kernel.parameters, q, p, H_q, H_p)
         p -= 0.5 * h * H_q
     return states[:, 0], states[:, 1]
 
@@ -62,15 +68,14 @@ def test_energy_scale_of_an_unbound_path_comes_down_to_its_kinetic_energy():
     assert scale == pytest.approx(1.16, rel=0.01)
 
 
-@pytest.mark.parametrize('motion, moved', [
-    (pendulum(2.0, 0.0, 8.3), pendulum(2.0, 0.0, 8.3, constant=1e3)),
-    (figure_eight(), figure_eight(offset=1e3))], ids=['of H', 'of q'])
-def test_energy_scale_is_changed_by_no_constant(motion, moved):
+@pytest.mark.parametrize('name, other, offset', [
+    ('pendulum', 'pendulum, plus 1000 J', 0.0),
+    ('figure eight of three bodies', 'figure eight of three bodies', 1e3)], ids=['of H', 'of q'])
+def test_energy_scale_is_changed_by_no_constant(name, other, offset):
     # Along one path, so that only the scale is compared: it is rounded by q, 1e3 eps.
-    q, p = path(motion, 1.1)
-    offset = moved.q[0] - motion.q[0]
-    assert energy_scale(moved.hamiltonian, q + offset, p) == pytest.approx(
-        energy_scale(motion.hamiltonian, q, p), rel=1e-9)
+    q, p = path(MOTIONS[name], 1.1)
+    assert energy_scale(MOTIONS[other].hamiltonian, q + offset, p) == pytest.approx(
+        energy_scale(MOTIONS[name].hamiltonian, q, p), rel=1e-9)
 
 
 @pytest.mark.parametrize('motion', [
@@ -164,3 +169,50 @@ def test_energy_band_is_of_absolute_values():
 
 def test_rounding_walk_grows_with_the_root_of_the_steps():
     assert rounding_walk(2.0, 400) == pytest.approx(20.0 * rounding_walk(2.0, 1))
+
+
+# The estimate of a step's error is that error, and the run does not notice it.
+
+def oscillator(method: str, h: float, effects=()) -> Simulation:
+    """Return an oscillation of unit amplitude and frequency."""
+    return Simulation(HAMILTONIANS['harmonic_oscillator'](), INTEGRATORS[method](), h, [1.0],
+                      [0.5], effects)
+
+
+@pytest.mark.parametrize('method, h', [('generalized_leapfrog', 0.05), ('gauss4', 0.2)])
+def test_local_error_is_that_of_a_step(method: str, h: float):
+    simulation = oscillator(method, h)
+    q, p = simulation.q[0], simulation.p[0]
+    estimate = local_error(simulation)
+    simulation.advance(1)
+    exact = np.array([q * math.cos(h) + p * math.sin(h), p * math.cos(h) - q * math.sin(h)])
+    error = np.abs([*simulation.q, *simulation.p] - exact).max()
+    # The next term of a symmetric method is h^2 times the first, with coefficients below one.
+    assert estimate == pytest.approx(error, rel=2.0 * h ** 2)
+
+
+def test_local_error_leaves_the_run_bit_identical():
+    watched, alone = (oscillator('generalized_leapfrog', 0.05) for _ in range(2))
+    for _ in range(20):
+        local_error(watched)
+        watched.advance(3)
+        alone.advance(3)
+        assert np.array_equal([*watched.q, *watched.p], [*alone.q, *alone.p])
+    assert (watched.steps, watched.gradients, watched.time) == (
+        alone.steps, alone.gradients, alone.time)
+
+
+def test_local_error_finds_no_events_and_does_not_end_the_run():
+    alone = oscillator('variational_euler', 0.1)
+    stop = EventFunction(Condition('x = 1.04'), stops=True)
+    simulation = WatchedSimulation(oscillator('variational_euler', 0.1), [stop])
+    assert local_error(simulation) == local_error(alone)
+    assert simulation.events == []
+    with pytest.raises(StoppedByEvent):
+        simulation.advance(1)
+    assert local_error(simulation) == local_error(alone)
+
+
+def test_local_error_of_noise_is_not_a_number():
+    bath = EFFECTS['thermostat'](0.1, 1.0)
+    assert math.isnan(local_error(oscillator('generalized_leapfrog', 0.05, [bath])))
