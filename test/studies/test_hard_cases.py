@@ -245,15 +245,6 @@ def test_box_alarm_is_raised_at_the_first_step_outside():
     assert first > 1
 
 
-def test_failed_step_leaves_the_last_good_state():
-    """Plain fixed point does not contract at h = 1: what it ended with is not to be seen."""
-    stuck = job(10, 'variational_euler@fixed_point', step_size=1.0)
-    simulation = stuck.simulation()
-    with pytest.raises(StepFailure):
-        simulation.advance(1)
-    assert (simulation.q[0], simulation.p[0], simulation.steps) == (1.0, -1.0, 0)
-
-
 @pytest.mark.long
 def test_energy_that_rises_in_a_damped_scene_is_found():
     pushed = job(12, 'variational_euler', steps=10_000,
