@@ -157,12 +157,16 @@ def test_gradients_of_many_trajectories_are_those_of_each_alone(pendulum):
         assert (together[i] - alone).abs().max() <= 1e-11 * alone.abs().max()
 
 
+def unconfined(scene: Scene) -> Scene:
+    """Return a scene whose model is not confined to the box of its data."""
+    return scene.changed({'hamiltonian': {**scene.hamiltonian.model_dump(), 'confine': False}})
+
+
 def learned_run(scene: Scene | str, q0: torch.Tensor, weights: dict[str, torch.Tensor]
                 ) -> torch.Tensor:
     """Return q after 1 s of a learned system."""
     free = (load_scene(scene) if isinstance(scene, str) else scene).with_overrides(step_size=0.05)
-    free = free.changed({'hamiltonian': {**free.hamiltonian.model_dump(), 'confine': False}})
-    return simulate(free, q0, torch.full_like(q0, 0.3), duration=1.0, every=20,
+    return simulate(unconfined(free), q0, torch.full_like(q0, 0.3), duration=1.0, every=20,
                     parameters=weights).q[-1]
 
 
@@ -595,27 +599,20 @@ ARGUMENTS = {'q0': 1.3, 'p0': 0.7, 'commands': 0.4, 'step_size': 0.02, 'hamilton
 
 def loss_of(argument: str, linear: bool, prepared: bool) -> Loss:
     """Return a loss of the last state as a function of one number that the run depends on."""
-    effects, h, name = [], 0.02, 'exact_pendulum'
-    if argument == 'commands':
-        effects = [{'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}]
-    elif argument == 'effects.0.rate':
-        effects = [{'kind': 'damping', 'rate': 0.3}]
-    elif 'linear1' in argument:
-        name = 'pendulum'
-    scene = load_scene(name).with_overrides(step_size=h)
-    weight = None
-    if name == 'pendulum':
-        scene = scene.changed({'hamiltonian': {
-            **scene.hamiltonian.model_dump(), 'confine': False}})
+    learned, h, weight = 'linear1' in argument, 0.02, 0.0
+    scene = load_scene('pendulum' if learned else 'exact_pendulum').with_overrides(step_size=h)
+    scene = scene.changed({'effects': {
+        'commands': [{'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}],
+        'effects.0.rate': [{'kind': 'damping', 'rate': 0.3}]}.get(argument, [])})
+    if learned:
+        scene = unconfined(scene)
         weight = torch.from_numpy(scene.create_hamiltonian().checkpoint.networks['energy'][1][0])
-    scene = scene.changed({'effects': effects}) if effects else scene
     names = [argument] if '.' in argument else []
 
     def loss(x: torch.Tensor) -> torch.Tensor:
         given = {'q0': torch.ones(1).double(), 'p0': torch.ones(1).double()}
         if names:
-            value = x if weight is None else weight + x
-            given['parameters'] = {argument: value}
+            given['parameters'] = {argument: weight + x}
         else:
             given[argument] = {'commands': x.expand(5, 1), 'step_size': x}.get(
                 argument, x.reshape(1))
