@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `make build` says where it cannot begin, and what makes it build anew."""
+"""What `make` says where it cannot begin, what it builds anew, and what its targets do."""
 
 from contextlib import suppress
 from importlib.metadata import metadata, PackageNotFoundError
@@ -12,8 +12,9 @@ import tempfile
 
 from packaging.specifiers import SpecifierSet
 import pytest
+from sources import ROOT
 
-REQUIREMENTS = Path(__file__).parents[1] / 'requirements'
+REQUIREMENTS = ROOT / 'requirements'
 
 
 def test_checkout_of_another_user_is_told_as_such():
@@ -154,3 +155,43 @@ def test_word_that_is_none_of_the_script_is_refused_in_one_line(built):
                          capture_output=True, text=True, check=False)
     assert (run.returncode, run.stdout) == (2, '')
     assert run.stderr == "error: build_package takes 'scenes' or nothing, not 'scene'\n"
+
+
+# Each target of the Makefile, from a fresh clone with an empty environment.
+
+# Arguments of each target in its smallest form, and a file that it writes; those that need least
+# come first.
+TARGETS = {
+    'study': (['NAME=paper_figures', 'ARGS=--out out'], 'out/paper_figures.csv'),
+    'hard-cases': (['ARGS=--quick --case 1 --out cases', 'OUT=out'], 'cases'),
+    'docs': (['HNN_DOCS_GALLERY=double_pendulum'], 'docs/_build/html/index.html'),
+    'bench': (['ARGS=--rows exact --quick'], None),
+    'accuracy': (['ARGS=--methods gauss4 --horizons 10 --steps 0.1 --runs 1 --limit 5',
+                  'OUT=out'], 'work_precision'),
+}
+
+
+@pytest.fixture(scope='module')
+def clone(tmp_path_factory) -> Path:
+    """Return a clone of what is committed here, in which nothing is built."""
+    folder = tmp_path_factory.mktemp('targets') / 'clone'
+    subprocess.run(['git', 'clone', '-q', str(ROOT), str(folder)], check=True)
+    (folder / 'out').mkdir()
+    return folder
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize('target', TARGETS)
+def test_target_runs_from_a_fresh_clone_in_an_empty_environment(clone, target):
+    arguments, written = TARGETS[target]
+    # Nothing of the environment that runs this test.
+    path = os.pathsep.join(entry for entry in os.environ['PATH'].split(os.pathsep)
+                           if not Path(entry).is_relative_to(ROOT))
+    told = subprocess.run(
+        ['make', target, *arguments], cwd=clone, capture_output=True, text=True, check=False,
+        env={'PATH': path, 'HOME': os.environ['HOME']})
+    assert told.returncode == 0, told.stdout[-4000:] + told.stderr[-4000:]
+    assert written is None or (clone / written).exists()
+    if target == 'bench':
+        assert 'Kepler' in told.stdout

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the public functions take, return and raise goes to other processes, and comes back."""
+"""What the public functions take, return and raise goes to other processes; errors are short."""
 
 from collections.abc import Iterator
 from copy import copy, deepcopy
@@ -15,7 +15,8 @@ from ensembles import ensemble
 import hnn_vi_ros
 from hnn_vi_ros.companions.members import simulate_spread
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.errors import HnnViRosError, StepFailure, StoppedByEvent
+from hnn_vi_ros.errors import (
+    HnnViRosError, listed, ModelError, SceneError, StepFailure, StoppedByEvent)
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -115,3 +116,24 @@ def test_every_error_is_pickled_with_its_message_and_what_it_holds():
         assert vars(other).keys() == vars(problem).keys()
     stopped = again(StoppedByEvent(event, np.ones(2), np.zeros(2), load_code))
     assert stopped.event.t == 1.0 and stopped.q.tolist() == [1.0, 1.0]
+
+
+# Messages of errors: one short line, whatever they quote.
+
+def test_list_of_many_names_ends_with_how_many_more_there_are():
+    numbers = ', '.join(map(str, range(20)))
+    for names, text in (
+            ([], ''), (['a'], 'a'), (range(3), '0, 1, 2'), ({'x': 1.0, 'y': 2.0}, 'x, y'),
+            ((f'{i}' for i in range(20)), numbers),
+            (range(14_000), f'{numbers}, ... (13980 more)')):
+        assert listed(names) == text
+
+
+def test_message_keeps_its_begin_and_its_end_whatever_it_quotes():
+    error = ModelError(f'robot.urdf:7: no link {"x" * 10**6!r}; give one that there is')
+    text = str(error)
+    assert len(text) < 2010
+    assert text.startswith("robot.urdf:7: no link 'xxx") and ' ... x' in text
+    assert text.endswith("x'; give one that there is")
+    assert str(again(error)) == text
+    assert str(SceneError('x' * 2000)) == 'x' * 2000

@@ -5,8 +5,7 @@
 from functools import cache
 import math
 
-from exact_motions import exact_orbit
-from helpers import problem_of
+from helpers import exact_orbit, problem_of
 from hnn_vi_ros.accuracy import cost
 from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
 from hnn_vi_ros.accuracy.path_reference import exact_path, Instants

@@ -4,8 +4,7 @@
 
 import math
 
-from exact_motions import exact_orbit, exact_pendulum
-from helpers import EPS
+from helpers import EPS, exact_orbit, exact_pendulum
 from hnn_vi_ros.accuracy.path_reference import best_reference, PathReference
 from hnn_vi_ros.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
 from hnn_vi_ros.effects.thermostat import Thermostat
