@@ -26,6 +26,7 @@ from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from messages import refused
 import numpy as np
 from ports import free_port
 import pyarrow as pa
@@ -514,19 +515,16 @@ def test_failure_of_one_trajectory_on_a_device_is_a_row(tmp_path):
 
 
 def test_another_sweep_and_another_folder_are_refused(whole, tmp_path):
-    with pytest.raises(RecordingError, match=r'holds another sweep: sweep.duration is 0.2 there'):
-        sweep(LENGTHS | {'duration': 0.3}, whole)
-    with pytest.raises(RecordingError, match=r'sweep.vary.1.count is 70 there, 71 here; give an'):
-        sweep(LENGTHS | {'vary': [LENGTHS['vary'][0], BOX | {'count': 71}]}, whole)
-    (tmp_path / 'notes').touch()
-    with pytest.raises(RecordingError, match='holds notes and no sweep.json'):
-        sweep(LENGTHS, tmp_path)
-    (tmp_path / 'sweep.json').write_text('[')
-    with pytest.raises(RecordingError, match='sweep.json: .*give another --out'):
-        sweep(LENGTHS, tmp_path)
-    for folder in (Path('/dev/null/x'), Path('/proc/x')):
-        with pytest.raises(RecordingError, match='give another --out'):
-            sweep(LENGTHS, folder)
+    for name, text in (('notes', ''), ('sweep.json', '[')):
+        (tmp_path / f'of {name}').mkdir()
+        (tmp_path / f'of {name}' / name).write_text(text)
+    more = LENGTHS | {'vary': [LENGTHS['vary'][0], BOX | {'count': 71}]}
+    for definition, folder in (
+            (LENGTHS | {'duration': 0.3}, whole), (more, whole), (LENGTHS, tmp_path / 'of notes'),
+            (LENGTHS, tmp_path / 'of sweep.json'), (LENGTHS, Path('/dev/null/x')),
+            (LENGTHS, Path('/proc/x'))):
+        with refused(RecordingError):
+            sweep(definition, folder)
 
 
 def test_folder_counts_what_failed_and_what_is_missing(whole):
