@@ -24,31 +24,30 @@ _H = 0.01
 # Long enough for the 2 % that the target resolves.
 _STEPS = {'exact_pendulum': 200_000, 'pendulum': 40_000}
 _ADDED_STEPS = 20_000
-# Each effect where it acts: system, method, state, and what the YAML would say.
+# Each effect where it acts: system, state, and what the YAML would say.
 _SYSTEMS = {
     'line': ('free_particle', {'names': ['z']}, [1.0], [0.0]),
     'plane': ('free_particle', {'names': ['x', 'z']}, [1.0, 0.0], [0.0, 0.5]),
     'pendulum': ('pendulum', {}, [2.0], [0.0]),
 }
-_LEAPFROG = 'generalized_leapfrog'
 _EFFECTS = {
-    'gravity': ('plane', 'variational_euler', {'coordinate': 'z'}),
-    'spring': ('plane', 'variational_euler', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-    'magnetic_field': ('plane', 'variational_euler', {'plane': ['x', 'z']}),
-    'soft_wall': ('pendulum', 'variational_euler', {'coordinate': 'angle', 'position': -1.0}),
-    'damping': ('pendulum', 'variational_euler', {'rate': 0.1}),
-    'dry_friction': ('pendulum', 'variational_euler', {'coordinate': 'angle', 'force': 0.1}),
-    'quadratic_drag': ('pendulum', 'variational_euler',
-                       {'coordinates': ['angle'], 'coefficient': 0.1}),
-    'periodic_drive': ('pendulum', 'variational_euler',
-                       {'coordinate': 'angle', 'amplitude': 0.5, 'frequency': 0.5}),
-    'external_force': ('pendulum', 'variational_euler', {'coordinates': ['angle']}),
-    'learned_dissipation': ('pendulum', 'variational_euler',
-                            {'model': str(shipped_file('model', 'harmonic_oscillator'))}),
-    'thermostat': ('pendulum', _LEAPFROG, {'temperature': 0.1, 'rate': 1.0}),
-    'holonomic_constraint': ('plane', _LEAPFROG, {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
-    'impact': ('pendulum', _LEAPFROG, {'coordinate': 'angle', 'position': -1.0}),
+    'gravity': ('plane', {'coordinate': 'z'}),
+    'spring': ('plane', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+    'magnetic_field': ('plane', {'plane': ['x', 'z']}),
+    'soft_wall': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
+    'damping': ('pendulum', {'rate': 0.1}),
+    'dry_friction': ('pendulum', {'coordinate': 'angle', 'force': 0.1}),
+    'quadratic_drag': ('pendulum', {'coordinates': ['angle'], 'coefficient': 0.1}),
+    'periodic_drive': ('pendulum', {'coordinate': 'angle', 'amplitude': 0.5, 'frequency': 0.5}),
+    'external_force': ('pendulum', {'coordinates': ['angle']}),
+    'learned_dissipation': (
+        'pendulum', {'model': str(shipped_file('model', 'harmonic_oscillator'))}),
+    'thermostat': ('pendulum', {'temperature': 0.1, 'rate': 1.0}),
+    'holonomic_constraint': ('plane', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
+    'impact': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
 }
+# What these take; others are measured with the method of the paper.
+_LEAPFROG = ('thermostat', 'holonomic_constraint', 'impact')
 
 
 def rows(settings: Settings) -> Iterator[Row]:
@@ -95,7 +94,8 @@ def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, 
 
 def _added(kind: str, settings: Settings) -> Row:
     """Compare a system with one effect and the same system without."""
-    system, method, arguments = _EFFECTS[kind]
+    system, arguments = _EFFECTS[kind]
+    method = 'generalized_leapfrog' if kind in _LEAPFROG else 'variational_euler'
     name, constants, q, p = _SYSTEMS[system]
     hamiltonian = HAMILTONIANS[name](**constants)
 

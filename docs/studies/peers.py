@@ -158,6 +158,11 @@ def _diffrax_peers(hamiltonian: Hamiltonian) -> list[Peer]:
 
 def diffrax_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
     """Return an adaptive method of diffrax, jitted."""
+    return diffrax_integrate(jax_rates(hamiltonian), method)
+
+
+def jax_rates(hamiltonian: Hamiltonian) -> Callable:
+    """Return z' of a state as a function of JAX."""
     jax, _ = load_jax()
     gradient, d = jax.grad(jax_energy(hamiltonian)), hamiltonian.dimension
 
@@ -165,15 +170,22 @@ def diffrax_solve(hamiltonian: Hamiltonian, method: str) -> Solve:
         g = gradient(z)
         return jax.numpy.concatenate([g[d:], -g[:d]])
 
-    return diffrax_integrate(rates, method)
+    return rates
 
 
 def diffrax_integrate(rates: Callable, method: str) -> Solve:
     """Return an adaptive method of diffrax for z' = rates(z), a function of JAX, jitted."""
     jax, diffrax = load_jax()
+    tableau = getattr(diffrax, method)().tableau
+    stages = len(tableau.b_sol) - (tableau.fsal or tableau.ssal)
+    return _counted(jax.jit(diffrax_run(rates, method)), stages)
+
+
+def diffrax_run(rates: Callable, method: str) -> Callable:
+    """Return a function of z, a duration and a tolerance: the end, steps, and whether it is it."""
+    _, diffrax = load_jax()
     solver = getattr(diffrax, method)()
 
-    @jax.jit
     def run(z: Any, duration: float, tolerance: float) -> tuple:
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(lambda t, z, _: rates(z)), solver, 0.0, duration, None, z,
@@ -184,9 +196,7 @@ def diffrax_integrate(rates: Callable, method: str) -> Solve:
         return (solution.ys[0], solution.stats['num_steps'],
                 diffrax.is_successful(solution.result))
 
-    tableau = solver.tableau
-    stages = len(tableau.b_sol) - (tableau.fsal or tableau.ssal)
-    return _counted(run, stages)
+    return run
 
 
 def _semi_implicit(hamiltonian: Hamiltonian) -> Solve:
