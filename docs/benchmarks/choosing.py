@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from benchmarks.measurement import Contestant
+from benchmarks.measurement import assert_close, Contestant
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, work
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.scene import load_scene
@@ -77,6 +77,14 @@ def first_good(settings: Iterable[T], error: Callable[[T], float], wanted: float
     return None
 
 
+def loosest(settings: Iterable[T], error: Callable[[T], float], wanted: float) -> T:
+    """Return the first setting whose error is small enough, which there must be."""
+    found = first_good(settings, error, wanted)
+    if found is None:
+        raise RuntimeError(f'no setting has an error of {wanted:g}')
+    return found
+
+
 def largest_error(path: np.ndarray, reference: np.ndarray) -> float:
     """Return the largest deviation of a component; infinity for a path that ended early."""
     return float(np.abs(path - reference).max()) if path.shape == reference.shape else np.inf
@@ -94,6 +102,16 @@ def path_run(problem: InitialValueProblem, simulation: Simulation, instants: int
         simulation.restart(problem.q, problem.p)
         return lambda: path_of(simulation, instants, every)
     return prepare
+
+
+def reference_path(problem: InitialValueProblem, duration: float, instants: int, step_size: float,
+                   tolerance: float) -> np.ndarray:
+    """Return the path by gauss16, shape (instants, 2 d), of half the step that checks it."""
+    counts = (round(duration / (instants * h)) for h in (step_size, 0.5 * step_size))
+    coarse, fine = (path_run(problem, problem.simulation(
+        'gauss16', duration / (instants * count)), instants, count)()() for count in counts)
+    assert_close(f'reference at T = {duration:g}', coarse, fine, tolerance)
+    return fine
 
 
 def accurate_ways(problem: InitialValueProblem, steps: Mapping[str, Iterable[float]],

@@ -23,22 +23,16 @@ _ALONE = 50
 _MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. '
          'Blocks only save reading weights from a slower cache, and add a gradient and an energy '
          'at each end.')
-_RANDOM_SCENE = """\
-hamiltonian: {kind: hnn, model: ./network.safetensors}
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [0.3], p: [0.2]}
-"""
 
 
 def rows(settings: Settings) -> Iterator[Row]:
     """Measure a random 2-200-200-1 and the shipped pendulum."""
     with tempfile.TemporaryDirectory() as folder:
-        save_checkpoint(Path(folder) / 'network.safetensors',
-                        random_checkpoint([2, 200, 200, 1], SEED))
-        path = Path(folder) / 'network.yaml'
-        path.write_text(_RANDOM_SCENE)
-        yield from _rows_of('2-200-200-1', load_scene(path), 20, settings)
+        path = Path(folder) / 'network.safetensors'
+        save_checkpoint(path, random_checkpoint([2, 200, 200, 1], SEED))
+        scene = Scene.build(hamiltonian={'kind': 'hnn', 'model': str(path)}, step_size=0.01,
+                            integrator='variational_euler', initial_state=([0.3], [0.2]))
+        yield from _rows_of('2-200-200-1', scene, 20, settings)
     yield from _rows_of('the pendulum', load_scene('pendulum'), 100, settings)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import compress
 
 from benchmarks.choosing import (
-    accurate_ways, cheapest, first_good, GAUSS, largest_error, path_run, problem_of)
+    accurate_ways, cheapest, first_good, GAUSS, largest_error, problem_of, reference_path)
 from benchmarks.measurement import (
     assert_close, compare, interleave, race, Row, Settings, summarise)
 from benchmarks.mujoco_arm import INTEGRATORS as PEERS, MujocoArm
@@ -28,8 +28,8 @@ _DURATION, _WANTED, _SAMPLES = 10.0, 1e-6, 10
 _COUNTS = {'RK4': [_SAMPLES * round(1000 * 2 ** (k / 8)) for k in range(35)]}
 _FIRST_ORDER = [10_000, 100_000, 1_000_000]
 _STEPS = 0.1 / np.array([1.0, 1.2, 1.5, 2.0, 2.7, 3.5, 5.0])
-# Of the reference, which is checked by one of half as many.
-_REFERENCE_STEPS = 1000
+# Of what the reference, of half as long steps, is checked by [s].
+_REFERENCE_STEP = 0.02
 # MuJoCo's own step [s], and how long the energy is watched, at each of so many seconds.
 _MUJOCO_STEP, _LONG, _EVERY = 0.002, 1000.0, 0.1
 # Of a choice and of what is timed [s], in so many turns.
@@ -135,10 +135,7 @@ def _dynamics_rows(arm: Arm, settings: Settings) -> Iterator[Row]:
 
 
 def _path_row(arm: Arm, settings: Settings) -> Row:
-    coarse, reference = (path_run(
-        arm.problem, arm.problem.simulation('gauss16', _DURATION / count), _SAMPLES,
-        count // _SAMPLES)()() for count in (_REFERENCE_STEPS // 2, _REFERENCE_STEPS))
-    assert_close('reference', coarse, reference, 0.1 * _WANTED)
+    reference = reference_path(arm.problem, _DURATION, _SAMPLES, _REFERENCE_STEP, 0.1 * _WANTED)
     # By the joints alone: MuJoCo has no momenta.
     reference = reference[:, :arm.q0.size]
     ways = accurate_ways(arm.problem, dict.fromkeys(GAUSS, _STEPS), reference, _DURATION, _WANTED)

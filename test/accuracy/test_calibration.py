@@ -7,6 +7,7 @@ from itertools import accumulate, count
 import math
 
 from benchmarks import campaign
+from benchmarks.systems import orbit
 from helpers import long, problem_of
 from hnn_vi_ros.accuracy.automatic_choice import calibrate, CANDIDATES, Choice, remembered, resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
@@ -81,17 +82,6 @@ def test_choice_holds_its_tolerance_up_to_the_horizon(name: str, tolerance: Tole
     assert error <= tolerance.error
 
 
-ORBITS = {
-    'apocentre': (lambda e: 1.0 + e), 'pericentre': (lambda e: 1.0 - e)}
-
-
-def orbit(eccentricity: float, end: str) -> InitialValueProblem:
-    """Return an orbit of semi-major axis 1 m from one of its ends."""
-    r = ORBITS[end](eccentricity)
-    return InitialValueProblem(HAMILTONIANS['kepler'](), (), np.array([r, 0.0]),
-                               np.array([0.0, math.sqrt(2.0 / r - 1.0)]))
-
-
 @pytest.mark.parametrize('tolerance', [long(Tolerance(ENERGY, 1e-3, 200.0)),
                                        Tolerance(PATH, 1e-4, 30.0)],
                          ids=lambda tolerance: tolerance.kind)
@@ -99,7 +89,7 @@ def orbit(eccentricity: float, end: str) -> InitialValueProblem:
 @pytest.mark.parametrize('eccentricity', [0.9, long(0.99)])
 def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolerance):
     """From afar the encounter is not in sight; next to it the rest of the orbit is not."""
-    mine = orbit(eccentricity, end)
+    mine = orbit(eccentricity, end == 'apocentre').problem
     choice = calibrate(mine, tolerance)
     simulation = mine.simulation(Method(choice.method, choice.arguments), choice.step_size)
     steps = math.ceil(tolerance.horizon / choice.step_size - 1e-6)
@@ -116,12 +106,12 @@ def test_close_encounters_are_resolved_from_either_end(eccentricity, end, tolera
 @pytest.mark.long
 def test_choice_is_the_same_each_time_however_busy_the_machine_is(monkeypatch):
     """Nothing is chosen by the clock: one that runs wild changes what is told, and no more."""
-    tolerance = Tolerance(PATH, 1e-4, 30.0)
-    first = calibrate(orbit(0.9, 'apocentre'), tolerance)
+    tolerance, mine = Tolerance(PATH, 1e-4, 30.0), orbit(0.9, True).problem
+    first = calibrate(mine, tolerance)
     random = np.random.default_rng(0)
     clock = accumulate(random.exponential(1e-3) for _ in count())
     monkeypatch.setattr('time.perf_counter', lambda: next(clock))
-    again = calibrate(orbit(0.9, 'apocentre'), tolerance)
+    again = calibrate(mine, tolerance)
     assert again.seconds_per_simulated_second != first.seconds_per_simulated_second
     assert replace(again, seconds_per_simulated_second=0.0) == replace(
         first, seconds_per_simulated_second=0.0)
