@@ -19,7 +19,9 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
@@ -61,8 +63,7 @@ class Peer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
-        self.states: list[JointState] = []
-        self.node.create_subscription(JointState, '/joint_states', self.states.append, QoSProfile(
+        self.states: list[JointState] = self.hear(JointState, '/joint_states', QoSProfile(
             depth=10_000, reliability=ReliabilityPolicy.RELIABLE))
 
     def close(self) -> None:
@@ -85,6 +86,17 @@ class Peer:
         while not condition():
             assert time.monotonic() < deadline, 'timed out'
             self.executor.spin_once(timeout_sec=0.05)
+
+    def hear(self, kind: type, topic: str, qos: QoSProfile | int = 10) -> list[Any]:
+        """Return a list of what comes on a topic from now on; ~ is the simulator."""
+        messages: list[Any] = []
+        self.node.create_subscription(
+            kind, topic.replace('~', SIMULATOR), messages.append, qos)
+        return messages
+
+    def publisher(self, kind: type, topic: str, qos: QoSProfile | int = 1) -> Publisher:
+        """Return a publisher of a topic; ~ is the simulator."""
+        return self.node.create_publisher(kind, topic.replace('~', SIMULATOR), qos)
 
     def call_async(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service; return the future of the response."""
@@ -167,6 +179,16 @@ def simulating(folder: Path, **parameters: object) -> Iterator[tuple[Peer, Execu
         yield other, process
         process.send_signal(signal.SIGINT)
         assert finish(process)[0] == 0
+
+
+@contextmanager
+def ros(*arguments: str) -> Iterator[list[str]]:
+    """Initialise ROS in this process by arguments, which are given, and shut it down."""
+    rclpy.init(args=[*arguments], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield [*arguments]
+    finally:
+        rclpy.try_shutdown()
 
 
 @contextmanager

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags as the simulator records them, and as other recorders do, made without one."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
-from hnn_vi_ros.bags.mcap_reader import BagReader
+from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.ros.recording import BagOutput, Beginning
+from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import describe_topic
@@ -96,41 +98,70 @@ def as_received(bag: Path, path: Path, without: Collection[str] = (), jitter: fl
         time = newest[message.channel] = max(time, newest.get(message.channel, 0) + 1)
         messages.append((time, message))
     messages.sort(key=lambda item: item[0])
-    with path.open('wb') as stream:
-        writer = Writer(stream, chunk_size=8192)
-        writer.start('ros2')
-        channels = {}
-        for number, channel in reader.channels.items():
-            if channel.topic.rpartition('/')[2] not in without:
-                schema = reader.schemas[channel.schema_id]
-                channels[number] = writer.register_channel(
-                    channel.topic, 'cdr', writer.register_schema(
-                        schema.name, 'ros2msg', schema.data), channel.metadata)
+    with writing(path) as writer:
+        channels = copy_channels(writer, reader, without=without)
         for time, message in messages:
             if message.channel in channels:
                 writer.add_message(channels[message.channel], time, message.data, time)
-        writer.finish()
     return path
 
 
 def of_several(path: Path, **bags: Path) -> Path:
     """Write one bag of several simulators, each in its namespace, from a bag of each."""
     messages = []
-    with path.open('wb') as stream:
-        writer = Writer(stream)
-        writer.start('ros2')
+    with writing(path) as writer:
         for namespace, bag in bags.items():
             reader = BagReader(bag)
-            channels = {}
-            for number, channel in reader.channels.items():
-                schema = reader.schemas[channel.schema_id]
-                name = channel.topic.replace('/hnn_simulator', f'/{namespace}/hnn_simulator')
-                channels[number] = writer.register_channel(
-                    name, 'cdr', writer.register_schema(schema.name, 'ros2msg', schema.data),
-                    channel.metadata)
+            channels = copy_channels(writer, reader, f'/{namespace}/hnn_simulator')
             messages += [(channels[message.channel], message.time, message.data)
                          for message in reader.messages()]
         for channel, time, data in sorted(messages, key=lambda item: item[1]):
             writer.add_message(channel, time, data, time)
-        writer.finish()
     return path
+
+
+def rewritten(reader: BagReader, path: Path,
+              keep: Callable[[Recorded], bool] = lambda message: True, own: bool = True,
+              change: Callable[[Recorded], Recorded] = lambda message: message,
+              files: Mapping[str, bytes] | None = None,
+              times: Callable[[Recorded], int] = lambda message: 1) -> Path:
+    """Write the messages of a bag that are to be kept, with what the simulator keeps with them."""
+    with writing(path) as writer:
+        attachments = [found for source in reader._sources for found in source.attachments()]
+        for found in attachments if own else ():
+            writer.add_attachment(0, 0, found.name, '', (files or {}).get(found.name, found.data))
+        writer.add_metadata('hnn_vi_ros', reader.metadata('hnn_vi_ros'))
+        channels = copy_channels(writer, reader)
+        for message in filter(keep, reader.messages()):
+            for _ in range(times(message)):
+                writer.add_message(
+                    channels[message.channel], message.time, change(message).data, 0)
+    return path
+
+
+@contextmanager
+def writing(path: Path, *header: str) -> Iterator[Writer]:
+    """Give another recorder's writer of a bag."""
+    with path.open('wb') as stream:
+        writer = Writer(stream, chunk_size=8192)
+        writer.start(*(header or ['ros2']))
+        yield writer
+        writer.finish()
+
+
+def copy_channels(writer: Writer, reader: BagReader, node: str = '/hnn_simulator',
+                  without: Collection[str] = ()) -> dict[int, int]:
+    """Register the channels of a bag, of a node of this name; return the number of each."""
+    return {number: writer.register_channel(
+        channel.topic.replace('/hnn_simulator', node), 'cdr',
+        writer.register_schema(schema.name, 'ros2msg', schema.data), channel.metadata)
+        for number, channel in reader.channels.items()
+        for schema in [reader.schemas[channel.schema_id]]
+        if channel.topic.rpartition('/')[2] not in without}
+
+
+def assert_agrees(bag: Path, samples: int | None = None) -> None:
+    """Assert that a bag agrees bit by bit with its run simulated again, in so many samples."""
+    verdict = check_replay(bag)
+    assert verdict.good, verdict.text
+    assert samples is None or f'{samples} samples agree bit by bit' in verdict.text, verdict.text

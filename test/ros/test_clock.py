@@ -9,34 +9,25 @@ import re
 import signal
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.simulator_node import SimulatorNode
 from messages import assert_message
-from peer import Peer, peer, simulating, SIMULATOR, wait_for_way_back
+from peer import Peer, peer, ros, simulating, SIMULATOR, stamp, wait_for_way_back
 from processes import (
     finish, refusal, simulator_words, standard_error, start, start_executable, to_file, wait_until)
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
-import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import qos_profile_sensor_data
-from rclpy.signals import SignalHandlerOptions
-from recorded import record_run
+from recorded import assert_agrees, record_run
 from rosgraph_msgs.msg import Clock
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 
 # Seconds and nanoseconds of times that are none, and of some that jump forth and back.
 NONE = ((-1, 0), (-2**31, 0), (-1, 4 * 10**9), (0, 10**9), (2**31 - 1, 2**32 - 1), (5, 2**32 - 1))
 JUMPS = ((7, 0), (2**31 - 1, 999_999_999), (0, 0), (2**31 - 1, 0), (1, 5), (1_700_000_000, 0))
-TWIN = """\
-hamiltonian: {kind: pendulum}
-effects: [{kind: observer, coordinates: [angle], gain: 5.0, damping: 4.0}]
-integrator: {kind: implicit_midpoint}
-step_size: 0.01
-initial_state: {q: [0.3], p: [0.0]}
-"""
 
 
 def tell(publisher: Publisher, seconds: int, nanoseconds: int) -> None:
@@ -54,7 +45,7 @@ def test_time_that_cannot_be_is_told_and_ends_no_node(tmp_path: Path):
                  'hnn_replay': ['replay', bag, '--loop', '--ros-args'],
                  'hnn_rerun_bridge': ['rerun_bridge', *to_file(Path('run.rrd'))]}.items()}
     with peer() as other:
-        clock = other.node.create_publisher(Clock, '/clock', qos_profile_sensor_data)
+        clock = other.publisher(Clock, '/clock', qos_profile_sensor_data)
         other.spin_until(lambda: clock.get_subscription_count() == len(nodes))
         survive(other, clock, nodes)
         for process in nodes.values():
@@ -92,7 +83,8 @@ def survive(other: Peer, clock: Publisher, nodes: Iterable[str]) -> None:
 
 
 def test_twin_goes_on_whatever_the_clock_says(tmp_path: Path):
-    (tmp_path / 'scene.yaml').write_text(TWIN)
+    observer = '{kind: observer, coordinates: [angle], gain: 5.0, damping: 4.0}'
+    write_scene(tmp_path / 'scene.yaml', 'pendulum', observer, 'implicit_midpoint', q=[0.3])
     process = start(tmp_path, scene='scene.yaml', record_path='bag', use_sim_time=True)
     ticks = count(1)
 
@@ -101,12 +93,9 @@ def test_twin_goes_on_whatever_the_clock_says(tmp_path: Path):
         tell(clock, nanoseconds // 10**9, nanoseconds % 10**9)
 
     with peer() as other:
-        clock = other.node.create_publisher(Clock, '/clock', qos_profile_sensor_data)
-        machine = other.node.create_publisher(
-            JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
-        errors: list[JointState] = []
-        other.node.create_subscription(
-            JointState, f'{SIMULATOR}/prediction_error', errors.append, 10)
+        clock = other.publisher(Clock, '/clock', qos_profile_sensor_data)
+        machine = other.publisher(JointState, '~/observations', qos_profile_sensor_data)
+        errors = other.hear(JointState, '~/prediction_error')
         other.spin_until(lambda: go_on() or (other.states and machine.get_subscription_count()))
         survive(other, clock, [SIMULATOR[1:]])
         had = len(errors)
@@ -117,8 +106,7 @@ def test_twin_goes_on_whatever_the_clock_says(tmp_path: Path):
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
     assert status == 0 and '/clock: message ignored' in error
-    verdict = check_replay(tmp_path / 'bag')
-    assert verdict.good, verdict.text
+    assert_agrees(tmp_path / 'bag')
 
 
 def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_path: Path):
@@ -126,16 +114,13 @@ def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_p
     # A tick is 0.01 s; the clock begins at the epoch, the simulation at zero [ns].
     tick, now, due = 10**7, 1_700_000_000 * 10**9, 0
     with peer() as other:
-        clock = other.node.create_publisher(Clock, '/clock', qos_profile_sensor_data)
+        clock = other.publisher(Clock, '/clock', qos_profile_sensor_data)
 
         def set_clock() -> None:
             tell(clock, now // 10**9, now % 10**9)
 
         def time_of_run() -> int:
-            if not other.states:
-                return 0
-            stamp = other.states[-1].header.stamp
-            return stamp.sec * 10**9 + stamp.nanosec
+            return stamp(other.states[-1]) if other.states else 0
 
         # What is set before it runs passes: it begins at the first time that it is paced by.
         other.spin_until(clock.get_subscription_count)
@@ -165,8 +150,7 @@ def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_p
         assert time_of_run() == due
         process.send_signal(signal.SIGINT)
         assert finish(process)[0] == 0
-    verdict = check_replay(tmp_path / 'bag')
-    assert verdict.good and f'{due // tick} samples agree' in verdict.text, verdict.text
+    assert_agrees(tmp_path / 'bag', due // tick)
 
 
 def test_clock_that_cannot_be_followed_is_one_line():
@@ -179,7 +163,7 @@ def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
     with simulating(tmp_path, record_path='bag0', **given) as (other, _):
         other.wait_for_state('active')
         for _ in range(2):
-            other.node.create_publisher(JointState, f'{SIMULATOR}/joint_commands', 1)
+            other.publisher(JointState, '~/joint_commands')
         second = start(
             tmp_path, duration=4.0, discovery_time=5.0, record_path='bag1', **given)
         status, _, error = finish(second)
@@ -189,14 +173,13 @@ def test_two_simulators_of_one_name_are_told_and_run(tmp_path: Path):
         assert f'{topic} has 2 publishers, {node}, {node}: ' in error
     # It has found the first by the time that it begins; whoever else is there counts too.
     assert re.search('[1-9] more of the graph are called /hnn_simulator: calls of', error), error
-    assert all(check_replay(tmp_path / f'bag{i}').good for i in range(2))
+    for i in range(2):
+        assert_agrees(tmp_path / f'bag{i}')
 
 
 def test_two_simulators_in_one_process_do_not_interfere(tmp_path: Path):
-    arguments = ['--ros-args', '-p', 'duration:=1.0', '-p', 'scene:=exact_pendulum', '-p',
-                 'rerun_sink:=none', '-p', 'record:=false', '-p', 'discovery_time:=0.0']
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    arguments = simulator_words(scene='exact_pendulum', duration=1.0)
+    with ros(*arguments):
         nodes, executor = [SimulatorNode(arguments) for _ in range(2)], SingleThreadedExecutor()
         for node in nodes:
             executor.add_node(node)
@@ -210,5 +193,3 @@ def test_two_simulators_in_one_process_do_not_interfere(tmp_path: Path):
         for node in nodes:
             assert node.finish() == 0
             node.destroy_node()
-    finally:
-        rclpy.try_shutdown()

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests for steps and resets, as Control answers them; the run and the timers are stand-ins."""
 
-from collections.abc import Callable
 import json
 import math
 from types import SimpleNamespace
@@ -33,18 +32,8 @@ class Steps:
         self.pacer = SimpleNamespace(
             restart=lambda: None, timer_period=0.01, due=lambda: False, wait=1.0, led=False)
         self.start, self.at_sample, self.began = (np.array([1.0]), np.array([-0.5])), True, []
-
-    def watch(self) -> None:
-        pass
-
-    def start_clocks(self) -> None:
-        pass
-
-    def publish_diagnostics(self) -> None:
-        pass
-
-    def tell(self, text: str, level: str) -> None:
-        pass
+        self.watch, self.start_clocks, self.publish_diagnostics, self.tell = (
+            Mock() for _ in range(4))
 
     def step(self, most: float = math.inf) -> int | None:
         if self.waits:
@@ -64,43 +53,18 @@ class Steps:
         self._stand(0)
 
 
-class Timers:
-    """A node whose timers are called by hand."""
-
-    # Nothing has ended the run.
-    exit_status = None
-
-    def __init__(self):
-        self.callbacks: list[Callable[[], None]] = []
-        self.spinner = SimpleNamespace(wake=lambda: None)
-
-    def create_timer(self, period: float, callback, clock) -> SimpleNamespace:
-        self.callbacks.append(callback)
-        return SimpleNamespace(reset=lambda: None, cancel=lambda: None)
-
-    def destroy_timer(self, timer) -> None:
-        pass
-
-    def get_name(self) -> str:
-        return 'hnn_simulator'
-
-    def get_namespace(self) -> str:
-        return '/'
-
-    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
-        return [('hnn_simulator', '/')]
-
-
 @pytest.fixture
 def control() -> Control:
-    """Return a Control that was activated, in a pause."""
-    node, run = Timers(), Steps()
+    """Return a Control that was activated, in a pause, of a node whose timer is called by hand."""
+    node, run = Mock(exit_status=None), Steps()
+    node.get_name.return_value, node.get_namespace.return_value = 'hnn_simulator', '/'
+    node.get_node_names_and_namespaces.return_value = [('hnn_simulator', '/')]
     made = Control(node, run, Discovery(lambda: 0, 0.0), Settings(start_paused=True))
     assert made.stopped
     made.activate()
     # Discovery is over at once.
-    node.callbacks[0]()
-    made.run, made.turn = run, node.callbacks[-1]
+    node.create_timer.call_args.args[1]()
+    made.run, made.turn = run, node.create_timer.call_args.args[1]
     return made
 
 
@@ -189,6 +153,18 @@ def test_stopped_run_is_no_more_stopped_once_it_steps_or_is_paused_or_played(con
     assert control.stopped
     move(control)
     assert not control.stopped
+
+
+@pytest.mark.parametrize('act', [
+    lambda control: control.activate(), lambda control: control.deactivate(),
+    lambda control: control.set_paused(True), lambda control: control.reset(False),
+    lambda control: (control.set_paused(True), control.request_steps(3))],
+    ids=['activate', 'deactivate', 'pause', 'reset', 'step'])
+def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(control, act):
+    control.set_paused(False)
+    control.run.start_clocks.reset_mock()
+    act(control)
+    assert control.run.start_clocks.called
 
 
 def test_messages_of_a_sample_leave_before_the_figures_are_evaluated():

@@ -36,7 +36,7 @@ from processes import finish, read_bag, start
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rerun.chunk import RrdReader
-from scenes import FAILING
+from scene_files import FAILING
 from std_msgs.msg import Float64
 from studies.hard_cases_plan import load_plan
 

@@ -23,7 +23,7 @@ from processes import finish, read_bag, start
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
-from scenes import FAILING
+from scene_files import FAILING
 from std_msgs.msg import Float64MultiArray
 
 COMPONENTS = ['timing', 'integrator', 'energy', 'recorder', 'model', 'health']

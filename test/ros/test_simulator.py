@@ -22,7 +22,7 @@ from processes import (
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from scenes import FAILING
+from scene_files import FAILING
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, String
 import yaml

@@ -23,7 +23,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from rerun.chunk import RrdReader
 from rosgraph_msgs.msg import Clock
-from scenes import FAILING
+from scene_files import FAILING
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 

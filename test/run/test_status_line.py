@@ -5,9 +5,7 @@
 import io
 import re
 import sys
-from types import SimpleNamespace
 
-from hnn_vi_ros.ros.run.control import Control
 from hnn_vi_ros.run.timing import StatusLine
 from hnn_vi_ros.simulation import Sample
 import numpy as np
@@ -45,28 +43,6 @@ class Shown:
         self.terminal.seek(0)
         self.terminal.truncate()
         return [float(pace) for pace in found]
-
-
-@pytest.mark.parametrize('act', [
-    lambda control: control.activate(), lambda control: control.deactivate(),
-    lambda control: control.set_paused(True), lambda control: control.reset(False),
-    lambda control: (control.set_paused(True), control.request_steps(3))],
-    ids=['activate', 'deactivate', 'pause', 'reset', 'step'])
-def test_clocks_are_started_anew_whenever_the_run_is_halted_or_goes_on(act):
-    started = []
-    run = SimpleNamespace(
-        status=SimpleNamespace(paused=False), recording=SimpleNamespace(flush=lambda: None),
-        sampler=SimpleNamespace(stamp=0, time=0.0), reset=lambda time_too: None,
-        simulation=SimpleNamespace(steps=0, q=np.zeros(1), p=np.zeros(1)),
-        start_clocks=lambda: started.append(True), tell=lambda *words: None)
-    run.pacer = SimpleNamespace(led=False)
-    control = Control(SimpleNamespace(), run, None, SimpleNamespace(start_paused=False))
-    # As once subscribers have been found.
-    control._timer = SimpleNamespace(reset=lambda: None, cancel=lambda: None)
-    control.active = True
-    before = len(started)
-    act(control)
-    assert len(started) > before
 
 
 def sample(stamp: int) -> Sample:

@@ -1,0 +1,25 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of scenes that tests write, of parts in YAML."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def scene_text(kind: str = 'harmonic_oscillator', effects: str = '',
+               integrator: str = 'generalized_leapfrog', step_size: float = 0.01,
+               q: Sequence[float] = (1.0,), p: Sequence[float] = (0.0,), more: str = '') -> str:
+    """Return the text of a scene; parameters follow the kinds of Hamiltonian and integrator."""
+    return (f'hamiltonian: {{kind: {kind}}}\neffects: [{effects}]\n'
+            f'integrator: {{kind: {integrator}}}\nstep_size: {step_size}\n'
+            f'initial_state: {{q: {[*q]}, p: {[*p]}}}\n{more}')
+
+
+def write_scene(path: Path, *parts: str, **other: object) -> Path:
+    """Write the file of a scene of the parts that `scene_text` takes."""
+    path.write_text(scene_text(*parts, **other))
+    return path
+
+
+# The paper's iteration does not converge in its 17th step.
+FAILING = scene_text('tao', '', 'variational_euler, solver: fixed_point', 0.4, p=[-1.0])
