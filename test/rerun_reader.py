@@ -3,6 +3,8 @@
 """What a rerun recording holds, read back."""
 
 from pathlib import Path
+import subprocess
+import sys
 
 from rerun.chunk import RrdReader
 
@@ -20,3 +22,15 @@ def read(path: Path) -> dict[str, dict[str, list]]:
                     column = column.cast('int64')
                 rows.setdefault(name, []).extend(column.to_pylist())
     return entities
+
+
+def still_entities(path: Path) -> set[str]:
+    """Return the entities that have no time."""
+    return {chunk.entity_path for chunk in RrdReader(path).stream() if chunk.is_static}
+
+
+def assert_verified(path: Path) -> None:
+    """Assert that rerun accepts a recording."""
+    check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify', str(path)],
+                           capture_output=True, text=True, timeout=60)
+    assert check.returncode == 0, check.stderr

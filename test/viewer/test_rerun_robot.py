@@ -4,8 +4,6 @@
 
 import os
 from pathlib import Path
-import subprocess
-import sys
 
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
@@ -17,11 +15,24 @@ from hnn_vi_ros.viewer.rerun_sink import RerunSink
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from rerun_reader import read
+from rerun_reader import assert_verified, read, still_entities
 from scipy.spatial.transform import Rotation
 from urdf_robots import chain, ROOT, TREE, TREE_ARGUMENTS, with_quaternions
 
 ARM = ROOT / 'config' / 'robots' / 'two_joint_arm.urdf'
+
+
+def robot_of(folder: Path, text: str, **arguments: object) -> RigidBodyTree:
+    """Return the robot of the text of a URDF, which is a file of a folder."""
+    (folder / 'robot.urdf').write_text(text)
+    return RigidBodyTree(str(folder / 'robot.urdf'), **arguments)
+
+
+def assert_turned(rows: dict[str, list], expected: np.ndarray) -> None:
+    """Compare quaternions, whose signs do not count, and which are stored as float32."""
+    turns = np.array(rows['Transform3D:quaternion']).reshape(-1, 4)
+    assert np.abs((turns * expected).sum(axis=1)) == pytest.approx(
+        np.ones(len(expected)), abs=1e-6)
 
 
 def record(path: Path, robot: RigidBodyTree, q: np.ndarray, efforts: np.ndarray | None = None
@@ -48,20 +59,16 @@ def test_robot_is_drawn_and_its_joints_move_as_simulated(tmp_path: Path):
         rows = found[f'/joints/{name}']
         assert rows['step'] == [0, 1, 2]
         half = 0.5 * q[:, column]
-        turns = np.array(rows['Transform3D:quaternion']).reshape(3, 4)
-        expected = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
-        # Quaternions of both signs are the same turn; they are stored as float32.
-        assert np.abs((turns * expected).sum(axis=1)) == pytest.approx(np.ones(3), abs=1e-6)
+        assert_turned(rows, np.stack(
+            [0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1))
         assert np.array(rows['Transform3D:translation']).reshape(3, 3) == pytest.approx(
             np.tile(origin, (3, 1)), abs=1e-7)
-    still = {chunk.entity_path for chunk in RrdReader(path).stream() if chunk.is_static}
+    still = still_entities(path)
     assert any(entity.startswith('/world/two_joint_arm') and 'forearm' in entity
                for entity in still)
     hidden = f'{collisions_of(robot.robot)}/'
     assert any(entity.startswith(hidden) and 'forearm' in entity for entity in still)
-    check = subprocess.run([sys.executable, '-m', 'rerun_cli', 'rrd', 'verify', str(path)],
-                           capture_output=True, text=True, timeout=60)
-    assert check.returncode == 0, check.stderr
+    assert_verified(path)
 
 
 def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: Path):
@@ -85,9 +92,8 @@ def test_efforts_of_motors_are_arrows_along_the_axes_up_to_the_limit(tmp_path: P
 
 
 def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
-    (tmp_path / 'tree.urdf').write_text(TREE)
-    robot = RigidBodyTree(str(tmp_path / 'tree.urdf'), **TREE_ARGUMENTS)
-    found = record(tmp_path / 'tree.rrd', robot, np.zeros((2, 5)))
+    found = record(tmp_path / 'tree.rrd', robot_of(tmp_path, TREE, **TREE_ARGUMENTS),
+                   np.zeros((2, 5)))
     assert {name for name in found if name.startswith('/joints/')} == {
         f'/joints/{name}' for name in (*TREE_ARGUMENTS['joints'], 'follower')}
     # It slides along -y, by 0.03 m.
@@ -97,15 +103,11 @@ def test_joints_that_are_held_are_drawn_where_they_are(tmp_path: Path):
 
 def test_joints_move_about_and_along_axes_of_any_length(tmp_path: Path):
     text, q = TREE.replace('xyz="0 1 0"', 'xyz="0 5 0"'), np.array([[0.05] * 5, [2.0] * 5])
-    (tmp_path / 'tree.urdf').write_text(text)
-    found = record(tmp_path / 'tree.rrd', RigidBodyTree(
-        str(tmp_path / 'tree.urdf'), **TREE_ARGUMENTS), q)
-    # About (1, 2, -2) / 3; stored as float32.
+    found = record(tmp_path / 'tree.rrd', robot_of(tmp_path, text, **TREE_ARGUMENTS), q)
+    # About (1, 2, -2) / 3.
     frame = Rotation.from_euler('xyz', [0.3, 0.5, -0.7])
     expected = frame * Rotation.from_rotvec(np.outer([0.05, 2.0], [1.0, 2.0, -2.0]) / 3.0)
-    turns = np.array(found['/joints/hip']['Transform3D:quaternion']).reshape(2, 4)
-    assert np.abs((turns * expected.as_quat()).sum(axis=1)) == pytest.approx(
-        np.ones(2), abs=1e-6)
+    assert_turned(found['/joints/hip'], expected.as_quat())
     places = np.array(found['/joints/finger']['Transform3D:translation']).reshape(2, 3)
     assert places == pytest.approx(np.array([[0.0, 0.05, 0.0], [0.0, 2.0, 0.0]]), abs=1e-6)
 
@@ -116,14 +118,11 @@ def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: 
     found = []
     for name, text in (('old', TREE), ('new', with_quaternions(TREE).replace(
             '<link name="base"/>', capsule))):
-        (tmp_path / f'{name}.urdf').write_text(text)
-        robot = RigidBodyTree(str(tmp_path / f'{name}.urdf'), **TREE_ARGUMENTS)
+        robot = robot_of(tmp_path, text, **TREE_ARGUMENTS)
         found.append(record(tmp_path / f'{name}.rrd', robot, np.full((2, 5), 0.05)))
     for name in (*TREE_ARGUMENTS['joints'], 'follower'):
-        old, new = (np.array(one[f'/joints/{name}']['Transform3D:quaternion']).reshape(2, 4)
-                    for one in found)
-        # Quaternions of both signs are the same turn; they are stored as float32.
-        assert np.abs((old * new).sum(axis=1)) == pytest.approx(np.ones(2), abs=1e-6)
+        old, new = (one[f'/joints/{name}'] for one in found)
+        assert_turned(old, np.array(new['Transform3D:quaternion']).reshape(2, 4))
     assert 'TextLog:text' not in found[1].get('/events', {})
 
 
@@ -135,13 +134,11 @@ def test_robot_of_version_1_2_is_drawn_as_the_same_one_of_version_1_0(tmp_path: 
     ('<visual><geometry><mesh filename="gone.stl"/></geometry></visual>',
      '2 of 2 meshes cannot be shown, as gone.stl: no such file')])
 def test_robot_without_its_meshes_is_drawn_as_its_skeleton(visual, said, tmp_path: Path):
-    file = tmp_path / 'arm.urdf'
-    file.write_text(chain([1.0, 1.0], [0.7, 0.5]).replace('<inertial>', f'{visual}<inertial>'))
+    text = chain([1.0, 1.0], [0.7, 0.5]).replace('<inertial>', f'{visual}<inertial>')
     with pytest.warns(UserWarning, match=f'{said}.*; its skeleton is shown'):
-        found = record(tmp_path / 'arm.rrd', RigidBodyTree(str(file)), np.zeros((2, 2)))
+        found = record(tmp_path / 'arm.rrd', robot_of(tmp_path, text), np.zeros((2, 2)))
     assert said in found['/events']['TextLog:text'][0][0]
-    still = {chunk.entity_path for chunk in RrdReader(tmp_path / 'arm.rrd').stream()
-             if chunk.is_static}
+    still = still_entities(tmp_path / 'arm.rrd')
     assert {f'/world/skeleton/{link}' for link in ('l1', 'l2')} <= still
 
 
@@ -199,9 +196,8 @@ def test_meshes_of_the_package_that_holds_the_urdf_are_recorded(tmp_path: Path):
 def recorded_meshes(folder: Path, name: str) -> list[bytes]:
     """Return the files that a recording holds of a robot with a mesh of that name."""
     visual = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
-    file = folder / 'robot.urdf'
-    file.write_text(chain([1.0], [0.7]).replace('<inertial>', f'{visual}<inertial>'))
-    record(folder / 'robot.rrd', RigidBodyTree(str(file)), np.zeros((2, 1)))
+    text = chain([1.0], [0.7]).replace('<inertial>', f'{visual}<inertial>')
+    record(folder / 'robot.rrd', robot_of(folder, text), np.zeros((2, 1)))
     batches = [chunk.to_record_batch() for chunk in RrdReader(folder / 'robot.rrd').stream()]
     return [bytes(blob) for batch in batches if 'Asset3D:blob' in batch.schema.names
             for row in batch.column('Asset3D:blob').to_pylist() for blob in row]
@@ -220,12 +216,11 @@ def test_bones_lead_from_joint_to_joint():
 
 
 def test_robot_that_rerun_cannot_read_is_told_and_the_rest_is_shown(tmp_path: Path):
-    file = tmp_path / 'arm.urdf'
     # Shapes are not looked at here.
-    file.write_text(ARM.read_text().replace('<geometry>', '<geometry><box size="no"/>', 1))
-    robot = RigidBodyTree(str(file))
+    robot = robot_of(tmp_path, ARM.read_text().replace(
+        '<geometry>', '<geometry><box size="no"/>', 1))
     # It is shown as it was read.
-    file.unlink()
+    (tmp_path / 'robot.urdf').unlink()
     found = record(tmp_path / 'arm.rrd', robot, np.zeros((2, 2)))
     (text,), (level,) = (found['/events'][f'TextLog:{name}'][0] for name in ('text', 'level'))
     assert level == 'WARN' and 'rerun cannot show this robot' in text
