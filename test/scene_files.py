@@ -23,3 +23,14 @@ def write_scene(path: Path, *parts: str, **other: object) -> Path:
 
 # The paper's iteration does not converge in its 17th step.
 FAILING = scene_text('tao', '', 'variational_euler, solver: fixed_point', 0.4, p=[-1.0])
+ACTED_ON = """\
+hamiltonian: {kind: free_particle, mass: 2.0, names: [x, y]}
+effects:
+  - {kind: gravity, coordinate: y}
+  - kind: damping
+    rate: 0.1
+  - {kind: spring, point: [x], anchor: [0]}
+integrator: {kind: generalized_leapfrog}
+step_size: 0.01
+initial_state: {q: [1.0, 0], p: [0, 0]}
+"""

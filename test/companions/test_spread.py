@@ -17,16 +17,9 @@ from hnn_vi_ros.simulation.build import build
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 
 COUNT, FACTOR = 4, np.array([2.0, 3.0])
-SCENE = """\
-hamiltonian: {kind: learned, model: several.safetensors}
-effects: [{kind: external_force, coordinates: [x0], timeout: 10.0}]
-integrator: {kind: implicit_midpoint}
-step_size: 0.05
-initial_state: {q: [0.5], p: [-0.3]}
-uncertainty: {limit: 0.01}
-"""
 
 
 @pytest.fixture
@@ -35,8 +28,15 @@ def scene(tmp_path: Path) -> Scene:
     card = model.card.ensemble.model_copy(update={'factors': FACTOR.tolist()})
     save_checkpoint(tmp_path / 'several.safetensors', replace(
         model, card=model.card.model_copy(update={'ensemble': card})))
-    (tmp_path / 'scene.yaml').write_text(SCENE)
-    return load_scene(tmp_path / 'scene.yaml')
+    return load_scene(write_scene(
+        tmp_path / 'scene.yaml', 'learned, model: several.safetensors',
+        '{kind: external_force, coordinates: [x0], timeout: 10.0}', 'implicit_midpoint', 0.05,
+        [0.5], [-0.3], 'uncertainty: {limit: 0.01}\n'))
+
+
+def member_of(scene: Scene, number: int) -> Scene:
+    return scene.changed({'uncertainty': None, 'hamiltonian': {
+        **scene.hamiltonian.model_dump(), 'member': number}})
 
 
 def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
@@ -50,8 +50,7 @@ def test_spread_is_the_deviation_of_the_members_times_the_factor(scene: Scene):
     mean = simulate(scene, 2.0, every=10)
     assert found.mean.q.tobytes() == mean.q.tobytes()
     # The members are the scene with each of them.
-    second = simulate(scene.changed({'uncertainty': None, 'hamiltonian': {
-        **scene.hamiltonian.model_dump(), 'member': 2}}), 2.0, every=10)
+    second = simulate(member_of(scene, 2), 2.0, every=10)
     assert second.q.tobytes() == found.members[1].q.tobytes()
 
 
@@ -63,8 +62,7 @@ def test_members_beside_a_run_step_as_they_do_alone_under_its_commands(scene: Sc
     accompanied.advance(13)
     states = []
     for k in range(1, COUNT + 1):
-        alone = build(scene.changed({'uncertainty': None, 'hamiltonian': {
-            **scene.hamiltonian.model_dump(), 'member': k}}))
+        alone = build(member_of(scene, k))
         alone.advance(7)
         alone.set_command([0.25])
         alone.advance(13)
@@ -99,15 +97,11 @@ def test_member_that_failed_makes_the_spread_infinite():
     assert spread.tolist() == [0.5, np.inf]
 
 
-def test_spread_of_an_exact_system_is_refused():
-    with refused(SceneError):
-        simulate_spread('kepler', 1.0)
-
-
-def test_spread_of_a_confined_hamiltonian_is_refused_with_the_remedy(scene: Scene):
+def test_spread_of_an_exact_system_or_of_a_confined_one_is_refused_with_the_remedy(scene: Scene):
     confined = scene.changed({'hamiltonian': {**scene.hamiltonian.model_dump(), 'confine': True}})
-    with refused(SceneError):
-        simulate_spread(confined, 1.0)
+    for wrong in ('kepler', confined):
+        with refused(SceneError):
+            simulate_spread(wrong, 1.0)
 
 
 @pytest.mark.parametrize('options', [{'every': 4}, {'times': [0.1, 0.3, 2.0]}])

@@ -15,23 +15,39 @@ from hnn_vi_ros.simulation.build import build
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 
 STEP, EVERY, NAN = 0.005, 2, float('nan')
-SCENE = """\
-hamiltonian: {{kind: pendulum, length: {length}}}
-effects: [{{kind: external_force, coordinates: [angle], timeout: 1.0}}{observer}]
-integrator: {{kind: generalized_leapfrog}}
-step_size: 0.005
-initial_state: {{q: [{angle}], p: [0.0]}}
-"""
 
 
-def scene_of(folder: Path, length: float = 1.0, angle: float = 1.0, **observer: object) -> Scene:
-    more = ''.join(f', {name}: {value}' for name, value in observer.items())
-    text = f', {{kind: observer, coordinates: [angle]{more}}}' if observer else ''
+def scene_of(folder: Path, length: float = 1.0, angle: float = 1.0, more: str = '',
+             **observer: object) -> Scene:
+    options = ''.join(f', {name}: {value}' for name, value in observer.items())
+    effects = '{kind: external_force, coordinates: [angle], timeout: 1.0}' + (
+        f', {{kind: observer, coordinates: [angle]{options}}}' if observer else '') + more
     path = folder / f'{length}-{angle}-{bool(observer)}.yaml'
-    path.write_text(SCENE.format(length=length, angle=angle, observer=text))
-    return load_scene(path)
+    return load_scene(write_scene(
+        path, f'pendulum, length: {length}', effects, step_size=STEP, q=[angle]))
+
+
+class Twins:
+    """A twin beside the simulation of a scene, and the machine that it follows."""
+
+    def __init__(self, scene: Scene, machine: Scene):
+        self.simulation, self.machine = build(scene), build(machine)
+        self.twin = Twin(scene, self.simulation)
+        self.accompanied = Accompanied(self.simulation, [self.twin])
+
+    def follow(self, observations: int, velocity: bool = True) -> list:
+        """Observe the machine so often while both are driven; return what was told."""
+        reports = []
+        for k in range(observations):
+            self.accompanied.set_command(seen(self.machine, velocity))
+            reports.append(self.twin.newest)
+            for one in (self.accompanied, self.machine):
+                one.set_command([0.5 * np.sin(0.3 * k)])
+                one.advance(EVERY)
+        return reports
 
 
 def seen(machine: Simulation, velocity: bool = True) -> Observation:
@@ -39,24 +55,9 @@ def seen(machine: Simulation, velocity: bool = True) -> Observation:
                        else np.array([NAN]))
 
 
-def follow(twin: Twin, simulation: Accompanied, machine: Simulation, observations: int,
-           velocity: bool = True) -> list:
-    reports = []
-    for k in range(observations):
-        force = [0.5 * np.sin(0.3 * k)]
-        simulation.set_command(seen(machine, velocity))
-        reports.append(twin.newest)
-        for one in (simulation, machine):
-            one.set_command(force)
-            one.advance(EVERY)
-    return reports
-
-
 def test_twin_of_a_machine_that_it_knows_predicts_it_to_the_end(tmp_path: Path):
-    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
-    simulation, machine = build(scene), build(scene_of(tmp_path))
-    twin = Twin(scene, simulation)
-    reports = follow(twin, Accompanied(simulation, [twin]), machine, 250)
+    twins = Twins(scene_of(tmp_path, gain=0.0, deviations=[0.5]), scene_of(tmp_path))
+    reports, twin = twins.follow(250), twins.twin
     # A prediction begins at the momentum of the observed velocity, which is rounded.
     assert max(report.normalised for report in reports[1:]) < 1e-20
     assert all(report.error == 0.0 for report in reports)
@@ -85,10 +86,10 @@ def independent_time(scene: Scene, machine: Simulation, first: int, deviation: f
 def test_valid_prediction_time_is_that_of_predictions_from_even_times_on(tmp_path: Path):
     deviation, count = 0.5, 300
     scene = scene_of(tmp_path, length=1.2, gain=0.0, deviations=[deviation], predictions=4)
-    simulation, alone = build(scene), scene_of(tmp_path, length=1.2)
-    machine = scene_of(tmp_path)
-    twin = Twin(scene, simulation)
-    follow(twin, Accompanied(simulation, [twin]), build(machine), count)
+    alone, machine = scene_of(tmp_path, length=1.2), scene_of(tmp_path)
+    twins = Twins(scene, machine)
+    twins.follow(count)
+    twin = twins.twin
     # One begins every 0.5 s, which is 50 observations; those of the last second may not end.
     times = [independent_time(alone, build(machine), first, deviation)
              for first in range(0, 200, 50)]
@@ -99,20 +100,16 @@ def test_valid_prediction_time_is_that_of_predictions_from_even_times_on(tmp_pat
 
 
 def test_observer_brings_the_simulation_to_the_machine(tmp_path: Path):
-    scene = scene_of(tmp_path, angle=0.4, gain=60.0, damping=10.0)
-    simulation, machine = build(scene), build(scene_of(tmp_path))
-    twin = Twin(scene, simulation)
-    reports = follow(twin, Accompanied(simulation, [twin]), machine, 300)
+    reports = Twins(scene_of(tmp_path, angle=0.4, gain=60.0, damping=10.0),
+                    scene_of(tmp_path)).follow(300)
     assert abs(reports[0].error[0]) == pytest.approx(0.6)
     # exp(-5 x 3 s) of it is left, and what observations are held and extrapolated for 10 ms.
     assert max(abs(report.error[0]) for report in reports[-50:]) < 1e-3
 
 
 def test_velocities_that_are_not_observed_are_those_between_observations(tmp_path: Path):
-    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
-    simulation, machine = build(scene), build(scene_of(tmp_path, angle=1.5))
-    twin = Twin(scene, simulation)
-    reports = follow(twin, Accompanied(simulation, [twin]), machine, 20, velocity=False)
+    reports = Twins(scene_of(tmp_path, gain=0.0, deviations=[0.5]),
+                    scene_of(tmp_path, angle=1.5)).follow(20, velocity=False)
     # Before two observations no velocity is known, and nothing is predicted.
     assert np.isnan([report.normalised for report in reports[:2]]).all()
     assert np.isfinite([report.normalised for report in reports[2:]]).all()
@@ -120,15 +117,12 @@ def test_velocities_that_are_not_observed_are_those_between_observations(tmp_pat
 
 @pytest.mark.parametrize('gap', [200, 2000])
 def test_nothing_is_predicted_across_a_silence_of_the_machine(tmp_path: Path, gap: int):
-    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
-    simulation, machine = build(scene), build(scene_of(tmp_path, angle=1.5))
-    twin = Twin(scene, simulation)
-    accompanied = Accompanied(simulation, [twin])
-    follow(twin, accompanied, machine, 3, velocity=False)
-    for one in (accompanied, machine):
+    twins = Twins(scene_of(tmp_path, gain=0.0, deviations=[0.5]), scene_of(tmp_path, angle=1.5))
+    twins.follow(3, velocity=False)
+    for one in (twins.accompanied, twins.machine):
         one.advance(gap)
-    running = len(twin.running)
-    accompanied.set_command(seen(machine, velocity=False))
+    twin, running = twins.twin, len(twins.twin.running)
+    twins.accompanied.set_command(seen(twins.machine, velocity=False))
     # No velocity is that between observations further apart than the time-out.
     assert len(twin.running) <= running
     # A prediction of which nobody has seen the end tells nothing, least of all 10 s.
@@ -137,26 +131,21 @@ def test_nothing_is_predicted_across_a_silence_of_the_machine(tmp_path: Path, ga
 
 
 def test_twin_forgets_the_machine_where_the_run_begins_anew(tmp_path: Path):
-    scene = scene_of(tmp_path, length=1.2, gain=0.0)
-    simulation, machine = build(scene), build(scene_of(tmp_path))
-    twin = Twin(scene, simulation)
-    accompanied = Accompanied(simulation, [twin])
-    follow(twin, accompanied, machine, 60)
+    twins = Twins(scene_of(tmp_path, length=1.2, gain=0.0), scene_of(tmp_path))
+    twins.follow(60)
+    twin = twins.twin
     assert twin.times
-    accompanied.restart([1.0], [0.0])
+    twins.accompanied.restart([1.0], [0.0])
     assert twin.newest is None and not twin.times and np.isnan(twin.valid_prediction_time)
 
 
 def test_observation_far_beyond_a_joint_is_refused_and_not_counted(tmp_path: Path):
-    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
-    simulation = build(scene)
-    twin = Twin(scene, simulation)
-    accompanied = Accompanied(simulation, [twin])
+    twins = Twins(scene_of(tmp_path, gain=0.0, deviations=[0.5]), scene_of(tmp_path))
     for position, velocity in ((1e300, 0.0), (0.0, -1e300)):
         with refused(ValueError):
-            accompanied.set_command(Observation(
+            twins.accompanied.set_command(Observation(
                 ('angle',), 0.0, np.array([position]), np.array([velocity])))
-    assert twin.newest is None
+    assert twins.twin.newest is None
 
 
 def absurd(size: float, names: tuple[str, ...]) -> Iterator[Observation]:
@@ -178,9 +167,8 @@ def test_twin_goes_on_after_absurd_observations(size: float, first: bool):
     pull = {'kind': 'observer', 'coordinates': ['angle1', 'angle2'], 'gain': 300.0,
             'damping': 20.0, 'deviations': [0.5, 0.5]}
     scene = load_scene('exact_double_pendulum').changed({'effects': [pull]})
-    simulation, machine = build(scene), build(scene.changed({'effects': []}))
-    twin, names = Twin(scene, simulation), tuple(pull['coordinates'])
-    accompanied, taken = Accompanied(simulation, [twin]), 0
+    twins, taken = Twins(scene, scene.changed({'effects': []})), 0
+    accompanied, machine, names = twins.accompanied, twins.machine, tuple(pull['coordinates'])
     phases = [absurd(size, names), None, absurd(size, names), None]
     for phase in phases if first else phases[1:]:
         for bad in phase or [None] * 200:
@@ -195,7 +183,7 @@ def test_twin_goes_on_after_absurd_observations(size: float, first: bool):
     # Two seconds at rates of at least 8 / s, those of a mass of 2.1 kg m^2, leave exp(-16) of what
     # a wrong one has done. Between two observations the machine is taken to go on as it was seen,
     # for 10 ms, in which gravity changes that by some 20 / s^2.
-    assert np.abs(twin.newest.error).max() < 1e-2 and taken > 150 * (1 + first)
+    assert np.abs(twins.twin.newest.error).max() < 1e-2 and taken > 150 * (1 + first)
 
 
 def test_gain_that_no_step_takes_is_refused_by_its_name(tmp_path: Path):
@@ -211,16 +199,14 @@ def test_gain_that_no_step_takes_is_refused_by_its_name(tmp_path: Path):
 @pytest.mark.parametrize('restored', [False, True])
 def test_prediction_begins_with_the_commands_that_hold_and_no_others(
         tmp_path: Path, restored: bool):
-    scene = scene_of(tmp_path, gain=0.0, deviations=[0.5])
-    simulation, machine = build(scene), build(scene_of(tmp_path))
-    twin = Twin(scene, simulation)
-    accompanied = Accompanied(simulation, [twin])
+    twins = Twins(scene_of(tmp_path, gain=0.0, deviations=[0.5]), scene_of(tmp_path))
+    twin, accompanied, machine = twins.twin, twins.accompanied, twins.machine
     for one in (accompanied, machine):
         one.set_command([5.0])
         # Longer than a command holds, or on the way to there, as where a bag is resumed.
         one.advance(100 if restored else 240)
     if restored:
-        accompanied.restore(simulation.snapshot())
+        accompanied.restore(twins.simulation.snapshot())
     for _ in range(40):
         accompanied.set_command(seen(machine))
         # The momentum of the observed velocity is rounded.
@@ -233,12 +219,10 @@ def test_prediction_begins_with_the_commands_that_hold_and_no_others(
 @pytest.mark.parametrize('gain', [0.0, 20.0])
 def test_angles_that_a_driver_keeps_within_a_turn_are_compared_modulo_a_turn(tmp_path, gain):
     """A pendulum that turns over, seen between -pi and pi; the twin counts its turns."""
-    scene = scene_of(tmp_path, gain=gain, deviations=[0.5])
-    simulation, machine = build(scene), build(scene_of(tmp_path))
-    for one in (simulation, machine):
+    twins = Twins(scene_of(tmp_path, gain=gain, deviations=[0.5]), scene_of(tmp_path))
+    twin, accompanied, machine = twins.twin, twins.accompanied, twins.machine
+    for one in (accompanied, machine):
         one.restart([1.0], [9.0])
-    twin = Twin(scene, simulation)
-    accompanied = Accompanied(simulation, [twin])
     for _ in range(200):
         observation = seen(machine)
         wrapped = (observation.position + np.pi) % (2.0 * np.pi) - np.pi
@@ -247,14 +231,12 @@ def test_angles_that_a_driver_keeps_within_a_turn_are_compared_modulo_a_turn(tmp
         assert abs(twin.newest.error[0]) < 1e-3 and not twin.newest.normalised >= VALID
         accompanied.advance(EVERY)
         machine.advance(EVERY)
-    assert machine.q[0] > 4.0 * np.pi and abs(simulation.q[0] - machine.q[0]) < 1e-3
+    assert machine.q[0] > 4.0 * np.pi and abs(accompanied.q[0] - machine.q[0]) < 1e-3
 
 
 def test_angles_turn_over_where_a_turn_changes_no_force_and_nothing_stops_them(tmp_path):
     def turning(effects: str) -> bool:
-        path = tmp_path / 'scene.yaml'
-        path.write_text(SCENE.format(length=1.0, angle=1.0, observer=effects))
-        return bool(build(load_scene(path)).system.turning[0])
+        return bool(build(scene_of(tmp_path, more=effects)).system.turning[0])
 
     assert turning('')
     assert not turning(', {kind: potential, formula: 2 * angle^2}')

@@ -12,6 +12,7 @@ from hnn_vi_ros.simulation.build import build
 from messages import refused
 import numpy as np
 import pytest
+from scene_files import write_scene
 
 gymnasium = pytest.importorskip('gymnasium', reason='gymnasium is not installed')
 
@@ -20,14 +21,8 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv  # noq
 from hnn_vi_ros.envs import SceneEnv, SceneVectorEnv  # noqa: E402
 
 FORCE = [{'kind': 'external_force', 'coordinates': ['angle']}]
-EVENTS = """\
-hamiltonian: {kind: pendulum, mass: 1.0, length: 1.0, gravity: 9.81}
-effects: [{kind: external_force, coordinates: [angle]}]
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-events: [{when: angle = -0.5, then: stop}, {when: angle = 0}]
-"""
+PENDULUM = 'pendulum, mass: 1.0, length: 1.0, gravity: 9.81'
+PUSHED = '{kind: external_force, coordinates: [angle]}'
 
 
 def reward(step):
@@ -41,19 +36,17 @@ def somewhere(rng):
 @pytest.fixture
 def events(tmp_path):
     """Return a scene whose runs end at an angle."""
-    path = tmp_path / 'events.yaml'
-    path.write_text(EVENTS)
-    return path
+    return write_scene(
+        tmp_path / 'events.yaml', PENDULUM, PUSHED, 'variational_euler',
+        more='events: [{when: angle = -0.5, then: stop}, {when: angle = 0}]\n')
 
 
 @pytest.fixture
 def noisy(tmp_path):
     """Return a scene with noise, whose failed steps are not taken otherwise."""
-    path = tmp_path / 'noisy.yaml'
-    path.write_text(EVENTS.split('events:')[0].replace(
-        'effects: [', 'effects: [{kind: thermostat, temperature: 0.1, rate: 0.5}, ').replace(
-            'variational_euler', 'stormer_verlet') + 'on_failure: stop\n')
-    return path
+    bath = '{kind: thermostat, temperature: 0.1, rate: 0.5}'
+    return write_scene(tmp_path / 'noisy.yaml', PENDULUM, f'{bath}, {PUSHED}', 'stormer_verlet',
+                       more='on_failure: stop\n')
 
 
 def test_environment_satisfies_the_checker_of_gymnasium():

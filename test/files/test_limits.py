@@ -8,8 +8,6 @@ import json
 from pathlib import Path
 import re
 import struct
-import subprocess
-import sys
 from typing import Any
 import zipfile
 
@@ -17,6 +15,7 @@ from hnn_vi_ros.files.limits import (
     array_names, LONGEST_LINE, MOST_VALUES, parse_json, text_lines, unpack_arrays)
 import numpy as np
 import pytest
+from python_process import run_code
 
 # What a refused file may take besides what is there before [MiB].
 MOST = 200
@@ -212,9 +211,7 @@ def test_file_is_refused_in_one_line_before_memory_is_taken(attack, tmp_path):
     reader, name, write, message = ATTACKS[attack]
     write(tmp_path / name)
     prepare, call = READERS[reader]
-    found = subprocess.run(
-        [sys.executable, '-c', CHILD.format(prepare=prepare, call=call), str(tmp_path / name)],
-        capture_output=True, text=True, check=False, timeout=300.0)
+    found = run_code(CHILD.format(prepare=prepare, call=call), tmp_path / name)
     (tmp_path / name).unlink()
     assert 'Traceback' not in found.stderr, found.stderr[-2000:]
     (line,) = found.stdout.splitlines()

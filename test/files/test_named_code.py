@@ -6,12 +6,8 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene
 from messages import refused
 import pytest
+from scene_files import write_scene
 
-SCENE = """hamiltonian: {{kind: python, factory: '{module}:make'}}
-integrator: {{kind: variational_euler}}
-step_size: 0.01
-initial_state: {{q: [1.0], p: [0.0]}}
-"""
 CODE = """from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 
 
@@ -24,9 +20,7 @@ def scene_with(folder, module, stiffness):
     """Return the file of a scene beside the module that it names."""
     folder.mkdir(exist_ok=True)
     (folder / f'{module}.py').write_text(CODE.format(stiffness=stiffness))
-    file = folder / f'{module}.yaml'
-    file.write_text(SCENE.format(module=module))
-    return file
+    return write_scene(folder / f'{module}.yaml', f"python, factory: '{module}:make'")
 
 
 def stiffness_of(file):

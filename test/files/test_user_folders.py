@@ -3,13 +3,13 @@
 """Caches of a user without a home, of one whose home is read-only, and of one among others."""
 
 from pathlib import Path
-import subprocess
-import sys
+from subprocess import CompletedProcess
 import tempfile
 
 from hnn_vi_ros.files import resources
 from hnn_vi_ros.files.resources import cache_folder, expand_user, usual_folder
 import pytest
+from python_process import run_code
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +70,7 @@ def test_cache_that_others_could_write_is_not_taken(planted, no_home, tmp_path, 
     assert second.stat().st_mode & 0o777 == 0o700
 
 
-def run_without_a_home(*words: str) -> subprocess.CompletedProcess:
+def run_without_a_home(*words: str) -> CompletedProcess:
     """Run a command of a user who is in no list of users."""
     code = """
 import os, pwd, sys
@@ -81,8 +81,7 @@ sys.argv = ['hnn', *sys.argv[1:]]
 from hnn_vi_ros.cli import main
 main()
 """
-    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
-                          timeout=120, check=False)
+    return run_code(code, *words)
 
 
 def test_command_of_a_user_without_a_home_runs():

@@ -127,9 +127,8 @@ def test_loader_without_the_c_parser_refuses_the_same(monkeypatch):
     assert pure._Loader.__mro__[1] is yaml.SafeLoader
     assert pure.parse_yaml('a: [1e-3, 1:1]', 'here', RecordingError)[0] == {'a': [1e-3, '1:1']}
     for text in (BOMB, '[' * 20_000, 'a: !b 1', 'a: 1\na: 2', 'a: [', '9' * 5000):
-        with refused(RecordingError) as caught:
+        with refused(RecordingError):
             pure.parse_yaml(text, 'here', RecordingError)
-        assert '\n' not in str(caught.value)
 
 
 def test_places_are_those_of_the_keys():
