@@ -86,3 +86,13 @@ def mutant(content: bytes, other: bytes, kind: str, rng: random.Random) -> Mutan
         del records[first]
     end = MAGIC if content.endswith(MAGIC) else b''
     return Mutant(kind, MAGIC + b''.join(records) + end, what)
+
+
+def mutants(content: bytes, other: bytes, count: int, joint: int = 1, flip: int = 1
+            ) -> list[Mutant]:
+    """Return so many mutations at random of each kind, and each so-manieth joint and opcode."""
+    rng = random.Random(13)
+    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(count)]
+    doubles = [found._replace(kind='double') for found in joined(content, content)]
+    return (drawn + list(opcode_flips(content))[::flip] + list(joined(content, other))[::joint]
+            + doubles[::joint])

@@ -13,10 +13,8 @@ import re
 import shutil
 import socket
 import struct
-import subprocess
-import sys
 
-from bag_mutations import joined, KINDS, Mutant, mutant, opcode_flips, records_of
+from bag_mutations import Mutant, mutants, records_of
 from helpers import content_of
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
@@ -26,8 +24,11 @@ from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.bags.recover_bag import main
 from hnn_vi_ros.errors import RecordingError
 from mcap.opcode import Opcode
+from messages import refused
 import pytest
+from python_process import run_code
 from test_mcap_sink import payloads, PERIOD, TOPICS
+from test_recover_bag import cut
 
 TICKS, EVERY = 100, 10
 # Of each kind; from 100 on with the opcode of every record flipped in all ways.
@@ -71,9 +72,7 @@ def expected(ticks: int = TICKS, topics: Sequence[Topic] = TOPICS, first: int = 
 def attempt(folder: Path, content: bytes) -> tuple[Recovery, Content] | None:
     """Recover a file; None if nothing can be. The original stays, the result is whole."""
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    path = folder / f'{folder.name}_0.mcap'
-    path.write_bytes(content)
+    path = cut(folder, content) / f'{folder.name}_0.mcap'
     try:
         recovery = recover(folder)
     except RecordingError as problem:
@@ -116,16 +115,6 @@ def test_killed_bag_keeps_all_but_what_is_damaged(tmp_path, change, least, lost)
     assert set(found) <= set(expected(800))
 
 
-def mutants(content: bytes, other: bytes) -> list[Mutant]:
-    """Return mutations of all kinds: MUTATIONS at random of each, and those that are counted."""
-    rng = random.Random(13)
-    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(MUTATIONS)]
-    flips = list(opcode_flips(content))
-    doubled = [found._replace(kind='double') for found in joined(content, content)]
-    # Each opcode of each record takes a minute.
-    return drawn + flips[::1 if MUTATIONS >= 100 else 23] + [*joined(content, other)] + doubled
-
-
 # A last chunk that lacks a part may as well be one with which the recording breaks off.
 LAST = Counter(expected()[:-3 * EVERY])
 
@@ -139,7 +128,8 @@ def test_no_mutation_ends_in_a_traceback_a_silent_loss_or_a_message_that_never_w
     other = make(tmp_path / 'other', 60, end == 'finished', others, 1000)
     whole, foreign = Counter(expected()), Counter(expected(60, others, 1000))
     outcomes = Counter[tuple[str, str]]()
-    for found in mutants(content, other):
+    # Each opcode of each record takes a minute.
+    for found in mutants(content, other, MUTATIONS, flip=1 if MUTATIONS >= 100 else 23):
         cut_off = content.startswith(found.content)
         allowed = whole + foreign if found.kind == 'join' else whole
         assert_nothing_unsaid(tmp_path / 'read.mcap', found, allowed, whole, cut_off)
@@ -279,11 +269,9 @@ def test_gap_is_told_where_metadata_was_written_before_the_end(tmp_path, killed)
 
 
 def test_original_is_kept_under_a_name_that_none_has_or_replaced(tmp_path, killed):
-    bag = tmp_path / 'bag'
-    bag.mkdir()
+    bag = cut(tmp_path / 'bag', killed)
     path = bag / 'bag_0.mcap'
     (bag / 'bag_0.mcap.orig').write_bytes(b'mine')
-    path.write_bytes(killed)
     assert main([str(bag)]) == 0
     assert (bag / 'bag_0.mcap.orig').read_bytes() == b'mine'
     assert (bag / 'bag_0.mcap.orig-2').read_bytes() == killed
@@ -317,9 +305,7 @@ def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
 def test_result_that_does_not_read_back_leaves_the_bag_as_it_is(tmp_path, killed, monkeypatch):
     monkeypatch.setattr('hnn_vi_ros.bags.mcap_recovery.copy_messages',
                         lambda file, stamps, target: target.write(killed))
-    bag = tmp_path / 'bag'
-    bag.mkdir()
-    (bag / 'bag_0.mcap').write_bytes(killed)
+    bag = cut(tmp_path / 'bag', killed)
     with pytest.raises(RecordingError, match='reads back with'):
         recover(bag)
     assert [(p.name, p.read_bytes()) for p in bag.iterdir()] == [('bag_0.mcap', killed)]
@@ -341,9 +327,8 @@ def bound_socket(path: Path) -> Path:
 ], ids=['fifo', 'socket', 'endless device', 'device'])
 @pytest.mark.parametrize('use', [recover, BagReader])
 def test_what_is_no_regular_file_is_refused_at_once(tmp_path, make_path, use):
-    with pytest.raises(RecordingError, match='no regular file') as caught:
+    with refused(RecordingError):
         use(make_path(tmp_path / 'x.mcap'))
-    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize('suffix', ['.db3', '.mcap.zstd'])
@@ -368,16 +353,12 @@ def test_page_of_zeros_in_another_s_file_without_chunks_is_stepped_over(tmp_path
 
 
 def test_stopped_disk_or_interruption_leaves_no_second_file(tmp_path, killed):
-    bag = tmp_path / 'bag'
-    bag.mkdir()
-    (bag / 'bag_0.mcap').write_bytes(killed)
+    bag = cut(tmp_path / 'bag', killed)
     code = ('import sys, hnn_vi_ros.bags.mcap_recovery as r\n'
             'def stop(*arguments): raise KeyboardInterrupt\n'
             'r._read_back = stop\n'
             'from hnn_vi_ros.cli import recover_bag\nrecover_bag()')
-    result = subprocess.run([sys.executable, '-c', code, str(bag)], capture_output=True,
-                            text=True, timeout=60, check=False)
-    assert result.returncode == 130
+    assert run_code(code, bag).returncode == 130
     assert [p.name for p in bag.iterdir()] == ['bag_0.mcap']
 
 

@@ -2,21 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading bags: the order of the messages, windows of time, and files that break off."""
 
-from io import BytesIO
 from pathlib import Path
 import random
-import shutil
-import tempfile
 
 from hnn_vi_ros.bags import mcap_reader
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
-from hypothesis import given, settings, strategies
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from messages import refused
 import pytest
-from test_mcap_sink import ATTACHMENTS, payloads, PERIOD, record, TOPICS
+from test_mcap_sink import ATTACHMENTS, payloads, PERIOD, TOPICS
 
 LAYOUTS = {
     'chunks of zstd': {'compression': CompressionType.ZSTD},
@@ -61,29 +57,6 @@ def test_reader_keeps_the_order_of_messages_of_one_time_across_chunks(tmp_path):
     assert found == list(range(400))
 
 
-@pytest.fixture(scope='module')
-def recorded(tmp_path_factory) -> bytes:
-    return record(tmp_path_factory.mktemp('recorded') / 'bag', 4000).read_bytes()
-
-
-@pytest.mark.long
-@settings(max_examples=40)
-@given(share=strategies.floats(0.001, 1.0))
-def test_reader_of_a_file_cut_off_at_any_byte_yields_a_prefix(recorded, share):
-    folder = Path(tempfile.mkdtemp())
-    try:
-        path = folder / 'cut.mcap'
-        path.write_bytes(recorded[:max(8, round(share * len(recorded)))])
-        reader = BagReader(path)
-        found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
-        whole = [(c.topic, m.log_time, m.data) for _, c, m
-                 in make_reader(BytesIO(recorded)).iter_messages(log_time_order=False)]
-        assert found == whole[:len(found)]
-        assert not found or (found[0][1], found[-1][1]) == (reader.first, reader.last)
-    finally:
-        shutil.rmtree(folder)
-
-
 def test_reader_knows_a_topic_that_comes_late_and_attachments_and_metadata(tmp_path):
     sink = McapSink(tmp_path / 'bag', TOPICS[:2], ATTACHMENTS)
     for tick in range(3000):
@@ -101,22 +74,21 @@ def test_reader_knows_a_topic_that_comes_late_and_attachments_and_metadata(tmp_p
 def test_reader_refuses_what_is_no_bag_in_one_line(tmp_path):
     (tmp_path / 'notes.mcap').write_text('notes')
     for path in (tmp_path / 'notes.mcap', tmp_path / 'nothing', tmp_path / 'notes.mcap' / 'x'):
-        with pytest.raises(RecordingError) as caught:
+        with refused(RecordingError):
             BagReader(path)
-        assert '\n' not in str(caught.value)
 
 
 def test_folder_of_a_run_is_refused_with_that_of_its_bag(tmp_path):
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'bag_0.mcap').touch()
-    with pytest.raises(RecordingError, match=f'found none; did you mean {tmp_path / "bag"}[?]'):
+    with refused(RecordingError):
         BagReader(tmp_path)
 
 
 def test_bag_that_is_a_pointer_of_git_lfs_is_named_as_such(tmp_path):
     path = tmp_path / 'a.mcap'
     path.write_text('version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12\n')
-    with pytest.raises(RecordingError, match='a git-LFS pointer .* git lfs pull'):
+    with refused(RecordingError):
         BagReader(path)
 
 
@@ -126,5 +98,5 @@ def test_messages_that_cannot_be_sorted_in_little_memory_are_refused(tmp_path, m
     write_foreign(path, [1, 9] * 50)
     assert len(list(BagReader(path).messages())) == 100
     monkeypatch.setattr(mcap_reader, '_HELD', 10)
-    with pytest.raises(RecordingError, match='too many in one place or too far out'):
+    with refused(RecordingError):
         list(BagReader(path).messages())

@@ -3,12 +3,10 @@
 """The log: what independent readers find in it, and what outlives a killed process."""
 
 from collections.abc import Iterator
-import mmap
+from io import BytesIO
 import os
 from pathlib import Path
 import shutil
-import subprocess
-import sys
 import time
 import tracemalloc
 
@@ -19,11 +17,13 @@ from hnn_vi_ros.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.kernels.sources import identity
 from mcap.exceptions import EndOfFile
-from mcap.reader import make_reader
+from mcap.reader import make_reader, McapReader
 from mcap.records import McapRecord, Message
 from mcap.stream_reader import CRCValidationError, StreamReader
+from messages import refused
 import numpy as np
 import pytest
+from python_process import run_code
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
 from rosbags.typesys import get_typestore, Stores
@@ -43,6 +43,9 @@ TOPICS = tuple(
     Topic(name, kind, STORE.generate_msgdef(kind, ros_version=2)[0], STORE.hash_rihs01(kind),
           yaml.safe_dump([QOS]))
     for name, kind in zip(NAMES, TYPES, strict=True))
+# Of processes that import this file.
+PATH = {**os.environ, 'PYTHONPATH': os.pathsep.join(
+    [str(Path(hnn_vi_ros.__file__).parents[1]), *map(str, Path(__file__).parents[:2])])}
 ATTACHMENTS = {'scene.yaml': b'step_size: 0.01\n', 'model': bytes(range(256))}
 
 
@@ -85,10 +88,14 @@ def test_index_of_the_chunks_takes_little_memory_while_the_bag_grows(tmp_path):
     # A record of 9 + 64 bytes and the name of the compression, 10 for each channel, as an object
     # of 33 in a list; the library's own objects take 600.
     assert each < 9 + 64 + 8 + 10 * len(TOPICS) + 33 + 8 + 50
-    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
-        summary = make_reader(stream).get_summary()
+    summary = mcap_of(tmp_path / 'bag' / 'bag_0.mcap').get_summary()
     assert [index.message_start_time for index in summary.chunk_indexes] == [
         tick * PERIOD for tick in range(2 * chunks)]
+
+
+def mcap_of(path: Path) -> McapReader:
+    """Return the mcap package's reader of a whole file."""
+    return make_reader(BytesIO(path.read_bytes()), validate_crcs=True)
 
 
 def readable_records(path: Path) -> Iterator[McapRecord]:
@@ -100,19 +107,16 @@ def readable_records(path: Path) -> Iterator[McapRecord]:
             return
 
 
-def run_python(code: str, *arguments: object, **options: object) -> subprocess.Popen:
-    path = os.pathsep.join([str(Path(hnn_vi_ros.__file__).parents[1]), str(Path(__file__).parent)])
-    return subprocess.Popen(
-        [sys.executable, '-c', code, *map(str, arguments)],
-        env={**os.environ, 'PYTHONPATH': path}, text=True, **options)
-
-
 @pytest.mark.parametrize('start', [0, 1_234_567_890_123])
-def test_bag_reads_in_rosbags_with_types_counts_stamps_and_values(tmp_path, start):
+def test_bag_reads_in_rosbags_with_types_qos_counts_stamps_and_values(tmp_path, start):
     record(tmp_path / 'bag', 25, start)
     with AnyReader([tmp_path / 'bag']) as reader:
         assert {c.topic: (c.msgtype, c.msgcount, c.digest) for c in reader.connections} == {
             topic.name: (topic.type, 25, topic.type_hash) for topic in TOPICS}
+        for connection in reader.connections:
+            qos, = connection.ext.offered_qos_profiles
+            assert (qos.history, qos.depth, qos.reliability, qos.durability) == (
+                QosHistory.KEEP_LAST, 10, QosReliability.RELIABLE, QosDurability.VOLATILE)
         assert reader.message_count == 75
         assert reader.start_time == start
         # rosbags ends a bag one nanosecond after its last message.
@@ -136,7 +140,7 @@ def test_message_that_comes_now_and_then_reads_in_rosbags_at_its_stamp(tmp_path)
         if tick in (7, 19):
             sink.write_other(other, tick * PERIOD, payloads(100 + tick)[2])
     sink.close()
-    with pytest.raises(RecordingError, match='closed'):
+    with refused(RecordingError):
         sink.write_other(other, 0, b'')
     with AnyReader([tmp_path / 'bag']) as reader:
         assert {c.topic: c.msgcount for c in reader.connections} == dict.fromkeys(NAMES, 25) | {
@@ -149,28 +153,15 @@ def test_message_that_comes_now_and_then_reads_in_rosbags_at_its_stamp(tmp_path)
               in metadata['rosbag2_bagfile_information']['topics_with_message_count']}
     assert counts == dict.fromkeys(NAMES, 25) | {'/alarms': 2}
     # A type that is known already is not described again.
-    with (tmp_path / 'bag' / 'bag_0.mcap').open('rb') as stream:
-        assert make_reader(stream).get_summary().statistics.schema_count == 2
-
-
-def test_qos_reads_in_rosbags_as_offered(tmp_path):
-    record(tmp_path / 'bag', 1)
-    with AnyReader([tmp_path / 'bag']) as reader:
-        for connection in reader.connections:
-            qos, = connection.ext.offered_qos_profiles
-            assert (qos.history, qos.depth) == (QosHistory.KEEP_LAST, 10)
-            assert qos.reliability == QosReliability.RELIABLE
-            assert qos.durability == QosDurability.VOLATILE
+    assert mcap_of(tmp_path / 'bag' / 'bag_0.mcap').get_summary().statistics.schema_count == 2
 
 
 def test_recorded_bytes_times_and_sequences_equal_those_written(tmp_path):
-    path = record(tmp_path / 'bag', 300)
-    with path.open('rb') as stream:
-        reader = make_reader(stream, validate_crcs=True)
-        assert reader.get_header().profile == 'ros2'
-        found = [(schema.name, schema.encoding, channel.topic, channel.message_encoding,
-                  message.log_time, message.publish_time, message.sequence, message.data)
-                 for schema, channel, message in reader.iter_messages(log_time_order=False)]
+    reader = mcap_of(record(tmp_path / 'bag', 300))
+    assert reader.get_header().profile == 'ros2'
+    found = [(schema.name, schema.encoding, channel.topic, channel.message_encoding,
+              message.log_time, message.publish_time, message.sequence, message.data)
+             for schema, channel, message in reader.iter_messages(log_time_order=False)]
     assert found == [
         (topic.type, 'ros2msg', topic.name, 'cdr', tick * PERIOD, tick * PERIOD, tick, payload)
         for tick in range(300) for topic, payload in zip(
@@ -178,9 +169,7 @@ def test_recorded_bytes_times_and_sequences_equal_those_written(tmp_path):
 
 
 def test_summary_agrees_with_the_messages_from_stamp_zero(tmp_path):
-    path = record(tmp_path / 'bag', 4000)
-    with path.open('rb') as stream:
-        summary = make_reader(stream).get_summary()
+    summary = mcap_of(record(tmp_path / 'bag', 4000)).get_summary()
     statistics = summary.statistics
     assert statistics.message_count == 12_000
     assert set(statistics.channel_message_counts.values()) == {4000}
@@ -197,9 +186,7 @@ def test_summary_agrees_with_the_messages_from_stamp_zero(tmp_path):
 def test_chunks_are_compressed_indexed_and_limited(tmp_path, monkeypatch):
     # A flush just after a chunk became full in the middle of a tick would end one of a message.
     monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.FLUSH_INTERVAL', 1e6)
-    path = record(tmp_path / 'bag', 4000)
-    with path.open('rb') as stream:
-        chunks = make_reader(stream).get_summary().chunk_indexes
+    chunks = mcap_of(record(tmp_path / 'bag', 4000)).get_summary().chunk_indexes
     largest_record = 31 + max(map(len, payloads(0)))
     for chunk in chunks:
         assert chunk.compression == 'zstd'
@@ -222,9 +209,7 @@ def test_damaged_chunk_fails_its_crc(tmp_path):
 
 
 def test_attachments_are_kept(tmp_path):
-    path = record(tmp_path / 'bag', 1)
-    with path.open('rb') as stream:
-        attached = list(make_reader(stream).iter_attachments())
+    attached = list(mcap_of(record(tmp_path / 'bag', 1)).iter_attachments())
     assert {attachment.name: attachment.data for attachment in attached} == ATTACHMENTS
     assert {attachment.media_type for attachment in attached} == {
         'application/yaml', 'application/octet-stream'}
@@ -248,9 +233,7 @@ def test_metadata_has_the_fields_of_rosbag2_version_9(tmp_path):
 
 
 def test_file_itself_carries_the_metadata(tmp_path):
-    path = record(tmp_path / 'bag', 25)
-    with path.open('rb') as stream:
-        records = list(make_reader(stream).iter_metadata())
+    records = list(mcap_of(record(tmp_path / 'bag', 25)).iter_metadata())
     own, = (record for record in records if record.name == 'hnn_vi_ros')
     assert own.metadata == identity()
     assert {'hnn_vi_ros', 'sources', 'numba', 'numpy', 'processor'} <= own.metadata.keys()
@@ -269,30 +252,24 @@ def test_recording_without_messages_reads_as_empty(tmp_path):
     with AnyReader([tmp_path / 'bag']) as reader:
         assert reader.message_count == 0
         assert {connection.topic for connection in reader.connections} == set(NAMES)
-    with path.open('rb') as stream:
-        assert list(make_reader(stream).iter_messages()) == []
+    assert list(mcap_of(path).iter_messages()) == []
 
 
 def test_existing_folder_is_never_overwritten(tmp_path):
     path = record(tmp_path / 'deep' / 'er' / 'bag', 3)
     before = path.read_bytes()
-    with pytest.raises(RecordingError, match='exists already') as caught:
-        McapSink(path.parent, TOPICS, {})
-    assert '\n' not in str(caught.value)
     (tmp_path / 'empty').mkdir()
-    with pytest.raises(RecordingError, match='exists already'):
-        McapSink(tmp_path / 'empty', TOPICS, {})
-    with pytest.raises(RecordingError, match='exists already'):
-        McapSink(path / 'below_a_file', TOPICS, {})
+    for folder in (path.parent, tmp_path / 'empty', path / 'below_a_file'):
+        with refused(RecordingError):
+            McapSink(folder, TOPICS, {})
     assert path.read_bytes() == before
     assert list((tmp_path / 'empty').iterdir()) == []
 
 
 def test_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path):
     for folder in (Path('/proc/bag'), tmp_path / ('x' * 250)):
-        with pytest.raises(RecordingError, match='cannot be created') as caught:
+        with refused(RecordingError):
             McapSink(folder, TOPICS, {})
-        assert '\n' not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -303,19 +280,23 @@ def test_closing_twice_is_one_closing_and_ends_the_writing(tmp_path):
     before = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
     sink.close()
     sink.flush()
-    with pytest.raises(RecordingError, match='closed'):
+    with refused(RecordingError):
         sink.write(PERIOD, payloads(1))
     assert (tmp_path / 'bag' / 'bag_0.mcap').read_bytes() == before
 
 
-def test_flush_hands_what_was_written_to_other_readers(tmp_path):
-    sink = McapSink(tmp_path / 'bag', TOPICS, {})
+def messages(path: Path) -> list[bytes]:
+    return [record.data for record in readable_records(path) if isinstance(record, Message)]
+
+
+def test_first_message_is_flushed_at_once_and_others_by_a_flush_for_other_readers(tmp_path):
+    sink, path = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS), tmp_path / 'bag' / 'bag_0.mcap'
     for tick in range(3):
         sink.write(tick * PERIOD, payloads(tick))
-    sink.flush()
-    path = tmp_path / 'bag' / 'bag_0.mcap'
-    messages = [r for r in readable_records(path) if isinstance(r, Message)]
-    assert [m.data for m in messages] == [data for tick in range(3) for data in payloads(tick)]
+        if tick:
+            sink.flush()
+        assert messages(path) == [
+            data for before in range(tick + 1) for data in payloads(before)]
     sink.close()
 
 
@@ -355,18 +336,6 @@ def test_file_gets_its_name_once_it_holds_what_explains_it(tmp_path, monkeypatch
         'bag_0.mcap', 'metadata.yaml']
 
 
-def test_first_message_is_flushed_at_once(tmp_path):
-    sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
-    path = tmp_path / 'bag' / 'bag_0.mcap'
-    sink.write(0, payloads(0))
-    assert [r.data for r in readable_records(path) if isinstance(r, Message)] == payloads(0)
-    sink.close()
-
-
-def messages(path: Path) -> list[bytes]:
-    return [record.data for record in readable_records(path) if isinstance(record, Message)]
-
-
 def test_messages_are_flushed_by_the_clock_though_none_follows(tmp_path):
     sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
     for tick in range(3):
@@ -394,67 +363,9 @@ def test_folder_removed_during_recording_is_an_error_at_close(tmp_path):
     sink = McapSink(tmp_path / 'bag', TOPICS, {})
     sink.write(0, payloads(0))
     shutil.rmtree(tmp_path / 'bag')
-    with pytest.raises(RecordingError, match='recording stopped'):
+    with refused(RecordingError):
         sink.close()
     sink.close()
-
-
-ENDLESS = """
-import mmap, os, struct, sys, time
-from pathlib import Path
-from hnn_vi_ros.bags.mcap_sink import McapSink
-from test_mcap_sink import payloads, TOPICS
-sink = McapSink(Path(sys.argv[1]), TOPICS, {})
-with open(sys.argv[2], 'r+b') as stream:
-    shared = mmap.mmap(stream.fileno(), 16)
-tick, messages = 0, payloads(0)
-while True:
-    stamp = time.monotonic_ns()
-    sink.write(stamp, messages)
-    tick += 1
-    shared[:] = struct.pack('<QQ', tick, stamp)
-    time.sleep(0.002)
-"""
-
-
-@pytest.mark.timeout(60)
-def test_kill_loses_at_most_the_last_second(tmp_path):
-    # Three moments within the interval between two flushes.
-    ends = {tmp_path / f'bag{i}': 2.0 + 0.3 * i for i in range(3)}
-    children = {}
-    for folder in ends:
-        progress = folder.with_suffix('.progress')
-        progress.write_bytes(bytes(16))
-        children[folder] = run_python(ENDLESS, folder, progress)
-    try:
-        for folder, child in children.items():
-            wait_for_ticks(folder.with_suffix('.progress'), 1)
-        started = time.monotonic()
-        for folder, child in children.items():
-            time.sleep(max(0.0, started + ends[folder] - time.monotonic()))
-            child.kill()
-            child.wait()
-    finally:
-        for child in children.values():
-            child.kill()
-            child.wait()
-    for folder in ends:
-        ticks, last = np.frombuffer(folder.with_suffix('.progress').read_bytes(), np.uint64)
-        messages = [r for r in readable_records(folder / f'{folder.name}_0.mcap')
-                    if isinstance(r, Message)]
-        assert [m.sequence for m in messages] == [i // 3 for i in range(len(messages))]
-        assert 0 < len(messages) <= 3 * ticks + 3
-        assert int(last) - messages[-1].log_time <= 1_000_000_000
-        assert not (folder / 'metadata.yaml').exists()
-
-
-def wait_for_ticks(progress: Path, ticks: int) -> None:
-    with progress.open('rb') as stream, \
-            mmap.mmap(stream.fileno(), 16, access=mmap.ACCESS_READ) as shared:
-        deadline = time.monotonic() + 30.0
-        while int.from_bytes(shared[:8], 'little') < ticks:
-            assert time.monotonic() < deadline, 'the recording process does not record'
-            time.sleep(0.01)
 
 
 FULL = """
@@ -485,11 +396,9 @@ except RecordingError as problem:
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize('limit', [pytest.param(5_000, marks=pytest.mark.long), 700_000])
 def test_full_disk_ends_the_recording_with_its_reason(tmp_path, limit):
-    child = run_python(FULL, tmp_path / 'bag', limit, stdout=subprocess.PIPE,
-                       stderr=subprocess.PIPE)
-    output, errors = child.communicate(timeout=30)
-    assert child.returncode == 0 and errors == ''
-    stopped, closed = output.splitlines()
+    child = run_code(FULL, tmp_path / 'bag', limit, env=PATH)
+    assert child.returncode == 0 and child.stderr == ''
+    stopped, closed = child.stdout.splitlines()
     assert 'bag_0.mcap: the recording stopped (File too large)' in stopped
     assert 'closed' in closed
     path = tmp_path / 'bag' / 'bag_0.mcap'

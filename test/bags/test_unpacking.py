@@ -4,8 +4,6 @@
 
 from pathlib import Path
 import struct
-import subprocess
-import sys
 
 from hnn_vi_ros.bags import mcap_file, mcap_reader
 from hnn_vi_ros.bags.mcap_reader import BagReader
@@ -16,7 +14,9 @@ import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Message, Schema
 from mcap.writer import MCAP0_MAGIC
+from messages import refused
 import pytest
+from python_process import run_code
 import zstandard
 
 PACKERS = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress, '': bytes}
@@ -32,11 +32,16 @@ def records(count: int = 50) -> bytes:
     return builder.end()
 
 
-def write_chunk(path: Path, compression: str, data: bytes, size: int) -> Path:
-    """Write a file with a chunk that declares this size, and with a good one behind it."""
+def begun() -> RecordBuilder:
     builder = RecordBuilder()
     builder.write(MCAP0_MAGIC)
     Header('ros2', '').write(builder)
+    return builder
+
+
+def write_chunk(path: Path, compression: str, data: bytes, size: int) -> Path:
+    """Write a file with a chunk that declares this size, and with a good one behind it."""
+    builder = begun()
     Chunk(compression=compression, data=data, message_start_time=0, message_end_time=49,
           uncompressed_crc=0, uncompressed_size=size).write(builder)
     good = records()
@@ -48,7 +53,7 @@ def write_chunk(path: Path, compression: str, data: bytes, size: int) -> Path:
 
 def zeros(size: int) -> bytes:
     """Return a zstd frame, some kilobytes, of so many zeros; its header tells no size."""
-    packer = zstandard.ZstdCompressor(level=19).compressobj()
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
     block, packed = bytes(2**20), b''
     for _ in range(size // len(block)):
         packed += packer.compress(block)
@@ -69,11 +74,12 @@ def test_chunk_that_lies_about_its_size_is_damaged_and_the_next_is_read(
 
 
 @pytest.mark.parametrize('compression', PACKERS)
-def test_no_more_is_unpacked_than_a_chunk_declares(monkeypatch, compression):
+def test_no_more_is_unpacked_than_a_chunk_declares_or_256_mebibytes(monkeypatch, compression):
     unpacked = []
     monkeypatch.setattr('hnn_vi_ros.bags.mcap_records.unpack_zstd',
                         lambda data, most: unpacked.append(most) or b'')
     data = records()
+    assert LARGEST == 256 * 2**20
     for size in (10, LARGEST, LARGEST + 1, 2**60):
         content = struct.pack('<QQQII', 0, 9, size, 0, len(compression)) + compression.encode() \
             + struct.pack('<Q', len(data)) + PACKERS[compression](data)
@@ -99,9 +105,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def memory_of(path: Path) -> float:
     """Return by how much a process grows that reads a bag, and recovers it [MiB]."""
-    result = subprocess.run([sys.executable, '-c', BOMB, str(path)], capture_output=True,
-                            text=True, timeout=60, check=True)
-    return int(result.stdout.splitlines()[-1]) / 2**10
+    return int(run_code(BOMB, path, check=True).stdout.splitlines()[-1]) / 2**10
 
 
 @pytest.mark.parametrize('declared', [100, pytest.param(2**62, marks=pytest.mark.long)])
@@ -155,7 +159,7 @@ def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
     unpack_message, unpacked = mcap_reader._unpacked, []
     monkeypatch.setattr(mcap_reader, '_unpacked',
                         lambda data: unpacked.append(data) or unpack_message(data))
-    with pytest.raises(RecordingError, match='needs more than 4 MiB'):
+    with refused(RecordingError):
         list(BagReader(path).messages())
     assert len(unpacked) == 4
 
@@ -167,7 +171,7 @@ def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, m
     monkeypatch.setattr('tempfile.tempdir', str(scratch))
     path = tmp_path / 'a.mcap.zstd'
     path.write_bytes(zeros(2**28))
-    with pytest.raises(RecordingError, match='more than 4 MiB; unpack it with `zstd -d'):
+    with refused(RecordingError):
         BagReader(path)
     assert not list(scratch.iterdir())
 
@@ -180,9 +184,7 @@ def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, m
 ], ids=['too large, untold', 'too large, told', 'cut off', 'noise', 'claims an exbibyte'])
 def test_packed_message_that_cannot_be_unpacked_is_told(tmp_path, monkeypatch, packed):
     monkeypatch.setattr(mcap_reader, 'LARGEST', 2**20)
-    builder = RecordBuilder()
-    builder.write(MCAP0_MAGIC)
-    Header('ros2', '').write(builder)
+    builder = begun()
     builder.write(records(0))
     for i, data in enumerate((zstandard.compress(b'one'), packed, zstandard.compress(b'two'))):
         Message(channel_id=1, log_time=i, publish_time=i, sequence=i, data=data).write(builder)
@@ -191,7 +193,3 @@ def test_packed_message_that_cannot_be_unpacked_is_told(tmp_path, monkeypatch, p
     reader = BagReader(path)
     assert [message.data for message in reader.messages()] == [b'one', b'two']
     assert '1 damaged parts' in reader.damage
-
-
-def test_limit_of_the_unpacked_size_is_256_mebibytes():
-    assert LARGEST == 256 * 2**20

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.arguments import ORDERS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
-from messages import refused
+from messages import assert_message, refused
 import numpy as np
 import pytest
 from test_cli import ask
@@ -78,15 +78,12 @@ def test_help_of_a_command_names_it_as_it_was_called(name):
     assert 'ros2 run' not in '\n'.join(text)
 
 
-@pytest.mark.parametrize('words, status, begin', [
-    (['trian'], 2, "hnn: unknown command 'trian'; did you mean train?; valid: run, "),
-    (['run', 'pendulumm'], 1, "hnn run: no scene 'pendulumm'; did you mean pendulum?; shipped: "),
-    (['recover_bag', '/nowhere'], 2, 'hnn recover_bag: /nowhere'),
-])
-def test_mistake_is_one_line_with_the_command(words, status, begin):
+@pytest.mark.parametrize('words, status', [
+    (['trian'], 2), (['run', 'pendulumm'], 1), (['recover_bag', '/nowhere'], 2)])
+def test_mistake_is_one_line_with_the_command(words, status):
     result = ask('main', *words)
     assert result.returncode == status
-    assert result.stderr.startswith(begin) and result.stderr.count('\n') == 1
+    assert_message(result.stderr.removesuffix('\n'))
 
 
 @pytest.mark.parametrize('strict', [False, True])
@@ -123,17 +120,12 @@ def test_run_writes_what_was_asked_for(tmp_path, capsys):
         run.main(['exact_harmonic_oscillator', *options])
     assert run.main(['exact_harmonic_oscillator', '--duration', '1', *options, '--force']) == 0
     assert len(files['csv'].read_text().splitlines()) == 2 * len(trajectory.t)
-    same = str(tmp_path / 'a.png')
-    with refused(ParameterError):
-        run.main(['exact_harmonic_oscillator', '--plot', same, '--portrait', same])
-    with refused(ParameterError):
-        run.main(['exact_harmonic_oscillator', '--csv', '/dev/null', '--force'])
-    with refused(ParameterError):
-        run.main(['exact_harmonic_oscillator', '--csv', str(tmp_path / 'nowhere' / 'a.csv')])
-    link = tmp_path / 'link.csv'
+    same, link = str(tmp_path / 'a.png'), tmp_path / 'link.csv'
     link.symlink_to(tmp_path / 'elsewhere' / 'a.csv')
-    with refused(ParameterError):
-        run.main(['exact_harmonic_oscillator', '--csv', str(link)])
+    for wrong in (['--plot', same, '--portrait', same], ['--csv', '/dev/null', '--force'],
+                  ['--csv', str(tmp_path / 'nowhere' / 'a.csv')], ['--csv', str(link)]):
+        with refused(ParameterError):
+            run.main(['exact_harmonic_oscillator', *wrong])
 
 
 def test_new_scene_is_one_that_runs_and_is_checked_by_editors(tmp_path, capsys):
@@ -200,17 +192,6 @@ def test_completion_offers_commands_options_and_scenes(tmp_path, capsys):
     assert {'hnn', *ORDERS} <= {*offered('hnn', 'import_checkpoint', '--order')}
     assert completion.main(['zsh']) == 0
     assert capsys.readouterr().out.startswith('#compdef hnn\n')
-
-
-@pytest.mark.parametrize('words, said', [
-    ([], 'say what to do: --list, --explain, '), (['pendulum'], 'say what to do with pendulum: '),
-    (['--list', '--robot', 'a.urdf'], '--robot is for a new scene: add --new'),
-    (['--new'], 'FILE is missing')])
-def test_scene_without_a_task_says_which_there_are(words, said, capsys):
-    with pytest.raises(SystemExit):
-        scene_tool.main(words)
-    printed = capsys.readouterr().err
-    assert said in printed and printed.count('\n') == 1
 
 
 def test_long_work_without_a_terminal_says_how_long_it_takes(monkeypatch, capsys):

@@ -58,19 +58,25 @@ def test_robot_stays_where_it_is_said_to_rest(robot):
     assert np.abs(simulation.q - q).max() < 1e-4
 
 
+def new_scene(folder: Path, robot: str) -> Path:
+    """Write the scene of a robot, given as the text of its URDF; return its path."""
+    (folder / 'robot.urdf').write_text(robot)
+    return write_scene(str(folder / 'robot.urdf'), folder / 'new.yaml')
+
+
 def test_joint_that_moves_next_to_nothing_gets_a_rotor(tmp_path):
-    (tmp_path / 'robot.urdf').write_text(chain([1.0, 1e-6], [1.0, 0.1]))
-    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
+    scene = load_scene(new_scene(tmp_path, chain([1.0, 1e-6], [1.0, 0.1])))
     # The first link has m l^2 = 1 kg m2, of which the second one feels 1e-8.
     assert scene.hamiltonian.rotor_inertia == {'j2': pytest.approx(1e-3, rel=1.0)}
     # As above without rotors: two small motions, of which the faster one has 3.2 rad/s.
     assert scene.step_size == 0.01
 
 
-def test_new_scene_names_joints_limits_and_what_is_held(tmp_path):
-    (tmp_path / 'robot.urdf').write_text(TREE)
-    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
-    text = (tmp_path / 'new.yaml').read_text()
+def test_new_scene_names_joints_limits_and_what_is_held_and_tells_what_follows_another(
+        tmp_path, capsys):
+    path = new_scene(tmp_path, TREE)
+    assert 'follower at 0: it follows finger' in capsys.readouterr().err
+    scene, text = load_scene(path), path.read_text()
     assert ('- rail     # prismatic, -0.5 to 0.5 m, damping 2.5 N s/m, friction 0.5 N\n'
             '    - wrist    # revolute, -2 to 1.5 rad\n') in text
     assert 'follower: 0.0   # [m]\n' in text and 'ratio squared [kg m2], [kg].\n' in text
@@ -84,8 +90,7 @@ def test_new_scene_names_joints_limits_and_what_is_held(tmp_path):
 
 def test_robot_that_stands_upright_at_zero_rests_hanging(tmp_path):
     """The lengths are turned over: both rods point up where the angles are zero."""
-    (tmp_path / 'robot.urdf').write_text(chain([1.0, 1.0], [-1.0, -0.7]))
-    scene = load_scene(write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml'))
+    scene = load_scene(new_scene(tmp_path, chain([1.0, 1.0], [-1.0, -0.7])))
     rest = resting_state(build(scene).hamiltonian)
     assert np.abs(rest) == pytest.approx([np.pi, 0.0], abs=2e-6)
     assert scene.effects == []
@@ -110,28 +115,19 @@ NO_ROOM = '<limit lower="0" upper="0" effort="0" velocity="0"/>'
 def test_joint_with_limits_of_zero_is_named_with_what_was_done(joints, tmp_path, capsys):
     text = chain([1.0] * joints, [1.0] * joints).replace(
         f'name="j{joints}" type="continuous">', f'name="j{joints}" type="revolute">{NO_ROOM}')
-    (tmp_path / 'robot.urdf').write_text(text)
     if joints == 1:
         with refused(ModelError):
-            write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+            new_scene(tmp_path, text)
     else:
-        write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
+        new_scene(tmp_path, text)
         assert capsys.readouterr().err == (
             'held, as locked in the scene says: j2 at 0: limits 0 and 0 leave no room\n')
-
-
-def test_joint_that_follows_another_is_held_and_told(tmp_path, capsys):
-    (tmp_path / 'robot.urdf').write_text(TREE)
-    write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
-    assert 'follower at 0: it follows finger' in capsys.readouterr().err
 
 
 def test_units_of_slides_are_those_of_lengths(tmp_path):
     text = TREE.replace('type="revolute"', 'type="prismatic"').replace(
         '"continuous">', '"prismatic">')
-    (tmp_path / 'robot.urdf').write_text(text)
-    write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'new.yaml')
-    text = (tmp_path / 'new.yaml').read_text()
+    text = new_scene(tmp_path, text).read_text()
     assert 'rad' not in text and 'N m' not in text and 'kg m2' not in text
     assert '# [m/s]\n' in text and 'squared [kg].' in text
     assert 'joints [N], [N], [N], [N], [N]:' in text
@@ -159,9 +155,8 @@ def test_robot_that_is_not_there_is_said(tmp_path, monkeypatch):
 @pytest.mark.parametrize('masses, lengths', [
     ([1e-300, 1e-300], [1.0, 1.0]), ([1.0, 1.0], [1e12, 1e-12]), ([1e-300, 1e12], [1.0, 1e-9])])
 def test_scene_of_a_robot_of_any_sizes_is_valid_or_refused_in_a_line(masses, lengths, tmp_path):
-    (tmp_path / 'robot.urdf').write_text(chain(masses, lengths))
     try:
-        scene = write_scene(str(tmp_path / 'robot.urdf'), tmp_path / 'robot.yaml')
+        scene = new_scene(tmp_path, chain(masses, lengths))
     except ModelError as refused:
         assert 'robot.urdf: where it rests' in str(refused) and '\n' not in str(refused)
     else:

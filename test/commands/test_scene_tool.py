@@ -7,15 +7,16 @@ import math
 import os
 from pathlib import Path
 import re
-import subprocess
-import sys
 
 from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.run.scene_report import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
+from messages import assert_message
 import pytest
+from python_process import run_code
+from scene_files import write_scene
 
 ROOT = Path(__file__).parents[2]
 SCHEMA = json.loads(json_schema(Scene, 'A scene of hnn_vi_ros'))
@@ -61,18 +62,18 @@ def test_check_places_an_effect_that_the_method_cannot_take(tmp_path, capsys):
     wrong = tmp_path / 'wrong.yaml'
     wrong.write_text(text.replace('generalized_leapfrog', 'rk4'))
     assert main(['--check', str(wrong)]) == 1
-    error = capsys.readouterr().err
-    assert error.count('\n') == 1
-    assert 'thermostat' in error and 'rk4' in error and 'generalized_leapfrog' in error
+    assert_message(capsys.readouterr().err.removesuffix('\n'))
 
 
 @pytest.mark.parametrize('arguments', [
     [], ['--check'], ['--list', '--schema'], ['--new'], ['--list', '--out', 'a.yaml'],
-    ['--explain'], ['--explain', 'a', 'b'], ['kepler']])
-def test_wrong_usage_exits_2(arguments: list[str]):
+    ['--explain'], ['--explain', 'a', 'b'], ['kepler'], ['--list', '--robot', 'a.urdf'],
+    ['--list', '--no-rescue']])
+def test_wrong_usage_exits_2_and_says_which_tasks_there_are(arguments: list[str], capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code == 2
+    assert_message(capsys.readouterr().err.removesuffix('\n'))
 
 
 def test_list_names_every_scene_and_marks_those_without_their_model(
@@ -120,48 +121,44 @@ def described(scene: Scene) -> str:
     return '\n'.join(lines)
 
 
-DAMPED = """\
-hamiltonian: {kind: harmonic_oscillator, stiffness: 2}
-effects: [{kind: damping, rate: 0.1}, {kind: damping, rate: [0.2]}]
-integrator: {kind: symplectic_euler}
-step_size: 0.01
-initial_state: {q: [-1.5], p: [0.0]}
-"""
+@pytest.fixture
+def damped(tmp_path) -> Path:
+    return write_scene(
+        tmp_path / 'mine.yaml', 'harmonic_oscillator, stiffness: 2',
+        '{kind: damping, rate: 0.1}, {kind: damping, rate: [0.2]}', 'symplectic_euler', q=[-1.5])
 
 
-def test_explain_tells_the_system_and_what_each_effect_is(tmp_path):
-    path = tmp_path / 'mine.yaml'
-    path.write_text(DAMPED)
-    out = described(load_scene(path))
-    for expected in (
-            r'hamiltonian harmonic_oscillator: A mass on a linear spring, H',
-            r'stiffness = 2.0: k > 0 \[N/m\]', r'coordinate x \[m\] from -1.5',
-            r'effect damping: Linear damping', r'rate = 0.1: gamma >= 0 \[1/s\]', r'does work',
-            r'rate = \[0.2\]: ', r'integrator symplectic_euler: ',
-            r'order 1, step_size = 0.01 \[s\]', r'conservative: no'):
-        assert re.search(expected, out), expected
+def assert_told(out: str, *expected: str) -> None:
+    for words in expected:
+        assert re.search(words, out), words
+
+
+def test_explain_tells_the_system_and_what_each_effect_is(damped):
+    assert_told(
+        described(load_scene(damped)),
+        r'hamiltonian harmonic_oscillator: A mass on a linear spring, H',
+        r'stiffness = 2.0: k > 0 \[N/m\]', r'coordinate x \[m\] from -1.5',
+        r'effect damping: Linear damping', r'rate = 0.1: gamma >= 0 \[1/s\]', r'does work',
+        r'rate = \[0.2\]: ', r'integrator symplectic_euler: ',
+        r'order 1, step_size = 0.01 \[s\]', r'conservative: no')
 
 
 # Two of a kind: leaving out the one or the other leaves the same kernel, compiled once.
 @pytest.mark.long
-def test_explain_tells_what_each_effect_adds(tmp_path, capsys):
-    path = tmp_path / 'mine.yaml'
-    path.write_text(DAMPED)
-    assert main(['--explain', str(path)]) == 0
-    out = capsys.readouterr().out
-    for expected in (
-            r'conservative: no', r'Lyapunov time: none found within [\d.e+]+ s: .* regular',
-            r'time per step: \d+\.\d+ us', r'bare integrator: \d+\.\d+ us',
-            r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us'):
-        assert re.search(expected, out), expected
+def test_explain_tells_what_each_effect_adds(damped, capsys):
+    assert main(['--explain', str(damped)]) == 0
+    assert_told(
+        capsys.readouterr().out, r'conservative: no',
+        r'Lyapunov time: none found within [\d.e+]+ s: .* regular',
+        r'time per step: \d+\.\d+ us', r'bare integrator: \d+\.\d+ us',
+        r'damping_0 adds -?\d+\.\d+ us', r'damping_1 adds -?\d+\.\d+ us')
 
 
 def test_explain_tells_where_a_body_starts_column_by_column():
-    out = described(load_scene('heavy_top'))
-    for expected in (
-            r'  rotation attitude: attitude_qx \[1\] from 0.258819, .*_qw \[1\] from 0.96',
-            r'  rotation attitude, momenta: attitude_rx \[kg m2/s\] from 0, .*_rz .* from 6\n'):
-        assert re.search(expected, out), expected
+    assert_told(
+        described(load_scene('heavy_top')),
+        r'  rotation attitude: attitude_qx \[1\] from 0.258819, .*_qw \[1\] from 0.96',
+        r'  rotation attitude, momenta: attitude_rx \[kg m2/s\] from 0, .*_rz .* from 6\n')
 
 
 @pytest.mark.parametrize('time, said', [(12.34, 'Lyapunov time: 12.3 s: the motion is chaotic'), (
@@ -180,12 +177,10 @@ def test_explain_tells_what_auto_chose_and_that_a_regular_motion_is_not_chaotic(
                     'integrator: {kind: auto, energy_error: 1.0e-5, horizon: 100.0}\n'
                     'initial_state: {q: [2.5], p: [0.0]}\n')
     assert main(['--explain', str(path)]) == 0
-    out = capsys.readouterr().out
-    for expected in (r'integrator (gauss\d+|stormer_verlet): ', r'step_size = [\d.e-]+ \[s\]',
-                     r'chose .* for energy_error 1e-05 of [\d.]+ J up to 100 s',
-                     r'Lyapunov time: none found within [\d.e+]+ s',
-                     r'time per step: \d+\.\d+ us'):
-        assert re.search(expected, out), expected
+    assert_told(
+        capsys.readouterr().out, r'integrator (gauss\d+|stormer_verlet): ',
+        r'step_size = [\d.e-]+ \[s\]', r'chose .* for energy_error 1e-05 of [\d.]+ J up to 100 s',
+        r'Lyapunov time: none found within [\d.e+]+ s', r'time per step: \d+\.\d+ us')
 
 
 @pytest.mark.long
@@ -208,12 +203,9 @@ def test_measure_effects_of_a_scene_without_effects_is_its_bare_integrator():
 
 
 def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effect(tmp_path):
-    path = tmp_path / 'mine.yaml'
-    # In each step explicit Euler makes the state a thousand times larger, unless it is damped.
-    path.write_text(
-        'hamiltonian: {kind: harmonic_oscillator}\neffects: [{kind: damping, rate: 3.0}]\n'
-        'integrator: {kind: explicit_euler}\nstep_size: 1000.0\n'
-        'initial_state: {q: [1.0], p: [0.0]}\n')
+    # In its third step explicit Euler overflows, unless it is damped.
+    path = write_scene(tmp_path / 'mine.yaml', 'harmonic_oscillator, stiffness: 1.0e+150',
+                       '{kind: damping, rate: 3.0}', 'explicit_euler', 1000.0)
     costs = measure_effects(load_scene(path).parts(), batches=3, batch_time=2e-3)
     assert costs.total > 0.0 and math.isnan(costs.bare) and math.isnan(costs.added['damping'])
 
@@ -221,7 +213,7 @@ def test_measure_effects_knows_no_time_of_a_scene_that_cannot_do_without_an_effe
 def test_scene_that_was_compiled_compiles_nothing_when_it_starts():
     assert main(['--compile', 'exact_pendulum']) == 0
     code = STARTED.format(scene='exact_pendulum')
-    assert subprocess.check_output([sys.executable, '-c', code], timeout=300) == b'\n'
+    assert run_code(code, check=True).stdout == '\n'
 
 
 @pytest.mark.long
@@ -237,8 +229,7 @@ def test_scenes_that_were_compiled_compile_nothing_when_they_start(tmp_path):
     environment = os.environ | {'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
 
     def run(code: str) -> str:
-        return subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                              check=True, timeout=300, env=environment).stdout
+        return run_code(code, check=True, env=environment).stdout
 
     def start(scene: Path) -> str:
         return run(STARTED.format(scene=str(scene)))
@@ -259,9 +250,3 @@ def test_compile_says_what_is_wrong_with_a_scene_and_compiles_the_others(capsys)
     captured = capsys.readouterr()
     assert captured.out.startswith('exact_pendulum: compiled in ')
     assert captured.err.startswith("scene: no scene 'nothing'")
-
-
-def test_no_rescue_is_for_compile(capsys):
-    with pytest.raises(SystemExit):
-        main(['--list', '--no-rescue'])
-    assert '--no-rescue is for --compile' in capsys.readouterr().err
