@@ -9,6 +9,7 @@ import signal
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from executables import Executable
 from lifecycle_msgs.srv import ChangeState, GetState
 from processes import finish, start
@@ -23,9 +24,15 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 SIMULATOR = '/hnn_simulator'
+# Topics of each tick.
+TICK_TYPES = {
+    '/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
+    '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
+    '/joint_states': JointState}
 # Transitions and states by number, as lifecycle_msgs has them.
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
 UNCONFIGURED_SHUTDOWN, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN = 5, 6, 7
@@ -161,10 +168,32 @@ class Peer:
         return rclpy.parameter.parameter_value_to_python(value)
 
 
+class Listener(Peer):
+    """A peer that keeps the serialised messages of each tick, with the wall time of each [ns]."""
+
+    def __init__(self, depth: int = 10_000):
+        super().__init__()
+        self.heard: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in TICK_TYPES}
+        for topic, kind in TICK_TYPES.items():
+            self.node.create_subscription(
+                kind, topic, lambda data, topic=topic: self.heard[topic].append(
+                    (time.monotonic_ns(), bytes(data))), depth, raw=True)
+
+    @property
+    def received(self) -> dict[str, list[bytes]]:
+        """Return the messages by their topic."""
+        return {topic: [data for _, data in heard] for topic, heard in self.heard.items()}
+
+    @property
+    def counts(self) -> set[int]:
+        """Return how many messages the topics have had."""
+        return {len(messages) for messages in self.heard.values()}
+
+
 @contextmanager
-def peer() -> Iterator[Peer]:
+def peer(kind: Callable[[], Peer] = Peer) -> Iterator[Any]:
     """Enter the graph for a while."""
-    found = Peer()
+    found = kind()
     try:
         yield found
     finally:
@@ -216,6 +245,11 @@ def hearing(kind: type, topic: str) -> Iterator[tuple[list, SingleThreadedExecut
         messages: list = []
         node.create_subscription(kind, topic, messages.append, 10)
         yield messages, executor
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a diagnostic status."""
+    return {item.key: item.value for item in status.values}
 
 
 def stamp(message: JointState) -> int:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from helpers import content_of
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
@@ -23,6 +24,7 @@ from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
 from mcap.writer import Writer
 import numpy as np
+from peer import TICK_TYPES
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 
@@ -165,3 +167,9 @@ def assert_agrees(bag: Path, samples: int | None = None) -> None:
     verdict = check_replay(bag)
     assert verdict.good, verdict.text
     assert samples is None or f'{samples} samples agree bit by bit' in verdict.text, verdict.text
+
+
+def recorded_messages(bag: Path) -> dict[str, list[bytes]]:
+    """Return the messages of the topics of each tick, in a bag that is not damaged."""
+    messages = content_of(bag)
+    return {topic: [data for name, _, data in messages if name == topic] for topic in TICK_TYPES}

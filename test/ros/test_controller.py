@@ -11,7 +11,6 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.ros.controller_node import state_of
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.messages import encode_state
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
@@ -21,6 +20,7 @@ from peer import peer, SIMULATOR
 from processes import finish, refusal, standard_error, start, start_executable, wait_until
 import pytest
 from rclpy.serialization import deserialize_message
+from recorded import assert_agrees
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -69,18 +69,15 @@ def test_controller_swings_up_a_pendulum_and_what_neither_can_use_changes_nothin
         'period:', 'silence: 1.0\nperiod:'))
     controller = commanding(tmp_path, task='task.yaml')
     with peer() as other:
-        heard: list[JointState] = []
-        other.node.create_subscription(
-            JointState, f'{SIMULATOR}/joint_commands', heard.append, 100)
+        heard = other.hear(JointState, '~/joint_commands', 100)
         other.spin_until(lambda: heard and other.states)
         assert other.pause().success
         wait_until(lambda: 'no usable state for 1 s: commands are zero' in standard_error(
             controller))
         assert other.set_parameters(step_count=5, reset_time=True).successful
         assert other.trigger('reset').success
-        told: list[DiagnosticArray] = []
-        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
-        hostile = other.node.create_publisher(JointState, '/joint_states', 10)
+        told = other.hear(DiagnosticArray, '/diagnostics')
+        hostile = other.publisher(JointState, '/joint_states', 10)
         there = 0
         for k in range(1500):
             if k == 10:
@@ -105,8 +102,7 @@ def test_controller_swings_up_a_pendulum_and_what_neither_can_use_changes_nothin
     # It says once that it has nothing to answer, and ends with zeros.
     assert standard_error(controller).count('no usable state') == 1
     bag = tmp_path / 'bag-3'
-    verdict = check_replay(bag)
-    assert verdict.good, verdict.text
+    assert_agrees(bag)
     topics = {topic for _, topic, _ in RecordedRun(bag).commands()}
     assert topics == {f'{SIMULATOR}/joint_commands'}
 
@@ -122,17 +118,12 @@ def test_time_out_of_the_simulator_ends_the_command_of_a_controller_that_hangs_o
     simulator = start(tmp_path, scene='quadrotor', publish_rate=50.0)
     controller = commanding(tmp_path, task='hover', commands='commands')
     with peer() as other:
-        told: list[DiagnosticArray] = []
-        heard: list[Float64MultiArray] = []
-        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
-        other.node.create_subscription(
-            Float64MultiArray, f'{SIMULATOR}/commands', heard.append, 100)
-
+        told = other.hear(DiagnosticArray, '/diagnostics')
+        heard = other.hear(Float64MultiArray, '~/commands', 100)
         other.spin_until(lambda: float(figures(told).get('commands [1]', 0)) > 10)
         assert figures(told)['mode'] == 'hover'
         assert len(heard[-1].data) == 4
-        states: list[JointState] = []
-        other.node.create_subscription(JointState, f'{SIMULATOR}/state', states.append, 100)
+        states = other.hear(JointState, '~/state', 100)
 
         def falls() -> bool:
             """Look at the last states: they lose momentum freely, but for the drag."""
@@ -150,8 +141,7 @@ def test_time_out_of_the_simulator_ends_the_command_of_a_controller_that_hangs_o
 
 
 def test_controller_that_cannot_begin_says_why_in_one_line():
-    for parameter in ('task:=swing_upp', 'simulator:=not a name', 'commands:=torques'):
+    # The last at a line of the file of the shipped task.
+    for parameter in ('task:=swing_upp', 'simulator:=not a name', 'commands:=torques',
+                      'scene:=kepler'):
         assert_message(refusal('controller', '--ros-args', '-p', parameter))
-    # At a line of the file of the shipped task.
-    line = refusal('controller', '--ros-args', '-p', 'scene:=kepler')
-    assert line.endswith("inputs: no coordinate 'angle'; valid coordinates: x, y")

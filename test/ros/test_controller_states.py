@@ -15,12 +15,12 @@ from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import Lasting
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
 from messages import refused
+from peer import ros, values_of
 from processes import wait_until
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -81,8 +81,7 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControllerN
     task = tmp_path_factory.mktemp('task') / 'task.yaml'
     task.write_text(shipped_file('task', 'swing_up').read_text())
     arguments = ['--ros-args', '-p', f'task:={task}']
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    try:
+    with ros(*arguments):
         node, executor = ControllerNode(arguments), SingleThreadedExecutor()
         executor.add_node(node)
         executor.create_task(node.autostart)
@@ -90,8 +89,6 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControllerN
         assert node._silence == SILENCE and node._assigned.task.period == PERIOD
         yield node
         node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
 
 
 @pytest.fixture
@@ -202,8 +199,7 @@ def test_states_that_come_less_often_than_a_period_are_told_once(
     assert status.level == level
     lines = [line for line in driven.log if 'less often than a period of 0.01 s' in line]
     assert len(lines) == (level == WARN)
-    assert {value.key: value.value for value in status.values}[
-        'from_command_to_command [s]'] == f'{every * PERIOD:g}'
+    assert values_of(status)['from_command_to_command [s]'] == f'{every * PERIOD:g}'
 
 
 @contextmanager

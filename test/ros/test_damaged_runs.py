@@ -5,10 +5,9 @@
 from collections import Counter
 import os
 from pathlib import Path
-import random
 import shutil
 
-from bags.bag_mutations import joined, KINDS, Mutant, mutant, opcode_flips, records_of
+from bags.bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC
@@ -20,29 +19,24 @@ from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.opcode import Opcode
 import pytest
 from recorded import record_run
+from scene_files import write_scene
 
 # Of each kind in `make test-long`; from 50 on with the opcode of every record flipped in all ways.
 MUTATIONS = int(os.environ.get('HNN_VI_ROS_MUTATIONS', '4'))
 TICKS = 60
 DATA = BagData.model_validate({'kind': 'bag', 'joints': ['angle'], 'commands': 'commands',
                                'stamps': 'log'})
-SCENE = """\
-hamiltonian: {kind: pendulum}
-effects: [{kind: external_force, coordinates: [angle], timeout: 0.1}]
-integrator: {kind: generalized_leapfrog}
-step_size: 0.005
-initial_state: {q: [1.0], p: [0.0]}
-"""
 
 
 @pytest.fixture(scope='module')
 def bag(tmp_path_factory) -> Path:
     """Return a bag of ours of a driven run, in chunks of some samples."""
     folder = tmp_path_factory.mktemp('run')
-    (folder / 'scene.yaml').write_text(SCENE)
+    scene = write_scene(folder / 'scene.yaml', 'pendulum', (
+        '{kind: external_force, coordinates: [angle], timeout: 0.1}'), step_size=0.005)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**13)
-        return record_run(folder / 'bag', load_scene(folder / 'scene.yaml'), TICKS,
+        return record_run(folder / 'bag', load_scene(scene), TICKS,
                           commands={step: [[0.01 * step]] for step in range(0, 100, 7)})
 
 
@@ -65,17 +59,6 @@ def content_of(bag: Path) -> Counter[tuple[str, int, bytes]]:
     return Counter((reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages())
 
 
-def mutants(content: bytes, other: bytes, count: int) -> list[Mutant]:
-    rng = random.Random(17)
-    drawn = [mutant(content, other, kind, rng) for kind in KINDS for _ in range(count)]
-    joints, doubles = list(joined(content, other)), list(joined(content, content))
-    flips = list(opcode_flips(content))
-    if count < 50:
-        every = 3 if count > 1 else 12
-        joints, doubles, flips = joints[::every], doubles[::every], flips[::40 * every]
-    return drawn + flips + joints + [found._replace(kind='double') for found in doubles]
-
-
 @pytest.mark.timeout(120 + 60 * MUTATIONS)
 @pytest.mark.parametrize('count', [1, pytest.param(MUTATIONS, marks=pytest.mark.long)])
 @pytest.mark.parametrize('end', ['killed', 'finished'])
@@ -88,7 +71,8 @@ def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
     states = sum(count for (topic, *_), count in whole.items() if topic.endswith('/state'))
     rows = len(read_bags([bag], DATA).t)
     outcomes = Counter[tuple[str, ...]]()
-    for found in mutants(content, other, count):
+    every = 1 if count >= 50 else 3 if count > 1 else 12
+    for found in mutants(content, other, count, every, 1 if count >= 50 else 40 * every):
         path = tmp_path / 'bag' / 'bag_0.mcap'
         shutil.rmtree(path.parent, ignore_errors=True)
         path.parent.mkdir()
@@ -162,20 +146,22 @@ def used_openly(bag: Path, rows: int, cut_off: bool, caplog: pytest.LogCaptureFi
                 found: Mutant) -> None:
     """Read a bag as `train`, `evaluate` and `resume` do: what it lacks is told."""
     caplog.clear()
-    try:
+
+    def rows_of_training() -> None:
         there = len(read_bags([bag], DATA).t)
         assert there == rows or cut_off or 'warning' in caplog.text, found.description
-    except HnnViRosError as problem:
-        assert '\n' not in str(problem), found.description
-    try:
+
+    def motions() -> None:
         motions, told = read_bag_motions([bag], BagMotions(), ['angle'])
         there = sum(len(motion.t) for motion in motions)
         assert there == TICKS or cut_off or 'damaged' in told or 'count' in told, (
             found.description, told)
-    except HnnViRosError as problem:
-        assert '\n' not in str(problem), found.description
-    try:
+
+    def resumption() -> None:
         resumed = resume(bag)
         assert resumed.step == 2 * TICKS or cut_off or resumed.damage, found.description
-    except HnnViRosError as problem:
-        assert '\n' not in str(problem), found.description
+    for use in (rows_of_training, motions, resumption):
+        try:
+            use()
+        except HnnViRosError as problem:
+            assert '\n' not in str(problem), found.description

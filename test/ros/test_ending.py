@@ -1,9 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes started for real and interrupted, more than once: their end and what they say."""
+"""Processes started for real: their end, whatever interrupts them or becomes of their streams."""
 
 from datetime import datetime
 from pathlib import Path
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from hnn_vi_ros.ros.plumbing.starting import note_signals
 from hnn_vi_ros.run import run_folder
 from messages import refused
 from peer import ACTIVATE, CONFIGURE, DEACTIVATE, peer, simulating
-from processes import finish, read_bag, refusal, start, start_executable
+from processes import finish, read_bag, refusal, simulator_words, start, start_executable
 import pytest
 
 SCENE = 'exact_harmonic_oscillator'
@@ -151,7 +152,8 @@ def test_run_folders_of_two_processes_in_one_second_differ(tmp_path, monkeypatch
     assert len(set(folders)) == 100 and all(Path(folder).is_dir() for folder in folders)
 
 
-def test_run_folder_that_another_process_makes_in_between_is_left_to_it(tmp_path, monkeypatch):
+def test_run_folder_is_named_for_the_scene_and_the_second_and_that_of_another_is_left_to_it(
+        tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     mkdir, made = Path.mkdir, []
 
@@ -164,6 +166,7 @@ def test_run_folder_that_another_process_makes_in_between_is_left_to_it(tmp_path
     monkeypatch.setattr(Path, 'mkdir', first_the_other)
     folder = run_folder.create_run_folder('a', Path())
     assert folder != made[0] and folder.is_dir()
+    assert datetime.strptime(made[0].name, 'a-%Y%m%dT%H%M%SZ')
 
 
 def test_run_folder_beside_a_file_named_runs_is_refused_in_a_line(tmp_path, monkeypatch):
@@ -171,12 +174,6 @@ def test_run_folder_beside_a_file_named_runs_is_refused_in_a_line(tmp_path, monk
     (tmp_path / 'runs').write_text('')
     with refused(RecordingError):
         run_folder.create_run_folder('a', Path())
-
-
-def test_run_folder_is_named_for_the_scene_and_the_second(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    folder = run_folder.create_run_folder('a', Path())
-    assert datetime.strptime(folder.name, 'a-%Y%m%dT%H%M%SZ')
 
 
 def test_security_without_its_libraries_is_one_line(tmp_path, monkeypatch):
@@ -198,3 +195,55 @@ def test_folder_for_logs_that_cannot_be_made_is_refused_with_the_remedy(tmp_path
     monkeypatch.setenv('ROS_LOG_DIR', '/dev/null/logs')
     status, _, error = finish(start_executable('listener', folder=tmp_path))
     assert status == 1 and error.count('\n') == 1 and 'set ROS_LOG_DIR to' in error
+
+
+SAMPLES = 100
+
+
+def simulate(folder: Path, redirection: str) -> subprocess.CompletedProcess:
+    """Run a simulator by a shell that redirects its outputs; what is left of them is captured."""
+    words = ' '.join(simulator_words(
+        duration=SAMPLES / 100, real_time_factor=0.0, record_path='bag',
+        rerun_path='picture.rrd'))
+    code = 'from hnn_vi_ros.cli import simulator; simulator()'
+    return subprocess.run(
+        f'"{sys.executable}" -c "{code}" {words} {redirection}', shell=True,
+        executable='/bin/bash', cwd=folder, capture_output=True, text=True, timeout=120,
+        check=False)
+
+
+@pytest.mark.parametrize('redirection, reason', [
+    ('>/dev/full', 'No space left on device'), ('<&- >&- 2>&-', ''), *(
+        pytest.param(*case, marks=pytest.mark.long) for case in (
+            ('>&-', 'Bad file descriptor'), ('> >(true)', 'Broken pipe'), ('2>&-', ''),
+            ('2>/dev/full', '')))])
+def test_bag_is_complete_and_one_line_tells_what_is_lost(tmp_path, redirection, reason):
+    result = simulate(tmp_path, redirection)
+    # The files are what the run is for, and they are all there.
+    assert result.returncode == 0
+    assert len(read_bag(tmp_path / 'bag')['/hnn_simulator/q']) == SAMPLES
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+    lines = [line for line in result.stderr.splitlines() if 'standard output' in line]
+    assert len(lines) == bool(reason) and all(reason in line for line in lines)
+    assert 'Traceback' not in result.stdout + result.stderr
+    # No file has taken the place of an output that was closed.
+    mcap = (tmp_path / 'bag' / 'bag_0.mcap').read_bytes()
+    assert mcap.startswith(b'\x89MCAP') and b'[INFO]' not in mcap
+
+
+def test_bag_is_complete_when_the_working_directory_is_removed(tmp_path):
+    folder = tmp_path / 'gone'
+    folder.mkdir()
+    process = start(folder, record_path=tmp_path / 'bag', rerun_path=tmp_path / 'picture.rrd')
+    with peer() as other:
+        other.spin_until(lambda: len(other.states) > 20)
+        shutil.rmtree(folder)
+        assert other.trigger('reset').success
+        count = len(other.states)
+        other.spin_until(lambda: len(other.states) > count + 20)
+    process.send_signal(signal.SIGINT)
+    status, out, _ = finish(process)
+    assert status == 0
+    for name in ('bag', 'bag-2'):
+        assert len(read_bag(tmp_path / name)['/hnn_simulator/q']) > 15
+        assert str(tmp_path / name) in out

@@ -5,7 +5,6 @@
 import os
 from pathlib import Path
 import re
-import subprocess
 import sys
 
 from hnn_vi_ros.commands import doctor
@@ -13,7 +12,9 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
 from hnn_vi_ros.scene import load_scene
 from messages import refused
+from processes import simulator_words
 import pytest
+from python_process import run_code
 from recorded import record_run
 
 NAMES = ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE', 'RMW_IMPLEMENTATION')
@@ -61,27 +62,19 @@ def test_middleware_is_not_judged_where_no_index_tells_of_any(tmp_path, monkeypa
     settle_ros_environment()
 
 
-def test_wheels_of_this_environment_are_found_or_what_is_missing_is_told(tmp_path, monkeypatch):
-    monkeypatch.delenv('AMENT_PREFIX_PATH')
+@pytest.mark.parametrize('prefix', ['', '/workspace'])
+def test_wheels_of_this_environment_complete_a_prefix_or_what_is_missing_is_told(
+        tmp_path, monkeypatch, prefix):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', prefix)
     monkeypatch.setattr(sys, 'prefix', str(tmp_path / 'empty'))
     with refused(ParameterError):
         settle_ros_environment()
     monkeypatch.setattr(sys, 'prefix', str(tmp_path))
     settle_ros_environment()
-    assert os.environ['AMENT_PREFIX_PATH'] == str(tmp_path)
+    assert os.environ['AMENT_PREFIX_PATH'] == f'{prefix}:{tmp_path}'.lstrip(':')
     monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_mine')
     with refused(ParameterError):
         settle_ros_environment()
-
-
-def test_prefix_without_ros_is_completed_by_that_of_the_wheels_or_told(tmp_path, monkeypatch):
-    monkeypatch.setenv('AMENT_PREFIX_PATH', '/workspace')
-    monkeypatch.setattr(sys, 'prefix', '/nowhere')
-    with refused(ParameterError):
-        settle_ros_environment()
-    monkeypatch.setattr(sys, 'prefix', str(tmp_path))
-    settle_ros_environment()
-    assert os.environ['AMENT_PREFIX_PATH'] == f'/workspace:{tmp_path}'
 
 
 @from_wheels
@@ -99,9 +92,8 @@ def test_doctor_names_the_distribution_and_where_it_was_found(prefix, monkeypatc
 def test_simulator_runs_where_only_the_interpreter_tells_where_ros_is():
     code = ("import os; os.environ.pop('AMENT_PREFIX_PATH', None); "
             'from hnn_vi_ros.cli import simulator; simulator()')
-    result = subprocess.run(
-        [sys.executable, '-c', code, '--ros-args', '-p', 'duration:=0.1', '-p', 'record:=false',
-         '-p', 'rerun_sink:=none'], capture_output=True, text=True, timeout=120, check=False,
+    result = run_code(
+        code, *simulator_words(duration=0.1),
         env={name: value for name, value in os.environ.items() if name != 'AMENT_PREFIX_PATH'})
     assert (result.returncode, 'Traceback' in result.stderr) == (0, False), result.stderr
 
@@ -114,9 +106,8 @@ def test_bag_names_the_distribution_that_it_was_recorded_with(tmp_path, monkeypa
 
 def test_node_says_it_before_ros_ends_the_process():
     # The wheels' library ends the process, with status 102, while it is loaded.
-    result = subprocess.run(
-        [sys.executable, '-m', 'hnn_vi_ros', 'listener'], capture_output=True, text=True,
-        env={**os.environ, 'RMW_IMPLEMENTATION': 'rmw_of_nobody'}, timeout=60, check=False)
+    result = run_code('from hnn_vi_ros.cli import main; main()', 'listener',
+                      env={**os.environ, 'RMW_IMPLEMENTATION': 'rmw_of_nobody'})
     assert (result.returncode, result.stdout) == (1, '')
     assert result.stderr.count('\n') == 1
     assert "hnn listener: RMW_IMPLEMENTATION='rmw_of_nobody' is not installed" in result.stderr

@@ -6,14 +6,13 @@ from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.replay.episode_bags import main
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.sweeps.sweep import sweep
 from messages import refused
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from recorded import record_run
+from recorded import assert_agrees, record_run
 import yaml
 
 SWEEP = {'scene': 'brownian_oscillator', 'duration': 0.5, 'every': 5, 'seed': 2, 'vary': [
@@ -35,8 +34,7 @@ def test_bags_of_episodes_are_confirmed_by_replay(bags):
     names = [f'episode-{index:06d}' for index in (1, 2, 3)]
     assert sorted(path.name for path in bags.iterdir()) == names
     for name in names:
-        verdict = check_replay(bags / name)
-        assert verdict.good and '10 samples agree bit by bit, on the machine' in verdict.text
+        assert_agrees(bags / name, 10)
 
 
 def test_bags_of_episodes_hold_the_trajectories_of_the_sweep(bags, tmp_path):

@@ -5,21 +5,17 @@
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import rerun_bridge
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics.outputs import EVENTS
 import numpy as np
-from peer import peer, SIMULATOR
-from processes import finish, start
-import rclpy
+from peer import peer, ros, SIMULATOR, stamp, values_of
+from processes import finish, start, to_file
 from rclpy.serialization import deserialize_message
+from recorded import assert_agrees
+from scene_files import write_scene
 
 # sin t: upwards through 1/2 at pi/6 + 2 pi k, and at its top at pi/2.
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: gauss8}
-step_size: 0.01
-initial_state: {q: [0.0], p: [1.0]}
+EVENTS_OF_SCENE = """\
 events:
   - {when: x = 0.5, direction: up}
   - {when: v_x = 0, then: stop}
@@ -32,16 +28,15 @@ def values(message: DiagnosticArray) -> dict[str, str]:
     status, = message.status
     assert status.name == f'{SIMULATOR[1:]}: event'
     assert status.message.startswith(status.values[0].value)
-    return {item.key: item.value for item in status.values}
+    return values_of(status)
 
 
 def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypatch):
-    (tmp_path / 'events.yaml').write_text(SCENE)
+    write_scene(tmp_path / 'events.yaml', integrator='gauss8', q=[0.0], p=[1.0],
+                more=EVENTS_OF_SCENE)
     process = start(tmp_path, scene='events.yaml', record_path='bag', real_time_factor='0.5')
-    heard = []
     with peer() as other:
-        other.node.create_subscription(
-            DiagnosticArray, f'{SIMULATOR}/events', heard.append, EVENTS.qos)
+        heard = other.hear(DiagnosticArray, '~/events', EVENTS.qos)
         other.spin_until(lambda: len(heard) == 2)
         status, output = finish(process)[:2]
     assert status == 0, output
@@ -51,17 +46,17 @@ def test_events_are_published_recorded_shown_and_end_the_run(tmp_path, monkeypat
     recorded = list(reader.messages([channel]))
     assert len(recorded) == 2
     for message, logged, (when, t) in zip(heard, recorded, EXPECTED, strict=True):
-        found, stamp = values(message), message.header.stamp
+        found = values(message)
         assert found['when'] == when
         # To the nanosecond of a stamp; x and H to round-off.
-        assert abs(stamp.sec + stamp.nanosec * 1e-9 - t) <= 1.1e-9
+        assert abs(stamp(message) * 1e-9 - t) <= 1.1e-9
         assert abs(float(found['x']) - np.sin(t)) < 1e-13
         assert abs(float(found['H [J]']) - 0.5) < 1e-13
         assert deserialize_message(logged.data, DiagnosticArray) == message
-        assert logged.time == stamp.sec * 10**9 + stamp.nanosec
+        assert logged.time == stamp(message)
     # The run ends in the step of the event: no sample comes after it.
     assert reader.last <= recorded[-1].time + 10**7
-    assert check_replay(tmp_path / 'bag').good
+    assert_agrees(tmp_path / 'bag')
     assert_bridge_shows(tmp_path, monkeypatch)
 
 
@@ -76,15 +71,11 @@ def assert_bridge_shows(folder, monkeypatch):
             super().event(text, level, at)
 
     monkeypatch.setattr(rerun_bridge, 'RerunSink', Sink)
-    rclpy.init(args=['--ros-args', '-p', 'rerun_sink:=file', '-p',
-                     f'rerun_path:={folder / "bag.rrd"}'])
-    try:
+    with ros(*to_file(folder / 'bag.rrd')):
         node = RerunBridge()
         assert node.show_bag(folder / 'bag') > 100
         node.close()
         node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
     # A machine that is busy adds alarms of the pace.
     events = [event for event in shown if not event[0].startswith('real-time overrun')]
     assert [(text.partition(' (')[0], level) for text, level, _ in events] == [

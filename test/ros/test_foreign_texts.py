@@ -2,19 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Texts of others, of bags, scenes and models: none of their control characters is printed."""
 
+import json
 from pathlib import Path
 import re
-import subprocess
-import sys
 
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import printable, RecordingError
-from mcap.writer import Writer
 from processes import finish, start_executable
 import pytest
-from recorded import record_run
+from python_process import run_code
+from recorded import copy_channels, record_run, writing
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 import yaml
 
@@ -61,8 +61,7 @@ raise ValueError(evil)
 
 
 def test_streams_show_control_characters_of_what_is_printed_logged_warned_and_raised():
-    result = subprocess.run([sys.executable, '-c', STREAMS, EVIL], capture_output=True,
-                            timeout=60, check=False)
+    result = run_code(STREAMS, EVIL, text=False)
     # Lines end where whoever prints wants it.
     out, error = result.stdout.decode(), result.stderr.decode()
     assert out == 'out ' + SHOWN.replace(r'\n', '\n') + f'\n\r\x1b[K{SHOWN}'
@@ -82,8 +81,7 @@ rclpy.logging.get_logger('other').error(sys.argv[1], once=True)
 
 
 def test_log_of_ros_shows_control_characters():
-    result = subprocess.run([sys.executable, '-c', LOG, EVIL], capture_output=True,
-                            encoding='utf-8', timeout=60, check=False)
+    result = run_code(LOG, EVIL, encoding='utf-8')
     assert result.returncode == 0
     assert result.stderr.count(SHOWN) == 2
     assert_plain(result.stderr)
@@ -96,9 +94,7 @@ def bag(tmp_path_factory) -> Path:
     reader = BagReader(record_run(folder / 'good', load_scene('exact_pendulum'), 20))
     scene = yaml.safe_load(reader.attachment('scene.yaml'))
     path = folder / 'evil.mcap'
-    with path.open('wb') as stream:
-        writer = Writer(stream)
-        writer.start(EVIL, EVIL)
+    with writing(path, EVIL, EVIL) as writer:
         writer.add_attachment(0, 0, 'scene.yaml', EVIL, yaml.safe_dump(
             scene | {'description': EVIL, 'source': f'/{EVIL}'}).encode())
         writer.add_metadata('hnn_vi_ros', dict.fromkeys(reader.metadata('hnn_vi_ros'), EVIL))
@@ -108,16 +104,12 @@ def bag(tmp_path_factory) -> Path:
                 topic, 'cdr', writer.register_schema(kind, 'ros2msg', b''),
                 {'offered_qos_profiles': EVIL})
             writer.add_message(channel, number, b'\0\1\0\0' + bytes(8), 0)
-        channels = {number: writer.register_channel(
-            channel.topic, 'cdr', writer.register_schema(
-                reader.schemas[channel.schema_id].name, 'ros2msg', b''))
-            for number, channel in reader.channels.items()}
+        channels = copy_channels(writer, reader)
         for message in reader.messages():
             writer.add_message(channels[message.channel], message.time, message.data, 0)
         joints, = (channels[number] for number, channel in reader.channels.items()
                    if channel.topic == '/joint_states')
         writer.add_message(joints, 10**9, serialize(JointState(name=[EVIL], position=[1.0])), 0)
-        writer.finish()
     return path
 
 
@@ -129,10 +121,8 @@ def bag(tmp_path_factory) -> Path:
     ('scene', ('--check', '{scene}'), 1)])
 def test_executables_show_control_characters_of_a_file(tmp_path, bag, name, words, status):
     (tmp_path / 'config.yaml').write_text(CONFIG)
-    (tmp_path / 'scene.yaml').write_text(yaml.safe_dump({
-        'hamiltonian': {'kind': EVIL}, 'integrator': {'kind': 'leapfrog'}, 'step_size': 0.1,
-        'initial_state': {'q': [0.0], 'p': [0.0]}}))
-    places = {'bag': bag, 'config': tmp_path / 'config.yaml', 'scene': tmp_path / 'scene.yaml'}
+    places = {'bag': bag, 'config': tmp_path / 'config.yaml', 'scene': write_scene(
+        tmp_path / 'scene.yaml', json.dumps(EVIL))}
     found, out, error = finish(start_executable(
         name, *(word.format(**places) for word in words), folder=tmp_path), 120.0)
     assert_plain(out)

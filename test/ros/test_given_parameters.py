@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that a node does not have are refused, not ignored; QoS can be set in full."""
+"""Parameters of nodes: types, ranges and files; what a node has not is refused; QoS in full."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,13 +14,16 @@ from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.managed_node import RobustNode
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, POLICIES
 from hnn_vi_ros.ros.plumbing.starting import own_arguments, plain_ros_errors
-from hnn_vi_ros.ros.settings import PARAMETERS, Settings
+from hnn_vi_ros.ros.settings import ALWAYS, PARAMETERS, Settings, START, UNCONFIGURED
 from hnn_vi_ros.ros.topics.topics import ENDPOINTS
 from hnn_vi_ros.scene import load_scene
+from hypothesis import given, HealthCheck, settings, strategies
 from messages import assert_message, refused
-from peer import Peer, peer, simulating
-from processes import finish, refusal, start_executable
+from peer import (
+    ACTIVATE, CLEANUP, CONFIGURE, DEACTIVATE, Peer, peer, ros, simulating, stamp)
+from processes import finish, refusal, standard_error, start_executable, to_file
 import pytest
+from rcl_interfaces.srv import DescribeParameters
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -36,7 +39,7 @@ Q = 'qos_overrides./hnn_simulator/q.publisher'
 
 
 @contextmanager
-def given(*arguments: str) -> Iterator[Node]:
+def node_of(*arguments: str) -> Iterator[Node]:
     """Start a node as the simulator is started, with these arguments."""
     arguments, context = ('--ros-args', *arguments), Context()
     with plain_ros_errors():
@@ -56,7 +59,7 @@ def given(*arguments: str) -> Iterator[Node]:
 
 
 def assert_refused(*arguments: str) -> None:
-    with refused(ParameterError), given(*arguments):
+    with refused(ParameterError), node_of(*arguments):
         pass
 
 
@@ -84,7 +87,7 @@ def test_parameters_of_ros_of_qos_and_of_other_nodes_are_taken_or_left():
             ['-p', 'start_type_description_service:=false', '-p', 'use_sim_time:=true'],
             ['-p', 'hnn_simulator:integrator:=rk4'], ['-p', f'{Q}.depth:=3'],
             ['-r', '__node:=mine', '-p', 'qos_overrides./mine/q.publisher.depth:=3']):
-        with given(*arguments) as node:
+        with node_of(*arguments) as node:
             own = '-p hnn_simulator:integrator:=rk4' in ' '.join(arguments)
             assert node.settings.integrator == ('rk4' if own else '')
 
@@ -103,7 +106,7 @@ def test_unknown_parameter_of_a_file_for_all_nodes_is_left_and_a_misspelling_is_
             'controller': {'gains': [1.0, 2.0]},
             'qos_overrides': {'/elsewhere': {'publisher': {'depth': 1}}}}},
         'elsewhere': {'ros__parameters': {'xyz': 1}}})
-    with given(*arguments) as node:
+    with node_of(*arguments) as node:
         assert node.settings.integrator == 'gauss4'
         assert not node.has_parameter('robot_description')
         assert not node.has_parameter('controller.gains')
@@ -117,7 +120,7 @@ def test_section_of_a_file_for_a_node_of_nearly_this_name_is_told(tmp_path, capf
             (['hnn_simulator', 'hnn_simulator2'], False), (['/**', 'hnn_simulatr'], False)):
         arguments = parameter_file(tmp_path, {
             section: {'ros__parameters': {'integrator': 'rk4'}} for section in sections})
-        with given(*arguments):
+        with node_of(*arguments):
             assert ('did you mean hnn_simulator?' in capfd.readouterr().err) == warned, sections
 
 
@@ -145,7 +148,7 @@ def test_qos_override_that_is_not_valid_is_refused_with_what_is():
 
 def test_qos_override_of_one_topic_leaves_others_with_the_same_profile_alone():
     profile = QoSProfile(depth=3)
-    with given('-p', f'{Q}.depth:=7') as node:
+    with node_of('-p', f'{Q}.depth:=7') as node:
         depths = [create_publisher(node, String, topic, profile).qos_profile.depth
                   for topic in ('~/q', '~/p')]
     assert depths == [7, 3] and profile.depth == 3
@@ -183,9 +186,8 @@ def test_qos_overrides_of_replay_and_bridge_are_what_they_offer_and_ask_for(tmp_
     replay = start_executable('replay', bag, '--start-paused', '--ros-args', '-p',
                               f'{Q}.reliability:=best_effort', folder=tmp_path)
     bridge = start_executable(
-        'rerun_bridge', '--ros-args', '-p', 'rerun_sink:=file', '-p', 'rerun_path:=a.rrd', '-p',
-        'qos_overrides./hnn_simulator/state.subscription.reliability:=best_effort',
-        folder=tmp_path)
+        'rerun_bridge', *to_file(tmp_path / 'a.rrd'), '-p',
+        'qos_overrides./hnn_simulator/state.subscription.reliability:=best_effort')
     with peer() as other:
         for find, topic, expected in (
                 (other.node.get_publishers_info_by_topic, 'q', ReliabilityPolicy.BEST_EFFORT),
@@ -209,10 +211,8 @@ def test_topics_whose_qos_can_be_set_are_those_of_the_policy():
 
 
 def test_unknown_parameter_that_is_set_later_is_refused_with_the_nearest():
-    context = Context()
-    rclpy.init(context=context)
-    node = RobustNode('hnn_simulator', context=context)
-    try:
+    with ros():
+        node = RobustNode('hnn_simulator')
         declare_parameters(node, Settings)
         known = Parameter('real_time_factor', value=2.0)
         for name in ('publish_rat', 'xyz'):
@@ -221,9 +221,7 @@ def test_unknown_parameter_that_is_set_later_is_refused_with_the_nearest():
             assert_message(result.reason)
         # All of them or none.
         assert node.get_parameter('real_time_factor').value == 1.0
-    finally:
         node.destroy_node()
-        rclpy.shutdown(context=context)
 
 
 def test_parameter_in_the_manner_of_launch_is_refused_with_that_of_ros():
@@ -243,6 +241,115 @@ def test_executable_refuses_what_it_does_not_know_in_one_line_with_its_name(
         bag = [record_run(Path('bag'), load_scene('exact_harmonic_oscillator'), 2)]
     for words in (['--ros-args', '-p', 'integratr:=rk4'], ['scene:=kepler'],
                   ['--ros-args', 'scene:=kepler'], ['--ros-args', '-p', 'x']):
-        line = refusal(executable, *bag, *words)
-        assert line.startswith(f'{executable}: ')
-        assert_message(line)
+        assert_message(refusal(executable, *bag, *words))
+
+
+GOOD = """\
+/hnn_simulator:
+  ros__parameters:
+    scene: harmonic_oscillator
+    publish_rate: 50
+    duration: 2.5
+    record: false
+    rerun_sink: none
+"""
+
+
+def declare(*arguments: str) -> Settings:
+    """Return the parameters of a node that is started with these arguments."""
+    with node_of(*arguments) as node:
+        return node.settings
+
+
+def test_parameters_defaults_are_those_of_the_table():
+    assert declare() == Settings()
+    assert Settings() == Settings(**{item.name: item.default for item in PARAMETERS})
+
+
+def test_parameters_of_another_node_are_checked_together_and_applied_where_they_may(tmp_path):
+    with simulating(tmp_path, scene='exact_harmonic_oscillator', energy_band_limit=1) as (
+            other, _):
+        other.wait_for_state('active')
+        for item in PARAMETERS:
+            described, = other.call(
+                DescribeParameters, 'describe_parameters', names=[item.name]).descriptors
+            assert described.description.startswith(item.description)
+            assert described.read_only is (item.changes == START)
+            good = item.default if item.default != '' else 'any'
+            result = other.set_parameters(**{item.name: good})
+            assert result.successful is (item.changes == ALWAYS), result.reason
+            if item.changes == UNCONFIGURED:
+                assert item.name in result.reason and 'cleanup' in result.reason
+            # Wrong types, and what is out of range, are refused in one line whenever they come.
+            for bad in ('text', [1.0], float('nan'), -5, None, 'x' * 5000):
+                if isinstance(bad, str) and type(item.default) is str:
+                    continue
+                refused = other.set_parameters(**{item.name: bad})
+                assert not refused.successful and '\n' not in refused.reason
+        # All or none.
+        assert not other.set_parameters(step_count=5, real_time_factor=-1.0).successful
+        assert other.get_parameter('step_count') == 1
+        assert other.set_parameters(step_count=5, real_time_factor=3).successful
+        assert (other.get_parameter('step_count'), other.get_parameter('real_time_factor')) == (
+            5, 3.0)
+        assert isinstance(other.get_parameter('real_time_factor'), float)
+        assert not other.set_parameters(real_time_factor=1e-300).successful
+        # Of a scene while the node is unconfigured, and then again not.
+        assert other.change_state(DEACTIVATE) and other.change_state(CLEANUP)
+        assert other.set_parameters(publish_rate=50, step_size=0.005, scene='x' * 4096).successful
+        assert not other.set_parameters(scene='x' * 4097).successful
+        assert not other.set_parameters(autostart=False).successful
+        assert other.set_parameters(scene='exact_harmonic_oscillator').successful
+        other.states.clear()
+        assert other.change_state(CONFIGURE) and other.change_state(ACTIVATE)
+        other.spin_until(lambda: len(other.states) > 5)
+        stamps = [stamp(message) for message in other.states]
+        assert stamps[1] - stamps[0] == 20_000_000
+
+
+def test_limits_of_guards_can_be_changed_while_the_run_goes_on(tmp_path):
+    with simulating(tmp_path, integrator='explicit_euler', energy_band_limit=1e6) as (
+            other, process):
+        other.spin_until(lambda: len(other.states) > 100)
+        # Explicit Euler has gained about 1 % by now.
+        assert other.set_parameters(energy_band_limit=1e-3).successful
+        other.spin(1.0)
+    error = standard_error(process)
+    assert 'under-resolved' in error
+
+
+def test_parameters_of_a_file_are_taken_and_integers_serve_as_doubles(tmp_path):
+    path = tmp_path / 'parameters.yaml'
+    path.write_text(GOOD)
+    values = declare('--params-file', str(path))
+    assert values.publish_rate == 50.0
+    assert isinstance(values.publish_rate, float)
+    assert (values.duration, values.record) == (2.5, False)
+
+
+@pytest.mark.parametrize('item', [i for i in PARAMETERS if isinstance(i.default, float)],
+                         ids=lambda item: item.name)
+def test_number_outside_its_range_is_refused_with_the_range(item):
+    for value in (item.smallest - 1.0, item.largest * 2.0, int(item.largest * 2), '.nan'):
+        with refused(ParameterError):
+            declare('-p', f'{item.name}:={value}')
+
+
+@settings(max_examples=60, suppress_health_check=[
+    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(content=strategies.one_of(
+    strategies.binary(max_size=200),
+    strategies.tuples(strategies.integers(0, len(GOOD)), strategies.integers(0, 12),
+                      strategies.text(max_size=8)).map(
+        lambda edit: (GOOD[:edit[0]] + edit[2] + GOOD[edit[0] + edit[1]:]).encode(
+            'utf-8', 'surrogatepass'))))
+def test_parameter_file_of_any_content_gives_values_or_one_line(tmp_path, content):
+    path = Path(tmp_path) / 'parameters.yaml'
+    path.write_bytes(content)
+    try:
+        values = declare('--params-file', str(path))
+    except ParameterError as problem:
+        assert '\n' not in str(problem)
+    else:
+        for item in PARAMETERS:
+            assert item.check(getattr(values, item.name)) == getattr(values, item.name)

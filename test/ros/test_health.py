@@ -31,12 +31,12 @@ from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
 import numpy as np
-from peer import hearing
+from peer import hearing, values_of
 from processes import finish, read_bag, start
 import pytest
 from rclpy.executors import SingleThreadedExecutor
-from rerun.chunk import RrdReader
-from scene_files import FAILING
+from rerun_reader import read
+from scene_files import FAILING, scene_text
 from std_msgs.msg import Float64
 from studies.hard_cases_plan import load_plan
 
@@ -55,27 +55,22 @@ class Provocation(NamedTuple):
     status: int = 0
 
 
-def scene(hamiltonian: str, integrator: str, h: float, q: list[float], p: list[float]) -> str:
-    return (f'hamiltonian: {{{hamiltonian}}}\nintegrator: {{{integrator}}}\nstep_size: {h}\n'
-            f'initial_state: {{q: {q}, p: {p}}}\n')
-
-
-LEAVING = scene('kind: hnn, model: pendulum', 'kind: variational_euler', 0.01, [0.0], [7.5])
-KEPLER = scene('kind: kepler, mu: 1.0', 'kind: variational_euler', 0.01, [1.9, 0.0],
-               [0.0, 0.22941573387056177])
+LEAVING = scene_text('hnn, model: pendulum', '', 'variational_euler', q=[0.0], p=[7.5])
+KEPLER = scene_text('kepler, mu: 1.0', '', 'variational_euler', q=[1.9, 0.0],
+                    p=[0.0, 0.22941573387056177])
 PROVOCATIONS = {
     'unconverged': Provocation(
         FAILING, {'publish_rate': 2.5}, 'step failed', ERROR, 'no convergence', 1),
     # y'' = y^2 reaches infinity in finite time.
     'not finite': Provocation(
-        scene('kind: henon_heiles', 'kind: rk4', 0.05, [0.0, 1.5], [0.0, 0.0]),
+        scene_text('henon_heiles', '', 'rk4', 0.05, [0.0, 1.5], [0.0, 0.0]),
         {'publish_rate': 20}, 'step failed', ERROR, 'not finite', 1),
     # 7.5 is close to the edge of the box, and the momentum of a pendulum grows nowhere beyond.
     'outside': Provocation(LEAVING, {'duration': 2}, 'out of the training box', WARN,
                            'outside of the box'),
     'outside at the start': Provocation(
-        scene('kind: hnn, model: harmonic_oscillator', 'kind: variational_euler', 0.01, [3.0],
-              [0.0]), {'duration': 1}, 'out of the training box', WARN, 'of its half-width'),
+        scene_text('hnn, model: harmonic_oscillator', '', 'variational_euler', q=[3.0]),
+        {'duration': 1}, 'out of the training box', WARN, 'of its half-width'),
     'outside, to stop': Provocation(LEAVING, {'stop_outside_box': 'true'},
                                     'out of the training box', ERROR, 'outside of the box', 1),
     # A close encounter at h = 0.01; see case 4 of the hard cases.
@@ -83,21 +78,21 @@ PROVOCATIONS = {
                                   'use a smaller step_size, or a method of higher order'),
     # Explicit Euler multiplies the energy of an oscillator by 1 + h^2 in each step.
     'gain': Provocation(
-        scene('kind: harmonic_oscillator', 'kind: explicit_euler', 0.01, [1.0], [0.0]),
+        scene_text(integrator='explicit_euler'),
         {'duration': 200}, 'energy not accounted for', ERROR, 'beyond the work that was done'),
     # 9e-4 J below it, which h = 0.1 does not resolve.
     'separatrix': Provocation(
-        scene('kind: pendulum, gravity: 1.0', 'kind: variational_euler', 0.1,
-              [3.1], [0.0]), {'duration': 50, 'publish_rate': 10},
+        scene_text('pendulum, gravity: 1.0', '', 'variational_euler', 0.1, [3.1]),
+        {'duration': 50, 'publish_rate': 10},
         'separatrix not resolved', WARN, 'use a smaller step_size'),
     # 1e-4 below the escape energy; see case 6.
     'escape barrier': Provocation(
-        scene('kind: henon_heiles', 'kind: generalized_leapfrog', 0.2, [0.0, -0.1],
-              [0.5678614854580883, 0.0]), {'duration': 50, 'publish_rate': 5},
+        scene_text('henon_heiles', step_size=0.2, q=[0.0, -0.1], p=[0.5678614854580883, 0.0]),
+        {'duration': 50, 'publish_rate': 5},
         'escape barrier not resolved', WARN, 'use a smaller step_size'),
     # More samples per second than any machine hands out.
     'overrun': Provocation(
-        scene('kind: harmonic_oscillator', 'kind: variational_euler', 0.01, [1.0], [0.0]),
+        scene_text(integrator='variational_euler'),
         {'duration': 150, 'real_time_factor': 1e6}, 'real-time overrun', WARN, 'behind the clock'),
 }
 # Each level and each way to end; test/guards provokes every guard without a node.
@@ -114,22 +109,11 @@ def heard() -> Iterator[tuple[list[DiagnosticArray], SingleThreadedExecutor]]:
         yield messages, executor
 
 
-def values_of(status) -> dict[str, str]:
-    return {item.key: item.value for item in status.values}
-
-
 def events_of(file: Path) -> list[tuple[int, str, str]]:
     """Return (simulated time [ns], level, text) of the events of a recording."""
-    found = []
-    for chunk in RrdReader(file).stream():
-        if chunk.entity_path == '/events':
-            batch = chunk.to_record_batch()
-            times = batch.column('sim_time').cast('int64').to_pylist()
-            texts, levels = (batch.column(f'TextLog:{name}').to_pylist()
-                             for name in ('text', 'level'))
-            found += [(time, level, text) for time, (level,), (text,) in zip(
-                times, levels, texts, strict=True)]
-    return found
+    rows = read(file).get('/events', {})
+    columns = (rows.get(name, []) for name in ('sim_time', 'TextLog:level', 'TextLog:text'))
+    return [(time, level, text) for time, (level,), (text,) in zip(*columns, strict=True)]
 
 
 @pytest.mark.parametrize('name', [
@@ -299,10 +283,6 @@ def alarm(kind: str, step: int = 1) -> Alarm:
     return Alarm(kind, step, 0.5, 0.25, f'{kind} at {step}')
 
 
-def test_health_without_alarm_is_well():
-    assert Parts().health.status()[1:3] == (OK, 'no alarm')
-
-
 def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch):
     parts, now = Parts(), 100.0
     monkeypatch.setattr(time, 'monotonic', lambda: now)
@@ -319,8 +299,9 @@ def test_health_tells_every_alarm_but_logs_a_kind_only_now_and_then(monkeypatch)
     assert len(parts.lines) == 3
 
 
-def test_health_stays_as_bad_as_the_worst_alarm_and_says_its_newest():
+def test_health_is_well_and_then_as_bad_as_the_worst_alarm_and_says_its_newest():
     parts = Parts()
+    assert parts.health.status()[1:3] == (OK, 'no alarm')
     for kind, step in (('under-resolved', 1), (EnergyGuard.kind, 2), ('under-resolved', 3)):
         parts.health.add(alarm(kind, step), 0)
     status = parts.health.status()

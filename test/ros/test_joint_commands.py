@@ -17,6 +17,7 @@ from hnn_vi_ros.ros.topics.hearing import LONGEST_REASON
 from hnn_vi_ros.ros.topics.inputs import read_joints, read_path
 from hnn_vi_ros.ros.topics.messages import encode_feedback
 from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from messages import refused
@@ -26,28 +27,26 @@ from processes import read_bag, standard_error
 import pytest
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
-from recorded import as_received, record_run
+from recorded import as_received, assert_agrees, record_run
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-ARM = """\
-hamiltonian: {kind: double_pendulum}
-effects:
-  - {kind: servo, coordinates: [angle2, angle1], stiffness: [60.0, 90.0], damping: [4.0, 9.0],
-     effort_limit: 40.0}
-  - {kind: external_force, coordinates: [angle1], timeout: 0.05}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.0025
-initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
-"""
+SERVO = ('{kind: servo, coordinates: [angle2, angle1], stiffness: [60.0, 90.0], '
+         'damping: [4.0, 9.0], effort_limit: 40.0}')
+FORCE = '{kind: external_force, coordinates: [angle1], timeout: 0.05}'
 NAMES = ['angle1', 'angle2']
 
 
 @pytest.fixture
 def arm(tmp_path: Path):
-    (tmp_path / 'arm.yaml').write_text(ARM)
-    return load_scene(tmp_path / 'arm.yaml')
+    return scene_of(tmp_path, SERVO, FORCE)
+
+
+def scene_of(folder: Path, *effects: str) -> Scene:
+    return load_scene(write_scene(folder / 'arm.yaml', 'double_pendulum', ', '.join(effects),
+                                  step_size=0.0025, q=[0.3, -0.2], p=[0.0, 0.0]))
 
 
 def seconds(t: float) -> dict[str, int]:
@@ -121,8 +120,7 @@ def test_run_of_joint_commands_agrees_bit_by_bit_by_those_in_its_bag(tmp_path, a
     # At 0 and 150 commands were heard before the bag was asked for.
     for begin in (None, 0, 60, 150, 160):
         bag = record_run(tmp_path / f'bag{begin}', arm, 70, commands=COMMANDS, begin=begin)
-        verdict = check_replay(bag)
-        assert verdict.good and f'{70 - (begin or 0) // 4} samples agree' in verdict.text
+        assert_agrees(bag, 70 - (begin or 0) // 4)
     run = RecordedRun(tmp_path / 'bagNone')
     assert [(step, topic.rpartition('/')[2]) for step, topic, _ in run.commands()] == [
         (0, 'joint_commands'), (41, 'joint_commands'), (57, 'joint_commands'),
@@ -155,17 +153,13 @@ def test_feedback_is_the_reference_what_is_and_their_difference(arm):
 
 def test_simulator_does_what_joints_are_told_and_its_bag_is_verified(tmp_path, arm):
     with simulating(tmp_path, scene='arm.yaml', record_path='bag') as (other, process):
-        node = other.node
         # Of both kinds, as robots' controllers have them.
-        commands = node.create_publisher(
-            JointState, f'{SIMULATOR}/joint_commands', qos_profile_sensor_data)
-        paths = node.create_publisher(JointTrajectory, f'{SIMULATOR}/joint_trajectory', 1)
-        feedback: list[JointTrajectory] = []
-        node.create_subscription(JointTrajectory, f'{SIMULATOR}/joint_trajectory_state',
-                                 feedback.append, 10)
+        commands = other.publisher(JointState, '~/joint_commands', qos_profile_sensor_data)
+        paths = other.publisher(JointTrajectory, '~/joint_trajectory')
+        feedback = other.hear(JointTrajectory, '~/joint_trajectory_state')
         other.spin_until(lambda: other.states and commands.get_subscription_count()
                          and paths.get_subscription_count()
-                         and node.count_publishers(f'{SIMULATOR}/joint_trajectory_state'))
+                         and other.node.count_publishers(f'{SIMULATOR}/joint_trajectory_state'))
         commands.publish(joints(position=[0.1, 0.1]))
         other.spin_until(lambda: any(other.states[-1].effort))
         assert not feedback
@@ -183,8 +177,7 @@ def test_simulator_does_what_joints_are_told_and_its_bag_is_verified(tmp_path, a
     # It has come to the last point, and stays there.
     assert list(feedback[count - 1].points[0].positions) == [0.0, 0.6]
     for name in ('bag', 'bag-2'):
-        verdict = check_replay(tmp_path / name)
-        assert verdict.good, verdict.text
+        assert_agrees(tmp_path / name)
         assert any(True for _ in RecordedRun(tmp_path / name).commands())
     topics = read_bag(tmp_path / 'bag')
     told = {stamp(message): message for message in feedback}
@@ -196,35 +189,24 @@ def test_simulator_does_what_joints_are_told_and_its_bag_is_verified(tmp_path, a
     assert BagReader(tmp_path / 'bag-2').attachment('state.safetensors')
 
 
-LIMITED = """\
-hamiltonian: {kind: double_pendulum}
-effects:
-  - {kind: servo, coordinates: [angle1, angle2], stiffness: 60.0, damping: 4.0}
-  - {kind: joint_limits, upper: {angle1: 0.5}}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.0025
-initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
-"""
+LIMITED = ('{kind: servo, coordinates: [angle1, angle2], stiffness: 60.0, damping: 4.0}',
+           '{kind: joint_limits, upper: {angle1: 0.5}}')
 BEYOND = {0: [joints(position=[0.1, 0.2])], 21: [joints(position=[0.9, 0.0])],
           50: [path((0.1, [0.8, 0.3]))]}
 
 
 def test_commands_beyond_limits_that_a_bag_tells_to_have_acted_act_again(tmp_path):
     # As simulators recorded them before they refused such commands: they pressed on the stop.
-    (tmp_path / 'limited.yaml').write_text(LIMITED)
-    scene = load_scene(tmp_path / 'limited.yaml')
+    scene = scene_of(tmp_path, *LIMITED)
     refusing = build(scene)
     with refused(ValueError):
         refusing.set_command(read_joints(BEYOND[21][0], 0))
-    bag = record_run(tmp_path / 'bag', scene, 40, commands=BEYOND, limited=False)
-    verdict = check_replay(bag)
-    assert verdict.good, verdict.text
+    assert_agrees(record_run(tmp_path / 'bag', scene, 40, commands=BEYOND, limited=False))
 
 
 def test_commands_that_were_refused_are_so_again_where_others_recorded_them(tmp_path):
     # By simulated time, so that log times are stamps; what acted is not told apart.
-    (tmp_path / 'limited.yaml').write_text(LIMITED)
-    scene = load_scene(tmp_path / 'limited.yaml')
+    scene = scene_of(tmp_path, *LIMITED)
     refused = {
         20: BEYOND[0], 21: BEYOND[21], 30: [joints(['wrist'], position=[0.0])],
         35: [JointState(name=NAMES, position=[1.0])], 50: BEYOND[50],

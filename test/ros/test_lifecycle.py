@@ -16,14 +16,9 @@ from peer import (
     SIMULATOR, stamp, UNCONFIGURED_SHUTDOWN)
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
+from scene_files import write_scene
 
 # A kernel that is compiled anew in each process: nothing of it is on disk.
-SLOW = """\
-hamiltonian: {kind: python, factory: 'slow:create'}
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
 SLOW_MODULE = """\
 import time
 
@@ -41,7 +36,7 @@ def create():
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with a scene that is slow to configure."""
-    (tmp_path / 'slow.yaml').write_text(SLOW)
+    write_scene(tmp_path / 'slow.yaml', "python, factory: 'slow:create'")
     (tmp_path / 'slow.py').write_text(SLOW_MODULE)
     return tmp_path
 

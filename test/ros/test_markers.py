@@ -56,16 +56,12 @@ def check_geometry(marker: Marker, part) -> None:
     # Colours are float32 in the message.
     np.testing.assert_allclose([color.r, color.g, color.b, color.a],
                                [*np.array(part.color) / 255.0, 1.0], rtol=1e-7)
-    if isinstance(part, Box):
-        assert marker.type == Marker.CUBE
+    if isinstance(part, (Box, Ball)):
+        kind, halves = (Marker.CUBE, part.half_size) if isinstance(part, Box) else (
+            Marker.SPHERE, [part.radius] * 3)
         place, scale = marker.pose.position, marker.scale
-        assert [place.x, place.y, place.z] == part.center.tolist()
-        assert [scale.x, scale.y, scale.z] == [2.0 * half for half in part.half_size]
-    elif isinstance(part, Ball):
-        assert marker.type == Marker.SPHERE
-        place, scale = marker.pose.position, marker.scale
-        assert [place.x, place.y, place.z] == part.center.tolist()
-        assert [scale.x, scale.y, scale.z] == 3 * [2.0 * part.radius]
+        assert (marker.type, [place.x, place.y, place.z]) == (kind, part.center.tolist())
+        assert [scale.x, scale.y, scale.z] == [2.0 * half for half in halves]
     else:
         assert marker.type == Marker.LINE_STRIP
         assert marker.scale.x == 2.0 * part.radius

@@ -5,16 +5,17 @@
 from collections.abc import Callable
 import os
 from pathlib import Path
-import signal
 import statistics
+import subprocess
+import sys
 import time
 
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
-from peer import Peer, peer
-from processes import finish, start
+from peer import Peer, simulating
 import pytest
 
+DOCS = Path(__file__).parents[2] / 'docs'
 # Allocators settle in the first ones. A leak that was found left 2.1 MB each; what comes and goes
 # are some 2 MB, on a busy machine 6 [MB].
 WARM, NOISE = 20, 12.0
@@ -25,10 +26,10 @@ def threads(pid: int) -> int:
     return len(os.listdir(f'/proc/{pid}/task'))
 
 
-def resident(pid: int) -> float:
+def resident(pid: int, moments: int = 5) -> float:
     """Return the memory that a process holds [MB], the median of a few moments."""
     pages = []
-    for _ in range(5):
+    for _ in range(moments):
         pages.append(int(Path(f'/proc/{pid}/statm').read_text().split()[1]))
         time.sleep(0.05)
     return statistics.median(pages) * os.sysconf('SC_PAGE_SIZE') / 1e6
@@ -38,8 +39,7 @@ def assert_nothing_is_left(folder: Path, measured: Callable, name: str, count: i
                            act: Callable[[Peer], None]) -> None:
     # A node that finds its rescue compiled compiles nothing beside the run, which takes memory.
     build(load_scene('exact_harmonic_oscillator')).compile_rescue()
-    process = start(folder, record='true', rerun_sink='file')
-    with peer() as other:
+    with simulating(folder, record='true', rerun_sink='file') as (other, process):
         other.spin_until(lambda: other.states)
         for _ in range(WARM):
             act(other)
@@ -47,8 +47,6 @@ def assert_nothing_is_left(folder: Path, measured: Callable, name: str, count: i
         for _ in range(count):
             act(other)
         after = threads(process.pid), resident(process.pid)
-    process.send_signal(signal.SIGINT)
-    assert finish(process)[0] == 0
     growth = (after[1] - before[1]) / count
     measured('what one leaves behind: memory [MB]', name, growth, f'{NOISE / count:g}')
     assert after[0] == before[0]
@@ -72,3 +70,14 @@ def test_recordings_leave_neither_threads_nor_memory_behind(tmp_path, measured, 
 
     assert_nothing_is_left(tmp_path, measured, 'recording', count, record)
     assert len(list(tmp_path.glob('runs/*/bag*'))) == 1 + WARM + count
+
+
+def test_benchmark_of_memory_runs_and_tells_a_growth():
+    """It drives the files as the node does; it is run here to see that it can."""
+    paths = os.pathsep.join([str(DOCS), *filter(None, [os.environ.get('PYTHONPATH')])])
+    told = subprocess.run([sys.executable, '-m', 'benchmarks.memory', 'samples', '2000'],
+                          env={**os.environ, 'PYTHONPATH': paths},
+                          capture_output=True, text=True, timeout=300)
+    assert told.returncode == 0, told.stderr
+    # Of two seconds of samples: some MB at most, where an hour is allowed 5.
+    assert -20.0 < float(told.stdout) < 20.0

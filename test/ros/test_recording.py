@@ -10,22 +10,13 @@ import signal
 
 from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
+from helpers import content_of
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.topics.outputs import LATCHED
-from peer import Peer, peer, simulating
+from peer import peer, simulating, TICK_TYPES
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
-
-# Topics of every run: those that are heard here, and the rest.
-QUEUE = QoSProfile(depth=1000)
-TOPICS = {'/hnn_simulator/scene': (String, LATCHED), '/hnn_simulator/state': (JointState, QUEUE),
-          '/hnn_simulator/q': (Float64MultiArray, QUEUE), '/joint_states': (JointState, QUEUE)}
-REST = ('/hnn_simulator/p', '/hnn_simulator/energy')
 
 
 def limit_files(process: Executable, size: int) -> None:
@@ -41,28 +32,13 @@ def remove_folder(process: Executable, bag: Path) -> None:
     shutil.rmtree(bag)
 
 
-def test_two_equal_runs_leave_equal_messages_which_are_those_that_were_published(tmp_path: Path):
-    found = []
+def test_two_equal_runs_leave_equal_messages(tmp_path: Path):
     for name in ('first', 'second'):
-        with peer() as other:
-            heard = {topic: [] for topic in TOPICS}
-            for topic, (kind, qos) in TOPICS.items():
-                other.node.create_subscription(
-                    kind, topic, lambda data, to=heard[topic]: to.append(bytes(data)), qos,
-                    raw=True)
-            process = start(tmp_path, duration=1, discovery_time=20, record_path=name,
-                            real_time_factor=2)
-            other.spin_until(lambda: process.poll() is not None and min(map(len, heard.values())))
-            assert finish(process)[0] == 0
-        reader = BagReader(tmp_path / name)
-        recorded = [(message.time, reader.channels[message.channel].topic, message.data)
-                    for message in reader.messages()]
-        for topic, messages in heard.items():
-            assert messages == [data for _, name, data in recorded if name == topic], topic
-        # What /diagnostics tells is of the wall clock; of this run there is no alarm.
-        assert {topic for _, topic, _ in recorded} == {*heard, *REST}
-        found.append(recorded)
-    assert found[0] == found[1]
+        assert finish(start(tmp_path, duration=1, record_path=name, real_time_factor=0))[0] == 0
+    first, second = (content_of(tmp_path / name) for name in ('first', 'second'))
+    assert first == second
+    # What /diagnostics tells is of the wall clock; of this run there is no alarm.
+    assert {topic for topic, *_ in first} == {*TICK_TYPES, '/hnn_simulator/scene'}
 
 
 @pytest.mark.parametrize('reset', [False, True])
@@ -92,13 +68,10 @@ def test_bag_of_a_run_that_starts_by_itself_is_begun_when_its_first_step_is_due(
     assert (tmp_path / 'bag' / 'bag_0.mcap').exists()
 
 
-def listen(other: Peer, told: list[str]) -> None:
-    """Note what /diagnostics says of a recorder that has failed."""
-    def on_diagnostics(message: DiagnosticArray) -> None:
-        told.extend(status.message for status in message.status
-                    if status.name == 'hnn_simulator: recorder' and status.level == b'\x02')
-
-    other.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
+def failures(heard: list[DiagnosticArray]) -> list[str]:
+    """Return what /diagnostics says of a recorder that has failed."""
+    return [status.message for message in heard for status in message.status
+            if status.name == 'hnn_simulator: recorder' and status.level == b'\x02']
 
 
 @pytest.mark.parametrize('spoil, reason', [
@@ -106,14 +79,13 @@ def listen(other: Peer, told: list[str]) -> None:
 def test_recording_that_fails_is_an_error_diagnostic_while_the_simulation_goes_on(
         tmp_path: Path, spoil: Callable[[Executable, Path], None], reason: str):
     process = start(tmp_path, record_path='bag')
-    told: list[str] = []
     with peer() as other:
-        listen(other, told)
+        heard = other.hear(DiagnosticArray, '/diagnostics')
         other.spin_until(lambda: len(other.states) > 50)
-        assert told == []
+        assert not failures(heard)
         spoil(process, tmp_path / 'bag')
-        other.spin_until(lambda: told)
-        assert reason in told[0]
+        other.spin_until(lambda: failures(heard))
+        assert reason in failures(heard)[0]
         count = len(other.states)
         other.spin_until(lambda: len(other.states) > count + 50)
         process.send_signal(signal.SIGINT)
@@ -146,13 +118,12 @@ def test_disk_that_is_full_at_the_end_is_told_without_words_of_the_library(tmp_p
 
 def test_picture_that_cannot_be_written_is_told_while_the_simulation_goes_on(tmp_path: Path):
     process = start(tmp_path, rerun_path='picture.rrd')
-    told: list[str] = []
     with peer() as other:
-        listen(other, told)
+        heard = other.hear(DiagnosticArray, '/diagnostics')
         other.spin_until(lambda: len(other.states) > 50)
         limit_files(process, 4096)
-        other.spin_until(lambda: told)
-        assert 'picture.rrd: the rerun recording stopped' in told[0]
+        other.spin_until(lambda: failures(heard))
+        assert 'picture.rrd: the rerun recording stopped' in failures(heard)[0]
         process.send_signal(signal.SIGINT)
         status, _, error = finish(process)
     assert status == 1 and error.count('the simulation goes on') == 1

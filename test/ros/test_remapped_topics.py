@@ -1,20 +1,25 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics that were remapped are told, and their bags are read like others."""
+"""Topics that were remapped, and those of two simulators, each in a namespace of its own."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags.cdr import serialize
+from hnn_vi_ros.ros.controller_node import ControllerNode
+from hnn_vi_ros.ros.listener_node import Listener
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import ReplayNode
-from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.scene import Scene
+from lifecycle_msgs.srv import GetState
+from peer import peer, ros, wait_for_way_back
+from processes import finish, read_bag, start, to_file
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -22,22 +27,19 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 import recorded
 from recorded import as_received, record_run
+from scene_files import write_scene
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 CALLED = {'/hnn_simulator/commands': '/forces', '/hnn_simulator/state': '/robot/full_state',
           '/joint_states': '/robot/joints'}
-DRIVEN = """\
-hamiltonian: {kind: harmonic_oscillator}
-effects: [{kind: external_force, coordinates: [x]}]
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
 
 
 @pytest.fixture
 def driven(tmp_path: Path) -> Scene:
-    (tmp_path / 'driven.yaml').write_text(DRIVEN)
-    return load_scene(tmp_path / 'driven.yaml')
+    return load_scene(write_scene(
+        tmp_path / 'driven.yaml', effects='{kind: external_force, coordinates: [x]}'))
 
 
 @pytest.fixture
@@ -50,15 +52,6 @@ def calling(monkeypatch):
         return replace(found, name=CALLED.get(found.name, found.name))
 
     monkeypatch.setattr(recorded, '_topic', called)
-
-
-@contextmanager
-def ros(*arguments: str) -> Iterator[None]:
-    rclpy.init(args=['--ros-args', *arguments])
-    try:
-        yield
-    finally:
-        rclpy.try_shutdown()
 
 
 def test_scene_tells_what_remapped_topics_are_called():
@@ -90,20 +83,93 @@ def test_name_that_is_told_and_is_not_there_changes_nothing(tmp_path, driven, to
     assert check_replay(record_run(tmp_path / 'bag', driven, 5, remapped=told)).good
 
 
+def shown(bag: Path, folder: Path) -> int:
+    """Return how many samples the bridge shows of a bag."""
+    with ros(*to_file(folder / 'a.rrd')):
+        bridge = RerunBridge()
+        count = bridge.show_bag(bag)
+        bridge.close()
+    return count
+
+
 def test_bridge_shows_and_replay_leaves_out_what_was_remapped(tmp_path, driven, calling):
     bag = record_run(tmp_path / 'bag', driven, 100, commands={5: [[0.5]]}, remapped=CALLED)
-    with ros('-p', 'rerun_sink:=file', '-p', f'rerun_path:={tmp_path / "a.rrd"}'):
-        bridge = RerunBridge()
-        assert bridge.show_bag(bag) == 100
-        bridge.close()
+    assert shown(bag, tmp_path) == 100
     with ros():
         topics = {publisher.topic_name for publisher in ReplayNode(bag, {}, []).publishers}
         assert '/robot/joints' in topics and '/forces' not in topics
 
 
 def test_bag_of_before_the_state_is_shown_by_its_q_and_p_alone(tmp_path, driven, calling):
-    bag = record_run(tmp_path / 'bag', driven, 5, state=False)
-    with ros('-p', 'rerun_sink:=file', '-p', f'rerun_path:={tmp_path / "a.rrd"}'):
-        bridge = RerunBridge()
-        assert bridge.show_bag(bag) == 5
+    assert shown(record_run(tmp_path / 'bag', driven, 5, state=False), tmp_path) == 5
+
+
+SCENES = {'left': 'exact_pendulum', 'right': 'exact_harmonic_oscillator'}
+
+
+def test_two_simulators_in_two_namespaces_answer_and_do_not_interfere(tmp_path):
+    processes = [start(tmp_path, scene=scene, duration=2, record_path=namespace, discovery_time=20,
+                       __ns=f'/{namespace}',
+                       **{f'qos_overrides./{namespace}/hnn_simulator/q.publisher.depth': 1000})
+                 for namespace, scene in SCENES.items()]
+    with peer() as other:
+        heard = {namespace: other.hear(Float64MultiArray, f'/{namespace}/hnn_simulator/q', 1000)
+                 for namespace in SCENES}
+        for namespace in SCENES:
+            client = other.node.create_client(GetState, f'/{namespace}/hnn_simulator/get_state')
+            wait_for_way_back(other.node, other.spin_until, f'/{namespace}/hnn_simulator')
+            future = client.call_async(GetState.Request())
+            other.spin_until(future.done)
+            assert future.result().current_state.label in ('configuring', 'inactive', 'active')
+        other.spin_until(lambda: all(process.poll() is not None for process in processes))
+        other.spin(0.5)
+    assert [finish(process)[0] for process in processes] == [0, 0]
+    for namespace in SCENES:
+        recorded = read_bag(tmp_path / namespace)
+        assert {topic for topic in recorded if not topic.startswith(f'/{namespace}/')} <= {
+            '/diagnostics'}
+        assert [message.data.tolist() for message in heard[namespace]] == [
+            message.data.tolist() for _, message in recorded[f'/{namespace}/hnn_simulator/q']]
+        assert len(heard[namespace]) == 200
+    assert heard['left'] != heard['right']
+
+
+@pytest.mark.parametrize(('name', 'found'), [
+    ('hnn_simulator', '/left/hnn_simulator'), ('/right/arm', '/right/arm')])
+def test_nodes_beside_a_simulator_take_that_of_their_own_namespace(tmp_path, name, found):
+    words = ['-r', '__ns:=/left', '-p', f'simulator:={name}']
+    with ros(*to_file(tmp_path / 'a.rrd'), *words) as arguments:
+        nodes = bridge, listener = RerunBridge(arguments), Listener()
+        assert {*bridge._topics} > {
+            f'{found}/scene', f'{found}/state', '/left/hnn_controller/plan'}
+        assert [one.topic_name for one in listener.subscriptions] == ['/left/hnn_simulator/energy']
+        for node in nodes:
+            node.destroy_node()
+    with ros('--ros-args', *words) as arguments:
+        controller = ControllerNode(arguments)
+        assert controller._topic == f'{found}/joint_commands'
+        controller.destroy_node()
+
+
+def test_message_that_a_bridge_cannot_show_is_told_and_ignored(tmp_path, capfd):
+    topics = '/diagnostics', *(f'/hnn_{name}' for name in (
+        'simulator/events', 'controller/plan', 'simulator/state'))
+    with ros(*to_file(tmp_path / 'a.rrd')) as arguments:
+        bridge = RerunBridge(arguments)
+        bridge._picture = BridgePicture(load_scene('exact_pendulum'), tmp_path / 'b.rrd', 'b')
+        timing, event = DiagnosticArray(status=[DiagnosticStatus(
+            name='hnn_simulator: timing', values=[KeyValue(key='real_time_factor', value='fast')])
+        ]), DiagnosticArray(status=[DiagnosticStatus(name='hnn_simulator: event')])
+        plan = JointTrajectory(joint_names=['angle'])
+        plan.header.stamp.nanosec = event.header.stamp.nanosec = 2**32 - 1
+        short = JointState(name=['H', 'work'], position=[1.0])
+        bridge.listen()
+        hear = {one.topic_name: one.callback for one in bridge.subscriptions}
+        for topic, message in zip(topics, (timing, event, plan, short), strict=True):
+            hear[topic](serialize(message))
+            hear[topic](b'none')
+        log = capfd.readouterr().err
+        assert all(f'{topic}: message ignored: ' in log for topic in topics)
+        assert bridge.problem is None
         bridge.close()
+        bridge.destroy_node()

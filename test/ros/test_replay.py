@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 import re
 import signal
-import time
 
 from executables import Executable
 from geometry_msgs.msg import WrenchStamped
@@ -16,23 +15,19 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.replay.replay_node import find_type, recorded_qos
 from hnn_vi_ros.ros.topics.messages import qos_yaml
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from mcap.writer import Writer
 from messages import assert_message, refused
 import numpy as np
-from peer import Peer, peer
+from peer import Listener, peer
 from processes import finish, refusal, start_executable
 import pytest
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from recorded import QUEUE, record_run
+from recorded import QUEUE, record_run, recorded_messages, writing
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, String
+from scene_files import write_scene
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-TYPES = {'/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
-         '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
-         '/joint_states': JointState}
 SCENE = '/hnn_simulator/scene'
 
 
@@ -40,27 +35,10 @@ def start_replay(bag: Path, *options: object) -> Executable:
     return start_executable('replay', bag, *options)
 
 
-class Listener(Peer):
-    """A peer that keeps the serialised messages of all topics, with the time of each."""
-
-    def __init__(self):
-        super().__init__()
-        self.heard: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in TYPES}
-        for topic, kind in TYPES.items():
-            self.node.create_subscription(
-                kind, topic, lambda data, topic=topic: self.heard[topic].append(
-                    (time.monotonic_ns(), bytes(data))), QUEUE, raw=True)
-
-    @property
-    def counts(self) -> set[int]:
-        return {len(messages) for messages in self.heard.values()}
-
-
 @pytest.fixture
 def listener() -> Iterator[Listener]:
-    found = Listener()
-    yield found
-    found.close()
+    with peer(Listener) as found:
+        yield found
 
 
 @pytest.fixture(scope='module')
@@ -70,23 +48,13 @@ def bag(tmp_path_factory) -> Path:
                       qos=QUEUE)
 
 
-def recorded_messages(bag: Path) -> dict[str, list[bytes]]:
-    reader = BagReader(bag)
-    messages = {topic: [] for topic in [*TYPES, SCENE]}
-    for message in reader.messages():
-        messages[reader.channels[message.channel].topic].append(message.data)
-    del messages[SCENE]
-    return messages
-
-
 def test_listener_receives_the_same_bytes_in_the_same_order(bag, listener):
     replay = start_replay(bag, '--discovery-time', 20)
     listener.spin_until(lambda: replay.poll() is not None)
     listener.spin_until(lambda: listener.counts == {200})
     status, _, log = finish(replay)
     assert status == 0
-    assert {topic: [data for _, data in messages] for topic, messages
-            in listener.heard.items()} == recorded_messages(bag)
+    assert listener.received == recorded_messages(bag)
     assert '1001 messages published' in log
     # How late is told; a busy machine is late.
     assert re.search(r'late by median [\d.]+ ms, p99 [\d.]+ ms', log)
@@ -102,8 +70,7 @@ def test_unfinished_bag_is_replayed(tmp_path, listener):
     for _ in range(20):
         listener.spin_until(lambda: True)
     assert finish(replay)[0] == 0
-    assert {topic: [data for _, data in messages] for topic, messages
-            in listener.heard.items()} == expected
+    assert listener.received == expected
     assert len(expected['/joint_states']) == 60
 
 
@@ -154,7 +121,7 @@ def test_loop_goes_on_until_sigint_and_exits_0(bag, listener):
     listener.spin_until(lambda: min(listener.counts) > 420)
     replay.send_signal(signal.SIGINT)
     assert finish(replay)[0] == 0
-    energies = [data for _, data in listener.heard['/hnn_simulator/energy']]
+    energies = listener.received['/hnn_simulator/energy']
     assert energies[:400] == recorded_messages(bag)['/hnn_simulator/energy'] * 2
 
 
@@ -162,8 +129,7 @@ def test_loop_goes_on_until_sigint_and_exits_0(bag, listener):
 def test_who_subscribes_while_a_bag_is_played_gets_its_scene(bag, listener, options):
     replay = start_replay(bag, '--discovery-time', 0, '--loop', *options)
     listener.spin_until(lambda: listener.heard['/joint_states'])
-    scenes = []
-    listener.node.create_subscription(String, SCENE, scenes.append, LATCHED)
+    scenes = listener.hear(String, SCENE, LATCHED)
     listener.spin_until(lambda: scenes)
     replay.send_signal(signal.SIGINT)
     assert finish(replay)[0] == 0
@@ -173,11 +139,9 @@ def test_who_subscribes_while_a_bag_is_played_gets_its_scene(bag, listener, opti
 @pytest.mark.parametrize('options, published', [
     ([], 11), (['--topics', f'{SCENE}, /hnn_simulator/commands'], 3)])
 def test_commands_are_played_only_if_they_are_named(tmp_path, options, published):
-    (tmp_path / 'scene.yaml').write_text(
-        'hamiltonian: {kind: free_particle, mass: 1.0, names: [x]}\n'
-        'effects: [{kind: external_force, coordinates: [x]}]\nstep_size: 0.01\n'
-        'integrator: {kind: generalized_leapfrog}\ninitial_state: {q: [0.0], p: [0.0]}\n')
-    driven = record_run(tmp_path / 'bag', load_scene(tmp_path / 'scene.yaml'), 2,
+    scene = write_scene(
+        tmp_path / 'scene.yaml', effects='{kind: external_force, coordinates: [x]}')
+    driven = record_run(tmp_path / 'bag', load_scene(scene), 2,
                         commands={0: [[1.0], WrenchStamped()], 1: [[2.0]]})
     status, _, log = finish(start_replay(driven, '--discovery-time', 0, *options))
     assert status == 0 and f'{published} messages published' in log
@@ -186,15 +150,12 @@ def test_commands_are_played_only_if_they_are_named(tmp_path, options, published
 
 
 def foreign_bag(path: Path, *types: str, encoding: str = 'cdr') -> Path:
-    with path.open('wb') as stream:
-        writer = Writer(stream)
-        writer.start('ros2')
+    with writing(path) as writer:
         for i, kind in enumerate(types):
             schema = writer.register_schema(kind, 'ros2msg', b'')
             channel = writer.register_channel(f'/topic{i}', encoding, schema, {
                 'topic_type_hash': 'RIHS01_0'} if kind == 'std_msgs/msg/Int8' else {})
             writer.add_message(channel, 5, b'\0\1\0\0\0\0\0\0', 5)
-        writer.finish()
     return path
 
 

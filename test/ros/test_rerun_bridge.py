@@ -4,7 +4,6 @@
 
 from pathlib import Path
 import signal
-import time
 
 from executables import Executable
 from hnn_vi_ros import load_scene
@@ -20,6 +19,7 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from messages import assert_message, refused
 import numpy as np
+from peer import ros
 from processes import (
     finish, read_bag, refusal, standard_error, start, start_executable, to_file, wait_until)
 import pytest
@@ -30,7 +30,7 @@ from recorded import as_received, record_run
 from rerun_reader import read
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from test_health import events_of
+from test_health import events_of, KEPLER
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 
@@ -84,10 +84,9 @@ def test_bridge_shows_a_bag_that_is_replayed(tmp_path):
 def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path, capfd):
     bag = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100)
     reader, words = BagReader(bag), to_file(tmp_path / 'a.rrd')
-    messages = {topic: [message.data for message in reader.messages(numbers)]
-                for topic, numbers in by_topic(reader).items()}
-    rclpy.init(args=words)
-    try:
+    messages = {channel.topic: [message.data for message in reader.messages([number])]
+                for number, channel in reader.channels.items()}
+    with ros(*words):
         bridge, peer = RerunBridge(words), rclpy.create_node('peer')
         states = peer.create_publisher(JointState, '/hnn_simulator/state', 1000)
         scene = peer.create_publisher(String, '/hnn_simulator/scene', LATCHED)
@@ -96,9 +95,7 @@ def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path, capfd):
         executor.add_node(bridge)
         bridge.listen()
         assert 'waiting for /hnn_simulator/scene' in capfd.readouterr().err
-        deadline = time.monotonic() + 60.0
-        while not (tmp_path / 'a.rrd').exists() and time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=0.1)
+        wait_until(lambda: executor.spin_once(timeout_sec=0.1) or (tmp_path / 'a.rrd').exists())
         executor.remove_node(bridge)
         wait_until(states.get_subscription_count)
         for data in messages['/hnn_simulator/state']:
@@ -108,24 +105,15 @@ def test_signal_lets_the_bridge_show_what_it_has_received(tmp_path, capfd):
         bridge.close()
         for node in (bridge, peer):
             node.destroy_node()
-    finally:
-        rclpy.try_shutdown()
     # 30 of 1 s, and the last sample.
     steps = read(tmp_path / 'a.rrd')['/state/q']['step']
     assert len(steps) >= 30 and steps[-1] == RecordedRun(bag).step_of(reader.last)
 
 
-def by_topic(reader: BagReader) -> dict[str, list[int]]:
-    return {channel.topic: [number] for number, channel in reader.channels.items()}
-
-
 def test_bridge_shows_state_alarms_and_timing_of_a_running_simulator_and_alarms_of_its_bag(
         tmp_path):
     # At a step that does not resolve the close encounters.
-    (tmp_path / 'kepler.yaml').write_text(
-        'hamiltonian: {kind: kepler, mu: 1.0}\nintegrator: {kind: variational_euler}\n'
-        'step_size: 0.01\ninitial_state: {q: [1.9, 0.0], p: [0.0, 0.22941573387056177]}\n'
-        'mechanism: kepler\n')
+    (tmp_path / 'kepler.yaml').write_text(f'{KEPLER}mechanism: kepler\n')
     live = tmp_path / 'live.rrd'
     bridge = start_bridge(*to_file(live))
     wait_until(lambda: 'waiting for /hnn_simulator/scene' in standard_error(bridge))
@@ -172,14 +160,11 @@ def test_picture_after_a_reset_leaves_those_of_before_alone(tmp_path):
     scene = load_scene('exact_pendulum')
     report = scene_report(scene, build(scene))
     (tmp_path / 'a-2.rrd').touch()
-    rclpy.init(args=to_file(tmp_path / 'a.rrd'))
-    try:
+    with ros(*to_file(tmp_path / 'a.rrd')):
         bridge = RerunBridge()
         for origin in range(3):
             bridge._on_scene(String(data=dump_yaml(report | {'origin': origin})))
         bridge.close()
-    finally:
-        rclpy.try_shutdown()
     assert bridge.problem is None and (tmp_path / 'a-2.rrd').stat().st_size == 0
     assert {path.name for path in tmp_path.iterdir()} == {
         'a.rrd', 'a-2.rrd', 'a-3.rrd', 'a-4.rrd'}

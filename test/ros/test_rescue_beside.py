@@ -10,17 +10,12 @@ import numpy as np
 from peer import peer
 from processes import finish, read_bag, standard_error, start, wait_until
 import pytest
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 # Its third step, and many after it, are taken in sub-steps.
-FREE = """\
-hamiltonian: {kind: tao}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.5
-initial_state: {q: [1.6], p: [0.0]}
-"""
-HELD = FREE.replace('{kind: tao}', "{kind: python, factory: 'held:create'}")
+STEEP = {'step_size': 0.5, 'q': [1.6]}
 # Nothing is on disk, and compiling ends when the test says so.
 MODULE = """\
 from contextlib import contextmanager
@@ -55,9 +50,9 @@ def create():
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with a scene whose third step fails."""
-    (tmp_path / 'held.yaml').write_text(HELD)
+    write_scene(tmp_path / 'held.yaml', "python, factory: 'held:create'", **STEEP)
     (tmp_path / 'held.py').write_text(MODULE)
-    (tmp_path / 'free.yaml').write_text(FREE)
+    write_scene(tmp_path / 'free.yaml', 'tao', **STEEP)
     return tmp_path
 
 
@@ -74,7 +69,7 @@ def test_step_waits_for_what_takes_it_while_services_answer_and_changes_no_bit(f
     process = wait_for_failure(folder, record_path='bag', duration=40.0)
     with peer() as other:
         assert other.pause().message == 'paused at t = 1 s'
-        publisher = other.node.create_publisher(JointState, '/hnn_simulator/initial_state', 1)
+        publisher = other.publisher(JointState, '~/initial_state')
         other.spin_until(publisher.get_subscription_count)
         publisher.publish(JointState(name=['x'], position=[1.0], velocity=[0.0]))
         wait_until(lambda: 'is still being compiled' in standard_error(process))

@@ -12,34 +12,27 @@ from types import SimpleNamespace
 
 from ament_index_python import packages
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.simulation.build import build
 from launch_stand_ins import stand_in
 import numpy as np
-from processes import finish, read_bag, start_executable
+from processes import finish, read_bag, simulator_words, start_executable
 import pytest
+from recorded import assert_agrees
+from scene_files import write_scene
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOTS = ROOT / 'config' / 'robots'
-ARM = f"""\
-hamiltonian: {{kind: urdf, file: {ROBOTS / 'two_joint_arm.urdf'}}}
-effects:
-  - {{kind: servo, coordinates: [shoulder, elbow], stiffness: [400.0, 100.0],
-     damping: [20.0, 4.0], effort_limit: [40.0, 15.0], position: [0.0, 0.0]}}
-integrator: {{kind: generalized_leapfrog}}
-step_size: 0.001
-initial_state: {{q: [0.0, 0.0], p: [0.0, 0.0]}}
-"""
 
 
 def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
-    (tmp_path / 'arm.yaml').write_text(ARM)
-    values = {'scene': 'arm.yaml', 'publish_rate': 250.0, 'discovery_time': 0,
-              'record_path': 'bag', 'rerun_sink': 'none'}
+    servo = ('{kind: servo, coordinates: [shoulder, elbow], stiffness: [400.0, 100.0], '
+             'damping: [20.0, 4.0], effort_limit: [40.0, 15.0], position: [0.0, 0.0]}')
+    scene = write_scene(
+        tmp_path / 'arm.yaml', f'urdf, file: {ROBOTS / "two_joint_arm.urdf"}', servo,
+        step_size=0.001, q=[0.0, 0.0], p=[0.0, 0.0])
     process = start_executable(
-        'simulator', '--ros-args', *[word for name, value in values.items()
-                                     for word in ('-p', f'{name}:={value}')],
+        'simulator', *simulator_words(scene=scene, publish_rate=250.0, record_path='bag'),
         '-r', 'joint_states:=/robot_joint_states',
         '-r', '~/joint_commands:=/robot_joint_commands', folder=tmp_path)
     target = {'elbow': 0.9, 'shoulder': -0.7}
@@ -59,7 +52,7 @@ def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
     last, commands = states[-1], topics['/robot_joint_commands']
     assert last.name == ['shoulder', 'elbow'] and 0 < len(commands) <= found['sent']
     # At rest where the servos carry the weight: k (q_r - q) = V'(q).
-    simulation = build(load_scene(tmp_path / 'arm.yaml'))
+    simulation = build(load_scene(scene))
     q = np.array(last.position)
     weight, _ = simulation.hamiltonian.gradient(q, np.zeros(2))
     assert [400.0, 100.0] * (np.array([-0.7, 0.9]) - q) == pytest.approx(weight, abs=1e-3)
@@ -69,8 +62,7 @@ def test_controller_in_its_own_process_moves_an_arm_from_a_to_b(tmp_path):
     # Of 1.125 rad/s at most, the damping alone makes up to 0.05 s.
     print(f'tracking error {found["error"]:.3g} rad, first answer after {found["latency"]:.3g} s, '
           f'{found["sent"]} commands')
-    verdict = check_replay(tmp_path / 'bag')
-    assert verdict.good, verdict.text
+    assert_agrees(tmp_path / 'bag')
 
 
 def described(monkeypatch, installed: set[str]) -> tuple[list, list]:

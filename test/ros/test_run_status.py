@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import time
 from types import SimpleNamespace
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.accuracy.trials import Tolerance
@@ -18,7 +18,7 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
-from peer import hearing
+from peer import hearing, values_of
 from processes import finish, read_bag, start
 import pytest
 import rclpy
@@ -46,10 +46,6 @@ def listen(process: Executable, executor: SingleThreadedExecutor) -> int:
         executor.spin_once(timeout_sec=0.5)
         waited = time.monotonic() - begin
     return finish(process)[0]
-
-
-def values_of(status: DiagnosticStatus) -> dict[str, str]:
-    return {value.key: value.value for value in status.values}
 
 
 def test_diagnostics_reach_another_node_with_every_status_and_its_figures(tmp_path, received):

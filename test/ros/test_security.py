@@ -15,28 +15,17 @@ from peer import Peer, peer, simulating, SIMULATOR
 from processes import finish, standard_error, start_executable, wait_until
 import pytest
 from rosgraph_msgs.msg import Clock
+from scene_files import write_scene
 
 POLICY = Path(__file__).resolve().parents[2] / 'config' / 'security' / 'simulator.policy.xml'
 ROBOT = POLICY.parents[1] / 'robots' / 'two_joint_arm.urdf'
 # With a body that turns, all that scenes can call for: commands, events, what is drawn, a robot.
-SCENE = """\
-hamiltonian: {{kind: urdf, file: {robot}}}
-effects:
-  - {{kind: external_force, coordinates: [elbow]}}
-  - {{kind: servo, coordinates: [shoulder, elbow], stiffness: 1.0}}
-  - {{kind: observer, coordinates: [shoulder]}}
-integrator: {{kind: generalized_leapfrog}}
-step_size: 0.002
-initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
-events: [{{when: shoulder = elbow}}]
+EFFECTS = ('{kind: external_force, coordinates: [elbow]}, '
+           '{kind: servo, coordinates: [shoulder, elbow], stiffness: 1.0}, '
+           '{kind: observer, coordinates: [shoulder]}')
+DRAWN = """\
+events: [{when: shoulder = elbow}]
 mechanism: double_pendulum
-"""
-ENSEMBLE = """\
-hamiltonian: {kind: learned, model: several.safetensors}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [0.3], p: [-0.2]}
-uncertainty: {limit: 1.0}
 """
 
 
@@ -94,16 +83,18 @@ def check(policy: Path, rights: dict[str, list[str]], whole: bool, renew: bool,
     ['arms.yaml', 'several.yaml', 'quadrotor'], marks=pytest.mark.long)], ids=['one', 'all'])
 def test_policy_allows_exactly_what_the_simulator_does_in_the_graph(
         tmp_path: Path, request: pytest.FixtureRequest, scenes: list[str]):
-    (tmp_path / 'arms.yaml').write_text(SCENE.format(robot=ROBOT))
+    write_scene(tmp_path / 'arms.yaml', f'urdf, file: {ROBOT}', EFFECTS, step_size=0.002,
+                q=[0.3, -0.2], p=[0.0, 0.0], more=DRAWN)
     save_checkpoint(tmp_path / 'several.safetensors', ensemble(2))
-    (tmp_path / 'several.yaml').write_text(ENSEMBLE)
+    write_scene(tmp_path / 'several.yaml', 'learned, model: several.safetensors',
+                more='uncertainty: {limit: 1.0}\n')
     rights: dict[str, set[str]] = {}
     for scene in scenes:
         # No node follows the clock that it publishes.
         follows = scene == 'quadrotor'
         with simulating(tmp_path, scene=scene, publish_clock=not follows, use_sim_time=follows,
                         publish_accuracy='true') as (other, _):
-            clock, ticks = other.node.create_publisher(Clock, '/clock', 10), count(1)
+            clock, ticks = other.publisher(Clock, '/clock', 10), count(1)
             # All of its topics are there once it publishes.
             other.spin_until(lambda other=other, clock=clock, ticks=ticks: clock.publish(
                 clock_message(10**7 * next(ticks))) or other.states)
@@ -140,15 +131,11 @@ def test_policy_allows_exactly_what_the_controller_does_in_the_graph(
           len(tasks) > 1, request.config.getoption('--policy'), node)
 
 
-def test_policy_lets_the_clock_in_for_a_node_with_use_sim_time():
+def test_policy_lets_the_clock_in_and_holds_no_wildcard_and_no_right_to_call_others():
     profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     heard = [name.text for name in profile.find("topics[@subscribe='ALLOW']")]
     assert heard == ['/clock', '~/commands', '~/initial_state', '~/joint_commands',
                      '~/joint_trajectory', '~/observations', '~/wrench']
-
-
-def test_policy_holds_no_wildcard_and_no_right_to_call_others():
-    profile = ElementTree.parse(POLICY).getroot().find('.//profile')
     assert {(group.tag, *group.attrib) for group in profile} == {
         ('topics', 'publish'), ('topics', 'subscribe'), ('services', 'reply'),
         ('actions', 'execute')}

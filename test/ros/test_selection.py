@@ -14,13 +14,11 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.build import build
 from processes import finish, start
 import pytest
+from scene_files import scene_text
 from test_health import events_of
 
-AUTO = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: auto, energy_error: 1.0e-3, horizon: 10.0}
-initial_state: {q: [1.0], p: [0.0]}
-"""
+AUTO = scene_text(integrator='auto, energy_error: 1.0e-3, horizon: 10.0').replace(
+    'step_size: 0.01\n', '')
 TOLERANCE = Tolerance('energy_error', 1e-3, 10.0)
 CHOICE = Choice('gauss4', 0.005, 1e-4, 10.0, 1e-3, 4e3, {}, 0.5)
 

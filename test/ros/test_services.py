@@ -5,65 +5,47 @@
 import array
 from pathlib import Path
 import random
-import signal
 import time
 
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.hearing import LARGEST_MESSAGE
 from lifecycle_msgs.srv import ChangeState
-from mcap.reader import make_reader
 from messages import refused
 import numpy as np
-from peer import Peer, peer, simulating, SIMULATOR, stamp, state_of, wait_for_way_back
-from processes import finish, read_bag, standard_error, start
+from peer import Peer, simulating, SIMULATOR, stamp, state_of, values_of, wait_for_way_back
+from processes import finish, read_bag, standard_error
 import pytest
 from rcl_interfaces.srv import (
     DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically)
 from rclpy.parameter import Parameter
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 import yaml
 
-SCENE = """\
-hamiltonian: {kind: double_pendulum}
-effects:
-  - {kind: external_force, coordinates: [angle1], timeout: 0.1}
-  - {kind: servo, coordinates: [angle1, angle2], stiffness: 5.0, damping: 1.0}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.002
-initial_state: {q: [0.3, -0.2], p: [0.0, 0.0]}
-"""
-WALL = """\
-hamiltonian: {kind: free_particle, mass: 2.0, names: [x]}
-effects: [{kind: impact, coordinate: x, position: 0.0, restitution: 0.5}]
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
+FORCE = '{kind: external_force, coordinates: [angle1], timeout: 0.1}'
+SERVO = '{kind: servo, coordinates: [angle1, angle2], stiffness: 5.0, damping: 1.0}'
+WALL = '{kind: impact, coordinate: x, position: 0.0, restitution: 0.5}'
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with two scenes."""
-    (tmp_path / 'arms.yaml').write_text(SCENE)
-    (tmp_path / 'wall.yaml').write_text(WALL)
+    write_scene(tmp_path / 'arms.yaml', 'double_pendulum', f'{FORCE}, {SERVO}', step_size=0.002,
+                q=[0.3, -0.2], p=[0.0, 0.0])
+    write_scene(tmp_path / 'wall.yaml', 'free_particle, mass: 2.0, names: [x]', WALL)
     return tmp_path
-
-
-def names_of(scene: str, folder: Path) -> list[str]:
-    hamiltonian = load_scene(folder / scene).create_hamiltonian()
-    return [coordinate.name for coordinate in hamiltonian.coordinates]
 
 
 def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_next_reset(folder):
     with simulating(folder, scene='arms.yaml', record_path='bag') as (other, process):
-        publisher = other.node.create_publisher(
-            JointState, f'{SIMULATOR}/initial_state', 1)
+        publisher = other.publisher(JointState, '~/initial_state')
         other.spin_until(lambda: len(other.states) > 100 and publisher.get_subscription_count())
         seen = other.states[-1]
         wanted = JointState(name=list(seen.name)[::-1], position=seen.position[::-1],
@@ -95,10 +77,7 @@ def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_ne
             state_of(other.states[-1])[:2], seen.position, atol=2e-3 * 10.0)
     assert '~/initial_state: message ignored' in standard_error(process)
     # The new bag says where it begins: at the velocities that were asked for.
-    with (folder / 'bag-2' / 'bag-2_0.mcap').open('rb') as stream:
-        attached = {a.name: yaml.safe_load(a.data)
-                    for a in make_reader(stream).iter_attachments()}
-    begun = attached['scene.yaml']['initial_state']
+    begun = yaml.safe_load(BagReader(folder / 'bag-2').attachment('scene.yaml'))['initial_state']
     assert begun['q'] == list(seen.position)
     hamiltonian = load_scene(folder / 'arms.yaml').create_hamiltonian()
     _, velocity = hamiltonian.gradient(np.array(begun['q']), np.array(begun['p']))
@@ -109,10 +88,8 @@ def test_initial_state_is_the_mirror_image_of_joint_states_and_is_used_at_the_ne
 def test_initial_state_is_answered_and_can_reset_at_once(folder):
     with simulating(folder, scene='wall.yaml', reset_on_initial_state='true',
                     reset_time='true') as (other, _):
-        answers: list[DiagnosticArray] = []
-        other.node.create_subscription(
-            DiagnosticArray, f'{SIMULATOR}/state_set', answers.append, 10)
-        publisher = other.node.create_publisher(JointState, f'{SIMULATOR}/initial_state', 1)
+        answers = other.hear(DiagnosticArray, '~/state_set')
+        publisher = other.publisher(JointState, '~/initial_state')
         other.spin_until(lambda: other.states and publisher.get_subscription_count()
                          and other.node.count_publishers(f'{SIMULATOR}/state_set'))
         wait_for_way_back(other.node, other.spin_until, SIMULATOR)
@@ -126,7 +103,7 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
         good = answer(position=[2.0], velocity=[0.25])
         assert (good.name, good.level, good.message) == (
             'hnn_simulator: initial_state', b'\0', 'reset to it')
-        assert {one.key: one.value for one in good.values} == {'x': '2.0', 'p_x': '0.5'}
+        assert values_of(good) == {'x': '2.0', 'p_x': '0.5'}
         assert stamp(answers[-1]) == 0
         for bad, why in (({'position': [-1.0], 'velocity': [0.0]}, 'x = -1.0 is behind the wall'),
                          ({'position': [], 'velocity': [0.0]}, 'position must be 1 finite')):
@@ -146,15 +123,14 @@ def test_initial_state_is_answered_and_can_reset_at_once(folder):
 def assert_goes_on(other: Peer, velocity: float) -> None:
     """Assert that the state moves with a velocity."""
     count = len(other.states)
-    other.spin_until(lambda: len(other.states) > count + 5 and other.states[-1].velocity[0] ==
-                     pytest.approx(velocity, rel=1e-12))
-    assert stamp(other.states[-1]) > stamp(other.states[-2])
+    # What was published before a reset may come yet.
+    other.spin_until(lambda: len(other.states) > count + 5 and stamp(other.states[-1]) > stamp(
+        other.states[-2]) and other.states[-1].velocity[0] == pytest.approx(velocity, rel=1e-12))
 
 
 def test_command_that_makes_a_step_fail_leaves_the_node_up_to_be_reset(folder):
     with simulating(folder, scene='arms.yaml') as (other, process):
-        publisher = other.node.create_publisher(
-            Float64MultiArray, f'{SIMULATOR}/commands', 1)
+        publisher = other.publisher(Float64MultiArray, '~/commands')
         other.spin_until(lambda: other.states and publisher.get_subscription_count())
         # The most that is taken, and more than any arm could bear.
         publisher.publish(Float64MultiArray(data=[1e12]))
@@ -285,19 +261,17 @@ def works_again(other: Peer) -> bool:
 @pytest.mark.parametrize('seconds', [2.0, pytest.param(30.0, marks=pytest.mark.long)])
 def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_finite(
         folder, seconds):
-    process = start(folder, scene='arms.yaml', real_time_factor=2)
-    chance, names = random.Random(8), names_of('arms.yaml', folder)
+    chance, names = random.Random(8), ['angle1', 'angle2']
     services = {'set_pause': SetBool, 'reset': Trigger, 'step': Trigger,
                 'start_recording': Trigger, 'stop_recording': Trigger,
                 'change_state': ChangeState, 'set_parameters': SetParameters,
                 'set_parameters_atomically': SetParametersAtomically,
                 'get_parameters': GetParameters, 'describe_parameters': DescribeParameters,
                 'list_parameters': ListParameters}
-    with peer() as other:
+    with simulating(folder, scene='arms.yaml', real_time_factor=2) as (other, process):
         kinds = {'commands': Float64MultiArray, 'initial_state': JointState,
                  'joint_commands': JointState, 'joint_trajectory': JointTrajectory}
-        publishers = {name: other.node.create_publisher(kind, f'{SIMULATOR}/{name}', 1)
-                      for name, kind in kinds.items()}
+        publishers = {name: other.publisher(kind, f'~/{name}') for name, kind in kinds.items()}
         other.spin_until(lambda: other.states and all(
             publisher.get_subscription_count() for publisher in publishers.values()))
         clients = {name: other.client(kind, name) for name, kind in services.items()}
@@ -326,8 +300,5 @@ def test_nonsense_at_every_topic_and_service_leaves_the_node_up_and_its_state_fi
             raise AssertionError(standard_error(process)[-3000:])
         assert np.isfinite([state_of(message) for message in other.states]).all()
         print(f'{sent} messages and requests in {seconds:g} s')
-        process.send_signal(signal.SIGINT)
-        status, _, error = finish(process)
-    assert status == 0, error
     # One a second at most is told, of whichever topic.
-    assert ': message ignored' in error
+    assert ': message ignored' in standard_error(process)

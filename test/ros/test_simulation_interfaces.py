@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Services and action of simulation_interfaces, with its real messages, from another process."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +12,13 @@ from peer import Peer, peer, SIMULATOR, stamp
 from processes import finish, start
 import pytest
 from rclpy.action import ActionClient
+from scene_files import write_scene
 
 REASON = 'simulation_interfaces is not installed: apt install ros-jazzy-simulation-interfaces'
 msg = pytest.importorskip('simulation_interfaces.msg', reason=REASON)
 srv = pytest.importorskip('simulation_interfaces.srv', reason=REASON)
 action = pytest.importorskip('simulation_interfaces.action', reason=REASON)
 
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
 STATE, RESULT = msg.SimulationState, msg.Result
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
@@ -29,8 +26,8 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with two scenes."""
-    (tmp_path / 'oscillator.yaml').write_text(SCENE)
-    (tmp_path / 'other.yaml').write_text(SCENE.replace('1.0', '2.0'))
+    write_scene(tmp_path / 'oscillator.yaml')
+    write_scene(tmp_path / 'other.yaml', q=[2.0])
     return tmp_path
 
 
@@ -78,11 +75,20 @@ class Client:
         return future.result().status, future.result().result.result
 
 
-def test_every_interface_is_served_with_the_real_messages_and_steps_are_exact(folder):
-    process = start(folder, start_paused='true')
+@contextmanager
+def serving(folder: Path, **parameters: object) -> Iterator[tuple[Peer, Client]]:
+    """Start a simulator, give another node and the client, and quit by a service."""
+    process = start(folder, **parameters)
     with peer() as other:
         other.wait_for_state('active')
         client = Client(other)
+        yield other, client
+        assert client.set_state(STATE.STATE_QUITTING) == RESULT.RESULT_OK
+    assert finish(process)[0] == 0
+
+
+def test_every_interface_is_served_with_the_real_messages_and_steps_are_exact(folder):
+    with serving(folder, start_paused='true') as (other, client):
         features = client.call('GetSimulatorFeatures').features.features
         assert list(features) == sorted(
             getattr(msg.SimulatorFeatures, feature) for name, served in INTERFACES.items()
@@ -98,15 +104,10 @@ def test_every_interface_is_served_with_the_real_messages_and_steps_are_exact(fo
         for state in (STATE.STATE_STOPPED, STATE.STATE_PLAYING):
             assert client.set_state(state) == RESULT.RESULT_OK and client.state == state
         assert client.code('StepSimulation', steps=1) == RESULT.RESULT_OPERATION_FAILED
-        assert client.set_state(STATE.STATE_QUITTING) == RESULT.RESULT_OK
-    assert finish(process)[0] == 0
 
 
 def test_action_tells_how_far_it_is_and_can_be_cancelled(folder):
-    process = start(folder, start_paused='true')
-    with peer() as other:
-        other.wait_for_state('active')
-        client = Client(other)
+    with serving(folder, start_paused='true') as (other, client):
         status, result = client.end_of(client.send(12))
         assert (status, result.result) == (SUCCEEDED, RESULT.RESULT_OK)
         other.spin_until(lambda: (12, 0) in client.feedback)
@@ -125,16 +126,11 @@ def test_action_tells_how_far_it_is_and_can_be_cancelled(folder):
         status, result = client.end_of(client.send(3))
         assert (status, result.result) == (ABORTED, RESULT.RESULT_OPERATION_FAILED)
         assert 'only in a pause' in result.error_message
-        assert client.set_state(STATE.STATE_QUITTING) == RESULT.RESULT_OK
-    assert finish(process)[0] == 0
 
 
 @pytest.mark.skipif(not hasattr(srv, 'LoadWorld'), reason='this version knows no worlds')
 def test_world_is_listed_loaded_and_played(folder):
-    process = start(folder)
-    with peer() as other:
-        other.wait_for_state('active')
-        client = Client(other)
+    with serving(folder) as (other, client):
         worlds = client.call('GetAvailableWorlds', additional_sources=[str(folder)]).worlds
         assert [world.name for world in worlds[-2:]] == ['oscillator', 'other']
         assert len(client.call('GetSpawnables').spawnables) == len(worlds) - 2
@@ -153,5 +149,3 @@ def test_world_is_listed_loaded_and_played(folder):
         assert client.code('UnloadWorld') == RESULT.RESULT_OK
         assert client.state == STATE.STATE_NO_WORLD
         assert client.code('StepSimulation') == RESULT.RESULT_OPERATION_FAILED
-        assert client.set_state(STATE.STATE_QUITTING) == RESULT.RESULT_OK
-    assert finish(process)[0] == 0

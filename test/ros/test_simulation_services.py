@@ -3,24 +3,21 @@
 """Services and the action of simulation_interfaces, by its definition; messages are stand-ins."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 from hnn_vi_ros.ros.services import INTERFACES, offer_services, service_name
 from hnn_vi_ros.ros.settings import Settings
 from lifecycle_msgs.msg import State
 from messages import refused
 import pytest
+from scene_files import scene_text, write_scene
 from simulation_stand_ins import (
     active_simulator, FAILED, INCORRECT_STATE, interfaces, LOADING, NO_WORLD, NOT_FOUND, now, OK,
     PAUSED, PLAYING, QUITTING, Simulator, STOPPED, UNSUPPORTED)
 
 OWN = {'~/set_pause', '~/reset', '~/step', '~/start_recording', '~/stop_recording'}
 SHIPPED = 'package://hnn_vi_ros/config/scenes/exact_pendulum.yaml'
-CODE = """\
-hamiltonian: {kind: python, factory: 'os:abort'}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
+CODE = scene_text("python, factory: 'os:abort'")
 
 
 @pytest.fixture
@@ -34,10 +31,9 @@ def state_of(node: Simulator) -> int:
 
 
 def set_state(node: Simulator, wanted: int) -> int:
-    kind = node.offered['~/set_simulation_state'][0].Request
-    request = kind()
-    request.state.state = wanted
-    return node.code('set_simulation_state', state=request.state)
+    state = node.offered['~/set_simulation_state'][0].Request().state
+    state.state = wanted
+    return node.code('set_simulation_state', state=state)
 
 
 def test_simulation_interfaces_that_are_not_installed_cost_nothing(monkeypatch):
@@ -121,12 +117,8 @@ def test_refusal_says_that_the_node_is_being_configured(simulator, service):
     simulator.control = simulator.run = None
     simulator.state = State.TRANSITION_STATE_CONFIGURING
     simulator.refusal = 'configuring: compiling the kernel'
-    kind = simulator.offered[f'~/{service}'][0].Request
-    request = kind()
-    fields = {}
-    if service == 'set_simulation_state':
-        request.state.state = PLAYING
-        fields['state'] = request.state
+    request = simulator.offered[f'~/{service}'][0].Request()
+    fields = {'state': request.state} if service == 'set_simulation_state' else {}
     assert simulator.call(service, **fields).result.error_message == simulator.refusal
 
 
@@ -187,8 +179,7 @@ def test_worlds_are_filtered_by_any_or_all_tags(simulator):
 
 
 def test_worlds_of_a_folder_are_found_and_one_that_is_not_there_is_told(simulator, tmp_path):
-    (tmp_path / 'own.yaml').write_text(CODE.replace(
-        "kind: python, factory: 'os:abort'", 'kind: harmonic_oscillator'))
+    write_scene(tmp_path / 'own.yaml')
     (tmp_path / 'code.yaml').write_text(CODE)
     (tmp_path / 'other.yaml').write_text('a: 1')
     sources = [str(tmp_path), tmp_path.as_uri(), 'https://example.com/worlds']
@@ -212,8 +203,7 @@ def test_world_that_cannot_be_loaded_is_refused_by_its_code_and_the_run_goes_on(
         simulator, tmp_path, monkeypatch, uri, text, code):
     monkeypatch.chdir(tmp_path)
     Path('bad.yaml').write_text('hamiltonian: [')
-    Path('absent.yaml').write_text(CODE.replace(
-        "kind: python, factory: 'os:abort'", 'kind: hnn, model: absent'))
+    write_scene(Path('absent.yaml'), 'hnn, model: absent')
     Path('code.yaml').write_text(CODE)
     control = simulator.control
     answer = simulator.call('load_world', world_resource=resource(simulator, uri, text)).result
@@ -264,59 +254,51 @@ def test_uri_stands_in_the_message_itself_in_the_first_versions(monkeypatch):
     assert node.call('get_current_world').world.uri == SHIPPED
 
 
-class Goal:
-    """A goal handle that notes what becomes of it."""
-
-    def __init__(self, simulator: Simulator, steps: int):
-        self.request = simulator.offered['~/simulate_steps'][0].Goal(steps=steps)
-        self.is_cancel_requested, self.end, self.told = False, '', []
-
-    def publish_feedback(self, feedback) -> None:
-        self.told.append((feedback.completed_steps, feedback.remaining_steps))
-
-    def succeed(self) -> None:
-        self.end += 'succeeded'
-
-    def abort(self) -> None:
-        self.end += 'aborted'
-
-    def canceled(self) -> None:
-        self.end += 'canceled'
+def goal_of(simulator: Simulator, steps: int) -> Mock:
+    """Return a goal handle that notes what becomes of it."""
+    return Mock(request=simulator.offered['~/simulate_steps'][0].Goal(steps=steps),
+                is_cancel_requested=False)
 
 
-def execute(simulator: Simulator, goal: Goal):
+def end_of(goal: Mock) -> list[str]:
+    return [call for call, *_ in goal.method_calls if call != 'publish_feedback']
+
+
+def execute(simulator: Simulator, goal: Mock):
     return simulator.offered['~/simulate_steps'][1](goal)
 
 
-@pytest.mark.parametrize('steps, end, code', [(3, 'succeeded', OK), (5, 'aborted', FAILED)])
+@pytest.mark.parametrize('steps, end, code', [(3, 'succeed', OK), (5, 'abort', FAILED)])
 def test_goal_ends_as_its_steps_do_and_its_result_says_why(simulator, steps, end, code):
-    goal = Goal(simulator, steps)
+    goal = goal_of(simulator, steps)
     answer = now(execute(simulator, goal)).result
-    assert (goal.end, answer.result, answer.error_message) == (
-        end, code, '' if code == OK else '5')
+    assert (end_of(goal), answer.result, answer.error_message) == (
+        [end], code, '' if code == OK else '5')
 
 
 def test_goal_without_a_world_is_aborted_with_a_reason(simulator):
-    simulator.control, goal = None, Goal(simulator, 3)
+    simulator.control, goal = None, goal_of(simulator, 3)
     answer = now(execute(simulator, goal)).result
-    assert goal.end == 'aborted' and answer.result == FAILED
+    assert end_of(goal) == ['abort'] and answer.result == FAILED
     assert 'not configured' in answer.error_message
 
 
 def test_goal_tells_its_first_and_last_batch_and_does_not_flood_its_client(simulator):
-    goal = Goal(simulator, 1000)
+    goal = goal_of(simulator, 1000)
     work = execute(simulator, goal)
     work.send(None)
     for done in range(10, 1001, 10):
         simulator.control.progress(done, 1000 - done)
     # A hundred batches in far less than the two seconds that so many feedbacks would take.
-    assert goal.told[0] == (10, 990) and goal.told[-1] == (1000, 0)
-    assert len(goal.told) < 50
+    told = [(call.args[0].completed_steps, call.args[0].remaining_steps)
+            for call in goal.publish_feedback.call_args_list]
+    assert told[0] == (10, 990) and told[-1] == (1000, 0)
+    assert len(told) < 50
     work.close()
 
 
 def test_goal_that_is_cancelled_ends_at_the_step_it_has_reached(simulator):
-    goal, other = Goal(simulator, 1000), Goal(simulator, 1000)
+    goal, other = goal_of(simulator, 1000), goal_of(simulator, 1000)
     work = execute(simulator, goal)
     work.send(None)
     # The cancellation of another goal is none of this one.
@@ -325,12 +307,12 @@ def test_goal_that_is_cancelled_ends_at_the_step_it_has_reached(simulator):
     simulator.cancel(goal)
     goal.is_cancel_requested = True
     answer = now(work).result
-    assert goal.end == 'canceled' and answer.result == FAILED
+    assert end_of(goal) == ['canceled'] and answer.result == FAILED
     assert 'cancelled' in answer.error_message
 
 
 def test_goal_that_was_cancelled_before_it_began_takes_no_step(simulator):
-    goal = Goal(simulator, 1000)
+    goal = goal_of(simulator, 1000)
     goal.is_cancel_requested = True
     work = execute(simulator, goal)
-    assert now(work).result.result == FAILED and goal.end == 'canceled'
+    assert now(work).result.result == FAILED and end_of(goal) == ['canceled']

@@ -2,44 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator as a process: its files, its messages, its end, and its answers to mistakes."""
 
-from collections.abc import Iterator
 from pathlib import Path
 import signal
-import subprocess
-import sys
-import time
 
 from hnn_vi_ros import load_scene, simulate
-from hnn_vi_ros.ros.replay.replay_check import check_replay
+from hnn_vi_ros.ros.topics.outputs import LATCHED
 from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from messages import assert_message
 import numpy as np
-from peer import nodes_of, peer, stamp
+from peer import Listener, peer, stamp, TICK_TYPES
 from processes import (
     finish, read_bag, recorded_until, refusal, simulator_words, start, wait_until)
 import pytest
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from scene_files import FAILING
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, String
+from recorded import assert_agrees, recorded_messages
+from rerun_reader import assert_verified
+from scene_files import FAILING, write_scene
+from std_msgs.msg import Float64MultiArray, String
 import yaml
-
-COMMANDED = """\
-hamiltonian: {kind: free_particle, mass: 2.0, names: [x]}
-effects: [{kind: external_force, coordinates: [x]}]
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [0.0], p: [0.0]}
-"""
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with two scenes in it."""
-    (tmp_path / 'commanded.yaml').write_text(COMMANDED)
+    write_scene(tmp_path / 'commanded.yaml', 'free_particle, mass: 2.0, names: [x]',
+                '{kind: external_force, coordinates: [x]}', q=[0.0])
     (tmp_path / 'failing.yaml').write_text(FAILING)
     return tmp_path
 
@@ -59,14 +47,12 @@ def test_simulator_run_leaves_a_bag_of_its_samples_and_a_recording(folder):
         '/hnn_simulator/state': 'sensor_msgs__msg__JointState',
         '/hnn_simulator/scene': 'std_msgs__msg__String'}
     # The scene, once, with the state that the bag begins at.
-    assert [stamp for stamp, _ in topics.pop('/hnn_simulator/scene')] == [0]
-    stamps = [[stamp for stamp, _ in messages] for messages in topics.values()]
-    headers = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-               for _, message in topics['/joint_states']]
+    assert [when for when, _ in topics.pop('/hnn_simulator/scene')] == [0]
+    stamps = [[when for when, _ in messages] for messages in topics.values()]
     # One message a topic and tick, 10 ms apart from the first, and one time for all of them.
     assert stamps == [[10_000_000 * tick for tick in range(1, 501)]] * 5
-    assert headers == stamps[0]
-    assert is_recording(run / 'recording.rrd')
+    assert [stamp(message) for _, message in topics['/joint_states']] == stamps[0]
+    assert_verified(run / 'recording.rrd')
     assert str(run.relative_to(folder) / 'bag') in out
     assert 'rerun runs/' in out
     trajectory = simulate(load_scene('exact_harmonic_oscillator'), 5.0)
@@ -81,94 +67,59 @@ def test_simulator_run_leaves_a_bag_of_its_samples_and_a_recording(folder):
     assert joints[0].name == ['x']
 
 
-def is_recording(path: Path) -> bool:
-    """Return whether rerun accepts a recording."""
-    verify = [Path(sys.prefix) / 'bin' / 'rerun', 'rrd', 'verify', path]
-    return subprocess.run(verify, capture_output=True, timeout=60, check=False).returncode == 0
-
-
-@pytest.fixture
-def subscriber() -> Iterator[tuple[dict, SingleThreadedExecutor]]:
-    """Yield what a node of this process receives, by topic, and its executor."""
-    with nodes_of('subscriber') as ((node,), executor):
-        received: dict[str, list] = {}
-        for topic, message_type in {'/hnn_simulator/q': Float64MultiArray,
-                                    '/hnn_simulator/p': Float64MultiArray,
-                                    '/hnn_simulator/energy': Float64,
-                                    '/joint_states': JointState}.items():
-            received[topic] = []
-            # A queue that no stall of this process overflows.
-            node.create_subscription(message_type, topic, received[topic].append, 30_000)
-        yield received, executor
-
-
 @pytest.mark.parametrize('seconds, rate', [
     (3, 100), pytest.param(25, 1000, marks=pytest.mark.long)])
 def test_subscriber_in_a_second_process_receives_every_sample_of_the_bag(
-        folder, subscriber, seconds, rate):
-    received, executor = subscriber
+        folder, seconds, rate):
     # Queues that hold all messages: a busy machine may stall anybody.
     count = seconds * rate
-    queues = {f'qos_overrides.{topic}.publisher.depth': count for topic in received}
+    queues = {f'qos_overrides.{topic}.publisher.depth': count for topic in TICK_TYPES}
     for factor in (1.0, 0.5):
-        for messages in received.values():
-            messages.clear()
         bag = folder / f'bag_{factor}'
-        process = start(folder, duration=seconds, publish_rate=rate, step_size=1.0 / rate,
-                        real_time_factor=factor, record_path=bag, discovery_time=10, **queues)
-        while process.poll() is None:
-            executor.spin_once(timeout_sec=0.05)
-        heard = -1
-        while heard < (heard := sum(map(len, received.values()))):
-            # The rest of the queues.
-            until = time.monotonic() + 0.5
-            while time.monotonic() < until:
-                executor.spin_once(timeout_sec=0.1)
+        with peer(lambda: Listener(count)) as listener:
+            process = start(folder, duration=seconds, publish_rate=rate, step_size=1.0 / rate,
+                            real_time_factor=factor, record_path=bag, discovery_time=10, **queues)
+            listener.spin_until(lambda process=process: process.poll() is not None)
+            heard = -1
+            while heard < (heard := sum(map(len, listener.heard.values()))):
+                # The rest of the queues.
+                listener.spin(0.5)
         status, _, log = finish(process)
         assert status == 0
         # The node reports a machine that is too busy for the pace.
         if 'too slow to receive' not in log:
             break
-    recorded = read_bag(bag)
+    assert listener.received == recorded_messages(bag)
     # A busy machine may have added alarms of overruns.
-    recorded.pop('/diagnostics', None)
-    assert len(recorded.pop('/hnn_simulator/scene')) == 1
-    assert {topic: len(messages) for topic, messages in recorded.items()} == dict.fromkeys(
-        [*received, '/hnn_simulator/state'], count)
-    for messages in recorded.values():
-        assert [stamp for stamp, _ in messages] == [
-            10**9 // rate * tick for tick in range(1, count + 1)]
-    for topic in ('/hnn_simulator/q', '/hnn_simulator/p'):
-        assert [m.data.tolist() for m in received[topic]] == [
-            m.data.tolist() for _, m in recorded[topic]]
-    assert [m.data for m in received['/hnn_simulator/energy']] == [
-        m.data for _, m in recorded['/hnn_simulator/energy']]
-    assert [(stamp(m), m.position[0]) for m in received['/joint_states']] == [
-        (stamp(m), m.position[0]) for _, m in recorded['/joint_states']]
+    stamps = {topic: [when for when, _ in messages] for topic, messages in read_bag(bag).items()
+              if topic != '/diagnostics'}
+    assert len(stamps.pop('/hnn_simulator/scene')) == 1
+    assert stamps.keys() == TICK_TYPES.keys()
+    assert all(found == [10**9 // rate * tick for tick in range(1, count + 1)]
+               for found in stamps.values())
 
 
-def test_simulator_obeys_commands_and_accounts_for_their_work(folder, subscriber):
-    _, executor = subscriber
-    node, = executor.get_nodes()
-    commands = node.create_publisher(Float64MultiArray, '/hnn_simulator/commands', 1)
-    scenes: list[String] = []
-    node.create_subscription(String, '/hnn_simulator/scene', scenes.append, QoSProfile(
-        depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-    process = start(folder, scene='commanded.yaml', duration=3, record_path='bag',
-                    publish_accuracy='true', discovery_time=2)
-    while process.poll() is None:
-        # One that is not valid comes between those that are, and does no harm.
-        for command in ([3.0], [3.0, 3.0]):
-            commands.publish(Float64MultiArray(data=command))
-            executor.spin_once(timeout_sec=0.05)
+def test_simulator_obeys_commands_and_accounts_for_their_work(folder):
+    with peer() as other:
+        commands = other.publisher(Float64MultiArray, '~/commands')
+        scenes = other.hear(String, '~/scene', LATCHED)
+        process = start(folder, scene='commanded.yaml', duration=3, record_path='bag',
+                        publish_accuracy='true', discovery_time=2)
+        while process.poll() is None:
+            # One that is not valid comes between those that are, and does no harm.
+            for command in ([3.0], [3.0, 3.0]):
+                commands.publish(Float64MultiArray(data=command))
+                other.spin(0.05)
     status, _, error = finish(process)
     assert status == 0
     assert '~/commands: message ignored' in error
     scene = yaml.safe_load(scenes[0].data)
     assert [effect['kind'] for effect in scene['effects']] == ['external_force']
     assert scene['conservative'] is False
-    assert check_replay(folder / 'bag').good
+    assert_agrees(folder / 'bag')
     topics = read_bag(folder / 'bag')
+    ((_, recorded),) = topics['/hnn_simulator/scene']
+    assert recorded.data == scenes[0].data
     p = np.array([message.data[0] for _, message in topics['/hnn_simulator/p']])
     force = np.diff(p) / 0.01
     # Differences of momenta up to 9 kg m/s, over 0.01 s: 4e-13.
@@ -192,7 +143,7 @@ def test_simulator_signal_closes_the_files_and_exits_0(folder, number):
     assert status == 0
     assert f'stopped by {number.name}' in error
     assert len(read_bag(folder / 'bag')['/hnn_simulator/q']) > 50
-    assert is_recording(folder / 'picture.rrd')
+    assert_verified(folder / 'picture.rrd')
 
 
 def test_simulator_killed_loses_at_most_the_last_second(folder):
@@ -213,8 +164,7 @@ def test_simulator_killed_loses_at_most_the_last_second(folder):
 
 def test_simulator_takes_integers_for_doubles_and_does_without_files(folder):
     status, out, error = finish(start(folder, duration=1, publish_rate=50, real_time_factor=10))
-    assert status == 0, error
-    assert out == ''
+    assert (status, out) == (0, ''), error
     assert not (folder / 'runs').exists()
 
 
@@ -232,8 +182,7 @@ def test_simulator_step_failure_keeps_the_samples_closes_the_files_and_exits_1(f
         folder, scene='failing.yaml', record_path='bag', rerun_path='picture.rrd',
         real_time_factor=0))
     assert status == 1
-    assert 'step failed at t =' in error
-    assert 'step_size' in error
+    assert 'step failed at t =' in error and 'step_size' in error
     samples = read_bag(folder / 'bag')['/hnn_simulator/q']
     assert len(samples) == 16
     assert all(np.isfinite(message.data).all() for _, message in samples)
@@ -254,9 +203,7 @@ def test_simulator_mistake_is_one_line(folder, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / 'taken').mkdir()
     for parameters in MISTAKES:
-        line = refusal('simulator', *simulator_words(**parameters))
-        assert line.startswith('simulator: ')
-        assert_message(line)
+        assert_message(refusal('simulator', *simulator_words(**parameters)))
     assert not list((folder / 'taken').iterdir())
 
 

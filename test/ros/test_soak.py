@@ -1,19 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An hour of simulated time: memory, samples and repeatability; and a run that is resumed."""
+"""An hour of simulated time: memory, samples and repeatability."""
 
-import os
 from pathlib import Path
-import subprocess
-import sys
 import time
 
-from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation.build import build
+from helpers import content_of
 import numpy as np
 from processes import finish, start
 import pytest
-from rosbags.highlevel import AnyReader
+import test_memory
 
 pytestmark = pytest.mark.long
 HOUR, STEP, RATE = 3600, 0.001, 10
@@ -22,41 +18,14 @@ SAMPLES = HOUR * RATE
 WARM, COMPLETE = 1.0 / 3.0, 0.97
 TOPICS = ['/hnn_simulator/energy', '/hnn_simulator/p', '/hnn_simulator/q',
           '/hnn_simulator/state', '/joint_states']
-NOISY = """\
-hamiltonian: {kind: hnn, model: pendulum}
-effects:
-  - {kind: periodic_drive, coordinate: angle, amplitude: 1.0, frequency: 0.5}
-  - {kind: thermostat, temperature: 0.1, rate: 1.0, seed: 7}
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
-CHAOTIC = """\
-hamiltonian: {kind: hnn, model: double_pendulum}
-integrator: {kind: gauss8}
-step_size: 0.01
-initial_state: {q: [1.0, 0.5], p: [0.0, 0.0]}
-"""
-RESUME = """
-import sys
-from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation.build import build
-import numpy as np
-simulation = build(load_scene(sys.argv[1]))
-with np.load('halfway.npz') as snapshot:
-    simulation.restore(snapshot)
-q, p = simulation.record(int(sys.argv[2]), 1)
-np.savez('rest.npz', q=q, p=p, time=simulation.time, work=simulation.work)
-"""
 
 
 def resident(pid: int) -> float:
     """Return the memory that a process holds [MB]; 0 once it has ended."""
     try:
-        pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+        return test_memory.resident(pid, 1)
     except (OSError, IndexError):
         return 0.0
-    return pages * os.sysconf('SC_PAGE_SIZE') / 1e6
 
 
 def size_of_log(folder: Path) -> int:
@@ -89,10 +58,9 @@ def recorded(folder: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Return the log time and the bytes of each message of the topics of every tick."""
     (bag,) = folder.glob('runs/*/bag')
     found: dict[str, list] = {topic: [] for topic in TOPICS}
-    with AnyReader([bag]) as reader:
-        connections = [each for each in reader.connections if each.topic in TOPICS]
-        for connection, stamp, raw in reader.messages(connections):
-            found[connection.topic].append((stamp, bytes(raw)))
+    for topic, stamp, data in content_of(bag):
+        if topic in TOPICS:
+            found[topic].append((stamp, data))
     return found
 
 
@@ -119,21 +87,3 @@ def test_hour_of_the_node_loses_no_sample_and_repeats_bit_by_bit(runs):
     for topic in TOPICS:
         assert [stamp for stamp, _ in first[topic]] == due
         assert first[topic] == second[topic]
-
-
-@pytest.mark.parametrize('text', [NOISY, CHAOTIC], ids=['noisy', 'chaotic'])
-def test_run_resumed_from_a_file_is_bit_identical_with_the_uninterrupted(tmp_path, text):
-    """Saved halfway, and resumed by another process."""
-    scene, n = tmp_path / 'scene.yaml', 5000
-    scene.write_text(text)
-    whole = build(load_scene(scene))
-    q, p = whole.record(2 * n, 1)
-    half = build(load_scene(scene))
-    half.advance(n)
-    np.savez(tmp_path / 'halfway.npz', **half.snapshot())
-    subprocess.run([sys.executable, '-c', RESUME, scene, str(n)], cwd=tmp_path, check=True,
-                   timeout=120)
-    with np.load(tmp_path / 'rest.npz') as rest:
-        assert np.array_equal(rest['q'], q[n:])
-        assert np.array_equal(rest['p'], p[n:])
-        assert (rest['time'], rest['work']) == (whole.time, whole.work)

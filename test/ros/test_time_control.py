@@ -21,54 +21,29 @@ from peer import Peer, peer, simulating, SIMULATOR, stamp, wait_for_way_back
 from processes import finish, read_bag, standard_error, start
 import pytest
 from rclpy.serialization import deserialize_message
-from rerun.chunk import RrdReader
+from rerun_reader import read
 from rosgraph_msgs.msg import Clock
-from scene_files import FAILING
+from scene_files import FAILING, write_scene
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 # An implicit method on a learned H, with a drive that depends on time and a heat bath's noise:
 # whatever could be forgotten in a reset.
-SCENE = """\
-hamiltonian: {kind: hnn, model: pendulum}
-effects: [{kind: periodic_drive, coordinate: angle, amplitude: 0.3, frequency: 0.7}]
-integrator: {kind: variational_euler}
-step_size: 0.002
-initial_state: {q: [1.0], p: [0.0]}
-"""
-NOISY = """\
-hamiltonian: {kind: harmonic_oscillator}
-effects: [{kind: thermostat, temperature: 0.5, rate: 1.0, seed: 3}]
-integrator: {kind: generalized_leapfrog}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
-# Each step multiplies the energy by 1.04: after 16 s it has changed by ten times its size.
-COARSE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: explicit_euler}
-step_size: 0.2
-initial_state: {q: [1.0], p: [0.0]}
-"""
+DRIVE = '{kind: periodic_drive, coordinate: angle, amplitude: 0.3, frequency: 0.7}'
+BATH = '{kind: thermostat, temperature: 0.5, rate: 1.0, seed: 3}'
 TICK, SECOND = 10_000_000, 10**9
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working directory with scenes."""
-    (tmp_path / 'coarse.yaml').write_text(COARSE)
+    # Each step multiplies the energy by 1.04: after 16 s it has changed by ten times its size.
+    write_scene(tmp_path / 'coarse.yaml', integrator='explicit_euler', step_size=0.2)
+    write_scene(tmp_path / 'driven.yaml', 'hnn, model: pendulum', DRIVE, 'variational_euler',
+                0.002)
+    write_scene(tmp_path / 'noisy.yaml', effects=BATH)
     (tmp_path / 'failing.yaml').write_text(FAILING)
-    (tmp_path / 'driven.yaml').write_text(SCENE)
-    (tmp_path / 'noisy.yaml').write_text(NOISY)
     return tmp_path
-
-
-def p_of(other: Peer) -> list:
-    """Hear ~/p from now on."""
-    received: list = []
-    other.node.create_subscription(
-        Float64MultiArray, f'{SIMULATOR}/p', received.append, 1000)
-    return received
 
 
 def pace(other: Peer) -> float:
@@ -111,7 +86,7 @@ def test_step_takes_exactly_so_many_steps_and_only_in_a_pause(folder):
     with simulating(folder, scene='driven.yaml', start_paused='true', record_path='bag') as (
             other, _):
         other.wait_for_state('active')
-        momenta = p_of(other)
+        momenta = other.hear(Float64MultiArray, '~/p', 1000)
         other.spin_until(lambda: other.node.count_publishers(f'{SIMULATOR}/p'))
         wait_for_way_back(other.node, other.spin_until, SIMULATOR)
         assert not other.states
@@ -210,10 +185,9 @@ def times_told(text: str) -> list[float]:
 
 def test_after_a_reset_every_time_that_is_told_is_that_of_the_stamps(folder):
     """In the log, in services' answers, on /diagnostics, in the bag and in the picture."""
-    told: list[DiagnosticArray] = []
     with simulating(folder, scene='coarse.yaml', record_path='bag', rerun_path='picture.rrd',
                     real_time_factor=20, publish_rate=5) as (other, process):
-        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
+        told = other.hear(DiagnosticArray, '/diagnostics')
         other.spin_until(lambda: other.states and stamp(other.states[-1]) > 20 * SECOND)
         answer = other.trigger('reset')
         origin = round(times_told(answer.message)[0] * SECOND)
@@ -241,12 +215,9 @@ def test_after_a_reset_every_time_that_is_told_is_that_of_the_stamps(folder):
     assert stamps[0] > origin and alarms
     for when, message in alarms:
         assert when in stamps
-        assert message.header.stamp.sec * SECOND + message.header.stamp.nanosec == when
+        assert stamp(message) == when
     # In the picture.
-    shown = [time for chunk in RrdReader(folder / 'picture-2.rrd').stream()
-             if not chunk.is_static
-             for time in chunk.to_record_batch().column('sim_time').cast('int64').to_pylist()]
-    assert min(shown) >= origin
+    assert min(min(rows['sim_time']) for rows in read(folder / 'picture-2.rrd').values()) >= origin
 
 
 def test_failure_after_a_reset_is_told_at_the_time_of_the_stamps(folder):

@@ -20,17 +20,20 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
+from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.simulation.build import build
 from messages import refused
-from processes import finish, standard_error, start, start_executable, to_file, wait_until
+from peer import ros
+from processes import (
+    finish, simulator_words, standard_error, start, start_executable, to_file, wait_until)
 from pydantic import ValidationError
 import pytest
 import rclpy
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from recorded import record_run
+from scene_files import write_scene
 from std_msgs.msg import String
 
 PYTHON = {'hamiltonian': {'kind': 'python', 'factory': 'marker:make'}}
@@ -66,12 +69,11 @@ def on_path(marker: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def node() -> Iterator[RerunBridge]:
     """Return a bridge that is asked for nothing."""
-    rclpy.init()
-    bridge = RerunBridge()
-    yield bridge
-    bridge.close()
-    bridge.destroy_node()
-    rclpy.shutdown()
+    with ros():
+        bridge = RerunBridge()
+        yield bridge
+        bridge.close()
+        bridge.destroy_node()
 
 
 def record(folder: Path, **described: object) -> Path:
@@ -134,19 +136,14 @@ def test_executables_survive_a_bag_that_names_os_abort(tmp_path):
 
 
 def test_bridge_survives_a_message_that_names_os_abort(tmp_path):
-    rclpy.init()
-    try:
-        sender = rclpy.create_node('sender')
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        publisher = sender.create_publisher(String, '/hnn_simulator/scene', latched)
+    with ros():
+        publisher = rclpy.create_node('sender').create_publisher(
+            String, '/hnn_simulator/scene', LATCHED)
         publisher.publish(String(data=described(**ABORT)))
         bridge = start_executable('rerun_bridge', *to_file(tmp_path / 'a.rrd'))
-
         wait_until(lambda: "'os:abort' is code" in standard_error(bridge))
         bridge.send_signal(signal.SIGINT)
         assert finish(bridge)[0] == 0
-    finally:
-        rclpy.shutdown()
 
 
 def test_trusted_code_is_run_from_the_path_of_python(tmp_path, marker, on_path):
@@ -166,9 +163,8 @@ def test_trust_is_given_on_the_command_line(tmp_path, marker, on_path, capsys):
 @pytest.mark.parametrize('name, words', [
     ('rerun_bridge', ['BAG', '--trust-code', *to_file(Path('a.rrd'))]),
     ('rerun_bridge', ['BAG', *to_file(Path('a.rrd')), '-p', 'trust_code:=true']),
-    ('simulator', ['--ros-args', '-p', 'resume:=BAG', '-p', 'trust_code:=true', '-p',
-                   'duration:=0.1', '-p', 'real_time_factor:=0.0', '-p', 'record:=false', '-p',
-                   'rerun_sink:=none', '-p', 'discovery_time:=0.0']),
+    ('simulator', simulator_words(resume='BAG', trust_code='true', duration=0.1,
+                                  real_time_factor=0.0)),
 ], ids=['option', 'parameter', 'resume'])
 def test_executable_that_trusts_a_bag_runs_its_code(tmp_path, marker, on_path, name, words):
     bag = record(tmp_path, **PYTHON)
@@ -215,10 +211,8 @@ def test_names_are_imported_in_one_place():
 def with_model(tmp_path: Path) -> Path:
     """Return the bag of a scene whose model is a file beside it."""
     shutil.copy(shipped_file('model', 'harmonic_oscillator'), tmp_path / 'm.safetensors')
-    scene = tmp_path / 'scene.yaml'
-    scene.write_text(
-        'hamiltonian: {kind: hnn, model: m.safetensors}\nstep_size: 0.01\n'
-        'integrator: {kind: variational_euler}\ninitial_state: {q: [1.0], p: [0.0]}\n')
+    scene = write_scene(
+        tmp_path / 'scene.yaml', 'hnn, model: m.safetensors', '', 'variational_euler')
     return record_run(tmp_path / 'bag', load_scene(scene), 5)
 
 

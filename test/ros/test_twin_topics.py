@@ -4,7 +4,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-import signal
 import time
 from types import SimpleNamespace
 
@@ -13,7 +12,6 @@ from ensembles import ensemble
 from hnn_vi_ros.companions.twin import Report
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
-from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics import companions
 from hnn_vi_ros.ros.topics.companions import TwinTopic
 from hnn_vi_ros.ros.topics.diagnostics import OK, WARN
@@ -21,21 +19,15 @@ from hnn_vi_ros.ros.topics.inputs import read_observation
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from messages import refused
 import numpy as np
-from peer import peer, simulating, SIMULATOR, stamp
+from peer import simulating, SIMULATOR, stamp
 from processes import finish, read_bag, standard_error, start
 import pytest
 from rclpy.qos import qos_profile_sensor_data
+from recorded import assert_agrees
+from scene_files import write_scene
 from sensor_msgs.msg import JointState
 
 NAN = float('nan')
-SCENE = """\
-hamiltonian: {{kind: learned, model: {model}}}
-effects: [{{kind: observer, coordinates: [x0], gain: 5.0, damping: 4.0, deviations: [0.1]}}]
-integrator: {{kind: implicit_midpoint}}
-step_size: 0.01
-initial_state: {{q: [0.3], p: [-0.2]}}
-uncertainty: {{limit: 1.0e-6}}
-"""
 
 
 def observation(position: list[float], names: tuple[str, ...] = ('x0',), at: int = 0,
@@ -120,18 +112,17 @@ def test_twin_without_observations_for_its_time_out_is_a_warning_once(
 def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observations(
         tmp_path: Path):
     save_checkpoint(tmp_path / 'several.safetensors', ensemble(3))
-    (tmp_path / 'scene.yaml').write_text(SCENE.format(model=tmp_path / 'several.safetensors'))
+    write_scene(tmp_path / 'scene.yaml', 'learned, model: several.safetensors', (
+        '{kind: observer, coordinates: [x0], gain: 5.0, damping: 4.0, deviations: [0.1]}'),
+        'implicit_midpoint', q=[0.3], p=[-0.2], more='uncertainty: {limit: 1.0e-6}\n')
     with simulating(tmp_path, scene='scene.yaml', record_path='bag', rerun_path='run.rrd') as (
             other, process):
         node = other.node
-        machine = node.create_publisher(
-            JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
-        second = node.create_publisher(JointState, f'{SIMULATOR}/observations', 1)
-        spreads, errors, told = [], [], []
-        for kind, name, heard in ((JointState, f'{SIMULATOR}/uncertainty', spreads),
-                                  (JointState, f'{SIMULATOR}/prediction_error', errors),
-                                  (DiagnosticArray, '/diagnostics', told)):
-            node.create_subscription(kind, name, heard.append, 10)
+        machine = other.publisher(JointState, '~/observations', qos_profile_sensor_data)
+        second = other.publisher(JointState, '~/observations')
+        spreads = other.hear(JointState, '~/uncertainty')
+        errors = other.hear(JointState, '~/prediction_error')
+        told = other.hear(DiagnosticArray, '/diagnostics')
         other.spin_until(lambda: other.states and spreads and machine.get_subscription_count()
                          and node.count_publishers(f'{SIMULATOR}/prediction_error'))
         for k in range(20):
@@ -168,19 +159,14 @@ def test_simulator_tells_its_spread_and_how_it_follows_and_survives_bad_observat
     assert {'twin', 'uncertainty'} <= names
     # It comes with the first sample, when nobody need listen yet.
     assert 'the members of the ensemble are' in error
-    verdict = check_replay(tmp_path / 'bag')
-    assert verdict.good, verdict.text
+    assert_agrees(tmp_path / 'bag')
     check_bag(tmp_path / 'bag')
 
 
-ARM = """\
-hamiltonian: {{kind: double_pendulum}}
-effects:
-- {{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20, velocity_limit: 20}}
-integrator: {{kind: implicit_midpoint}}
-step_size: 0.005
-initial_state: {{q: [0.3, -0.2], p: [0.0, 0.0]}}
-"""
+def write_arm(folder: Path, gain: float) -> None:
+    write_scene(folder / 'scene.yaml', 'double_pendulum', (
+        f'{{kind: observer, coordinates: [angle1, angle2], gain: {gain}, damping: 20, '
+        'velocity_limit: 20}'), 'implicit_midpoint', 0.005, [0.3, -0.2], [0.0, 0.0])
 
 
 def absurd(rng: np.random.Generator) -> Iterator[JointState]:
@@ -196,14 +182,11 @@ def absurd(rng: np.random.Generator) -> Iterator[JointState]:
 
 
 def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path: Path):
-    (tmp_path / 'scene.yaml').write_text(ARM.format(gain=300.0))
-    process = start(tmp_path, scene='scene.yaml', record_path='bag')
+    write_arm(tmp_path, 300.0)
     right, rng = observation([0.3, -0.2], ('angle1', 'angle2')), np.random.default_rng(2)
-    with peer() as other:
-        machine = other.node.create_publisher(
-            JointState, f'{SIMULATOR}/observations', qos_profile_sensor_data)
-        told: list[DiagnosticArray] = []
-        other.node.create_subscription(DiagnosticArray, '/diagnostics', told.append, 10)
+    with simulating(tmp_path, scene='scene.yaml', record_path='bag') as (other, process):
+        machine = other.publisher(JointState, '~/observations', qos_profile_sensor_data)
+        told = other.hear(DiagnosticArray, '/diagnostics')
         other.spin_until(lambda: other.states and machine.get_subscription_count())
         for _ in range(3):
             for wrong in absurd(rng):
@@ -224,15 +207,12 @@ def test_twin_goes_on_after_absurd_observations_and_its_bag_is_verified(tmp_path
             (value.key == 'last ignored' and 'velocity_limit = 20' in value.value)
             or 'from the simulated time' in value.value
             for message in told for status in message.status for value in status.values))
-        process.send_signal(signal.SIGINT)
-        status, _, error = finish(process)
-    assert status == 0 and 'stands still' not in error
-    verdict = check_replay(tmp_path / 'bag')
-    assert verdict.good, verdict.text
+    assert 'stands still' not in standard_error(process)
+    assert_agrees(tmp_path / 'bag')
 
 
 def test_gain_that_is_not_stable_is_one_line(tmp_path: Path):
-    (tmp_path / 'scene.yaml').write_text(ARM.format(gain=1e9))
+    write_arm(tmp_path, 1e9)
     status, _, error = finish(start(tmp_path, scene='scene.yaml', record_path='bag'))
     assert status == 1 and 'effects.0.gain: observer: gain = 1e+09 is not stable' in error
 

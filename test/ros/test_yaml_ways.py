@@ -21,14 +21,10 @@ import pytest
 import rclpy
 from rclpy.qos import QoSProfile
 from recorded import record_run
+from scene_files import ACTED_ON, scene_text
 from std_msgs.msg import String
 
-SCENE = """\
-hamiltonian: {kind: harmonic_oscillator}
-integrator: {kind: variational_euler}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
+SCENE = scene_text(integrator='variational_euler')
 NAMED = [
     SCENE.replace('0.01', '1' + ':1' * 300_000), SCENE.replace('0.01', '[' * 20_000),
     SCENE.replace('0.01', '2020-13-45'), SCENE.replace('0.01', '9' * 5000),
@@ -38,8 +34,8 @@ NAMED = [
         f'{name}: &{name} [{", ".join(9 * ["*" + before])}]\n'
         for before, name in zip('abcdefgh', 'bcdefghi', strict=True)) + SCENE,
     SCENE.replace('[1.0]', '[' + 'a,' * 20_000 + ']'),
-    SCENE + 'effects: [{kind: damping, rate: [' + 'a,' * 40_000 + ']}]\n',
-    SCENE + 'effects: [' + '{kind: x},' * 10_000 + ']\n']
+    scene_text(effects='{kind: damping, rate: [' + 'a,' * 40_000 + ']}'),
+    scene_text(effects='{kind: x},' * 10_000)]
 
 
 @pytest.fixture(scope='module')
@@ -114,6 +110,8 @@ PIECES = strategies.one_of(
         'origin: -1\n', 'first_step: ' + '9' * 200 + '\n', 'source: "a\\nb\\0"\n', 'x']))
 
 
+FUZZ = settings(max_examples=100, suppress_health_check=[
+    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 # Other examples each time, a hundred a part.
 PARTS = pytest.mark.parametrize('part', [
     0, *(pytest.param(part, marks=pytest.mark.long) for part in (1, 2, 3))])
@@ -121,12 +119,11 @@ PARTS = pytest.mark.parametrize('part', [
 
 @PARTS
 @given(way=strategies.sampled_from(['file', 'attachment', 'topic']),
-       good=strategies.sampled_from([SCENE, RESOLVED]),
+       good=strategies.sampled_from([SCENE, ACTED_ON, RESOLVED]),
        changes=strategies.lists(strategies.tuples(
            strategies.integers(0, len(RESOLVED)), strategies.integers(0, 30), PIECES),
            min_size=1, max_size=3))
-@settings(max_examples=100, suppress_health_check=[
-    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@FUZZ
 def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes, part):
     for start, length, piece in changes:
         good = good[:start] + piece + good[start + length:]
@@ -144,8 +141,7 @@ def test_mutated_yaml_is_read_or_refused_in_one_line(ways, way, good, changes, p
             lambda inner: strategies.lists(inner, max_size=3) | strategies.dictionaries(
                 strategies.sampled_from(['kind', 'q', 'p', 'model', 'factory']), inner),
             max_leaves=8)).map(dump_yaml)))
-@settings(max_examples=100, suppress_health_check=[
-    HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@FUZZ
 def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text, part):
     assert '\n' not in ways[way](text)
 
@@ -160,7 +156,7 @@ def test_random_yaml_is_read_or_refused_in_one_line(ways, way, text, part):
             strategies.dictionaries(strategies.sampled_from(['sec', 'nsec']), strategies.one_of(
                 strategies.integers(), strategies.text(max_size=3), strategies.none())))),
         max_size=2).map(dump_yaml)))
-@settings(max_examples=100)
+@FUZZ
 def test_any_recorded_qos_gives_a_profile(text, part):
     assert isinstance(recorded_qos(text), QoSProfile)
     assert isinstance(qos_profiles(text), list)
