@@ -83,6 +83,8 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
+    # Systems as plain Python are slow, as tests of a few steps may be.
+    config.addinivalue_line('filterwarnings', 'ignore:.* is not a tanh network of ours')
     os.environ.setdefault('MPLBACKEND', 'Agg')
     # Small matrices gain nothing from more threads; those of several workers wait for each other.
     for library in ('OMP', 'OPENBLAS', 'MKL'):

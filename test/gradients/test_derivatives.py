@@ -14,8 +14,6 @@ from mpmath import mpf
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 H = 0.1
 STATE, COUPLED = np.array([0.7, -1.2]), np.array([0.1, -0.4, 0.3, 0.2])
 DIFFERENTIABLE = [method for method in METHODS if method.integrator.partitioned is not None]

@@ -27,7 +27,6 @@ _SYSTEMS = MOTIONS | {
     name: Motion(problem.hamiltonian if 'network' in name else Uncompiled(problem.hamiltonian),
                  problem.q, problem.p, period)
     for name, (problem, period) in systems().items() if 'kepler' not in name}
-pytestmark = pytest.mark.filterwarnings('ignore:.*is not a tanh network')
 
 
 def simulate(motion: Motion, method: str, h: float, periods: float) -> tuple[list, np.ndarray]:

@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-pytestmark = pytest.mark.filterwarnings('ignore:.*is not a tanh network of ours')
 H = 0.25
 
 

@@ -18,8 +18,6 @@ from messages import refused
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85])
 
 

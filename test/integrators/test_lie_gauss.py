@@ -16,8 +16,6 @@ import pytest
 from test_lie_methods import (
     CANONICAL, check_order, METHODS, P, product, Q, reference, simulation, two_form)
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
-
 # Central differences of a step over 1e-5: 1e-10 times third derivatives, and round-off 1e-11.
 DIFFERENCES = 1e-8
 

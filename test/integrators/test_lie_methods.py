@@ -34,8 +34,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
-
 Q = np.array([0.3, 0.1, -0.2, 0.9]) / np.linalg.norm([0.3, 0.1, -0.2, 0.9])
 P = np.array([0.4, -0.7, 3.0])
 # A top without symmetry, which is not integrable.

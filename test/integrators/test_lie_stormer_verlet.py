@@ -24,8 +24,6 @@ from scipy.integrate import solve_ivp
 from test_lie_methods import (
     check_order, defect, P, product, Q, simulation, start, step, trivialised_jacobian)
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
-
 
 @pytest.fixture
 def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,6 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 
 def with_solver(method: str, solve):
     """Return a Gauss method whose first attempt is by another solver."""

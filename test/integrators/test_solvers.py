@@ -24,8 +24,6 @@ import numba
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 
 def affine(problem, x, value):
     """Evaluate G(x) = M x + b."""

@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip('heyoka', reason='heyoka, which computes the series, is not installed')
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 Q0, P0 = [0.4, 0.0], [0.0, 2.0]
 # Where powers, functions and quotients stand that the exact systems have not.
 RICH = ('(p_x^2 + p_y^2) / (2 + x^2) + exp(-x^2) + atan(y) + y^2 / 2 + sqrt(1 + x^2) '

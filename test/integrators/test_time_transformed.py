@@ -20,8 +20,6 @@ import numpy as np
 import pytest
 from studies.structure import block_maxima
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 # An orbit of semi-major axis 1 and eccentricity 0.9, from its apocentre: the force at the
 # pericentre is 361 times as strong.
 Q0, P0 = [1.9, 0.0], [0.0, np.sqrt(0.1 / 1.9)]

@@ -78,7 +78,6 @@ def one_form(model: SymplecticFormHamiltonian, z: np.ndarray) -> np.ndarray:
     return theta
 
 
-@pytest.mark.filterwarnings('ignore:.*not a tanh network')
 def simulation(h: float, name: str = 'variational_midpoint', *arguments: float) -> Simulation:
     return Simulation(Uncompiled(random_form()), INTEGRATORS[name](*arguments), h,
                       [0.4, -0.3], [0.2, 0.5])
@@ -117,7 +116,6 @@ def test_motion_makes_the_action_stationary():
         assert abs(first) < 1e-7 and abs(second) > 1e-3
 
 
-@pytest.mark.filterwarnings('ignore:.*not a tanh network')
 def test_variational_midpoint_converges_with_order_2():
     reference = simulation(2.0, 'dop853', 1e-12, 1e-13)
     reference.advance(1)
@@ -130,7 +128,6 @@ def test_variational_midpoint_converges_with_order_2():
     assert np.abs(orders - 2.0).max() < 0.1  # the next term is h^2 = 0.04 of the first
 
 
-@pytest.mark.filterwarnings('ignore:.*not a tanh network')
 def test_variational_midpoint_is_symmetric():
     there = simulation(0.1)
     there.advance(1)
@@ -145,7 +142,6 @@ def test_variational_midpoint_is_symmetric():
     np.testing.assert_allclose([*z1.q, *z1.p], [0.4, -0.3, 0.2, 0.5], rtol=0.0, atol=1e-13)
 
 
-@pytest.mark.filterwarnings('ignore:.*not a tanh network')
 def test_variational_midpoint_conserves_the_energy_of_a_form_without_time_reversal():
     run = simulation(0.2)
     energy = run.energy
@@ -154,7 +150,6 @@ def test_variational_midpoint_conserves_the_energy_of_a_form_without_time_revers
     assert abs(run.energy - energy) < 1e-12
 
 
-@pytest.mark.filterwarnings('ignore:.*not a tanh network')
 def test_variational_midpoint_restored_from_a_snapshot_is_bit_identical():
     whole, resumed = simulation(0.05), simulation(0.05)
     whole.advance(20)

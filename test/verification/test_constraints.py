@@ -27,8 +27,6 @@ import pytest
 from scipy.integrate import solve_ivp
 import yaml
 
-pytestmark = pytest.mark.filterwarnings('ignore:(Uncompiled|Turning) is not a tanh network')
-
 METHODS = ['stormer_verlet', 'generalized_leapfrog', 'implicit_midpoint']
 G = 9.81
 

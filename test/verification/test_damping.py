@@ -10,7 +10,6 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 # One that takes the flow around its steps, and one that takes the force at its nodes.
 METHODS = ['generalized_leapfrog', 'gauss8']
 

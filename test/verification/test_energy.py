@@ -10,8 +10,6 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 
 def block_maxima_slope(error: np.ndarray, blocks: int = 100) -> float:
     """Return the least-squares slope of the maxima of abs(error) in blocks, per whole run."""

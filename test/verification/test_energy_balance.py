@@ -16,8 +16,6 @@ from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 # Steps of the coarsest run, by order; from here on the leading term of the error dominates.
 STEPS = {1: 100, 2: 50, 4: 80, 10: 12, 12: 12, 14: 12, 16: 12}
 # The energies are of the order of 1 J; below that, what is left is mostly rounding.

@@ -15,8 +15,6 @@ from mpmath import mp, mpf
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 # A state without symmetry: elsewhere a leading term may vanish.
 Q0, P0, DURATION = 0.7, -1.2, 4.0
 # Above order 8 a run in double precision meets the round-off plateau before its error is

@@ -13,8 +13,6 @@ from mpmath import mpf
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
-
 H = mpf('0.1')
 STATE = ['0.7', '-1.2']
 

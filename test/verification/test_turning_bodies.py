@@ -20,8 +20,6 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not')
-
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 
 
