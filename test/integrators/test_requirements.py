@@ -91,11 +91,11 @@ def test_methods_that_a_refusal_names_take_the_system(system):
         assert named == (able or ['none for this H'])
 
 
-def test_composition_needs_what_its_base_needs():
-    method = INTEGRATORS['yoshida4']('stormer_verlet')
-    with pytest.raises(UnsupportedSystem, match='yoshida4 over StormerVerlet needs H = T'):
-        check_method(method, SYSTEMS['not separable'])
-    check_method(method, SYSTEMS['separable'])
+def test_stormer_verlet_and_compositions_of_it_refuse_a_hamiltonian_that_does_not_separate():
+    for method in (INTEGRATORS['stormer_verlet'](), INTEGRATORS['yoshida4']('stormer_verlet')):
+        with pytest.raises(UnsupportedSystem, match=r'needs H = T\(p\) .*generalized_leapfrog'):
+            check_method(method, SYSTEMS['not separable'])
+        check_method(method, SYSTEMS['separable'])
 
 
 @pytest.mark.parametrize('needs, takes', [

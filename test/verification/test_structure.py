@@ -4,7 +4,6 @@
 
 from helpers import (
     EPS, exact, GENERIC, KINDS, long, Method, METHODS, mostly_long, python_step, Uncompiled)
-from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.gauss import Gauss
@@ -149,13 +148,6 @@ def test_discrete_gradient_conserves_energy(steps: int, measured):
                  np.abs(energy / 2.0 - 1.0).max(), '<= 1e-12')
     # On average they cancel, and the energy does not drift.
     assert np.abs(energy / 2.0 - 1.0).max() <= 1e-12
-
-
-def test_stormer_verlet_refuses_a_hamiltonian_that_does_not_separate():
-    for arguments in ({}, {'base': 'stormer_verlet'}):
-        name = 'yoshida4' if arguments else 'stormer_verlet'
-        with pytest.raises(UnsupportedSystem, match='generalized_leapfrog'):
-            Simulation(HAMILTONIANS['tao'](), INTEGRATORS[name](**arguments), 0.1, [1.0], [1.0])
 
 
 @pytest.mark.parametrize('name, limit', [('stormer_verlet', 2.0), ('yoshida4', 1.573)])
