@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What several tests share: the table of methods, exact motions and derivatives of steps."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -21,6 +21,7 @@ from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
+from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Integrator, OK, Point
 from hnn_vi_ros.integrators.gauss import Gauss, in_fours, Tableau
 from hnn_vi_ros.integrators.lie.equations import LieOptions
@@ -355,6 +356,21 @@ def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: n
             python_kernel(hamiltonian), h, exact_options(integrator), start, end, memory)
     assert outcome == OK
     return np.concatenate([end.q, end.p])
+
+
+def plain_steps(integrator: Integrator, kernel: Kernel, h: float, q: Sequence[float],
+                p: Sequence[float], steps: int = 1) -> Point:
+    """Return the end of steps of either sign by a kernel in Python; a short p ends in zeros."""
+    z, z1 = Point.empty(len(q)), Point.empty(len(q))
+    z.q[:], z.p[:len(p)] = q, p
+    memory = integrator.memory(len(q))
+    kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
+    for _ in range(steps):
+        outcome, _, _ = integrator.step(
+            kernel, h, integrator.options(dimension=len(q)), z, z1, memory)
+        assert outcome == OK
+        copy_point(z1, z)
+    return z
 
 
 def exact(values: list[float]) -> np.ndarray:

@@ -4,11 +4,12 @@
 
 from functools import cache
 
-from helpers import EPS, kepler_orbit, KINDS, long, Method, METHODS, mostly_long, Uncompiled
+from helpers import EPS, free, kepler_orbit, KINDS, long, Method, METHODS, mostly_long, Uncompiled
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.composition import Yoshida4
 from hnn_vi_ros.integrators.time_transformed import CONTROLS, TimeTransformed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
@@ -17,8 +18,11 @@ from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from test_lie_methods import euler_poisson, P, Q, simulation as top
 
 THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85])
+TO_THE_END = np.append(THETAS, 1.0)
 
 
 # At none of all at once is a derivative of the path small.
@@ -153,14 +157,12 @@ def test_looking_between_steps_changes_no_later_step():
 def test_states_between_steps_keep_rods_and_walls():
     rod = EFFECTS['holonomic_constraint'](['x', 'z'], anchor=[0.0, 0.0], length=1.0)
     simulation = Simulation(
-        Uncompiled(HAMILTONIANS['free_particle'](names=['x', 'z'])),
-        INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.0, -1.0], [rod])
+        free('x', 'z'), INTEGRATORS['stormer_verlet'](), 0.1, [1.0, 0.0], [0.0, -1.0], [rod])
     q, _ = simulation.dense_step().state(0.37)
     # RATTLE's own tolerance.
     assert np.hypot(*q) == pytest.approx(1.0, abs=1e-10)
-    wall = Simulation(
-        Uncompiled(HAMILTONIANS['free_particle'](names=['x'])), INTEGRATORS['stormer_verlet'](),
-        1.0, [0.3], [-1.0], [EFFECTS['impact']('x')])
+    wall = Simulation(free('x'), INTEGRATORS['stormer_verlet'](), 1.0, [0.3], [-1.0],
+                      [EFFECTS['impact']('x')])
     dense = wall.dense_step()
     # It turns at 0.3 s.
     assert [float(dense.state(theta)[0][0]) for theta in (0.1, 0.3, 0.8)] == pytest.approx(
@@ -188,3 +190,57 @@ def test_duration_and_times_that_are_no_multiple_of_the_step_are_met():
 def test_times_that_cannot_be_sampled_are_refused(times):
     with refused(ValueError):
         simulate('exact_pendulum', 1.0, times=times)
+
+
+# Bodies that turn.
+
+def top_at(t: np.ndarray) -> np.ndarray:
+    """Return (q, p) of the top at rising times, shape (k, 7)."""
+    return solve_ivp(euler_poisson, (0.0, t[-1]), [*Q, *P], 'DOP853', t_eval=t, rtol=1e-13,
+                     atol=1e-13).y.T
+
+
+ON_A_GROUP = {**{name: create for name, create in INTEGRATORS.items()
+                 if name.startswith('lie_')}, 'yoshida4': lambda: Yoshida4('lie_leapfrog')}
+
+
+@pytest.mark.parametrize('name', mostly_long(
+    ON_A_GROUP, 'lie_variational_euler', 'lie_leapfrog', 'lie_gauss4'))
+def test_states_between_steps_on_a_group_are_as_accurate_as_the_method(name: str):
+    """No worse than twice the local error of a whole step, and no worse than the reference."""
+    h = 0.1
+    dense = top(ON_A_GROUP[name](), h).dense_step()
+    states = [dense.state(theta) for theta in TO_THE_END]
+    errors = np.abs(np.array([np.concatenate(state) for state in states])
+                    - top_at(h * TO_THE_END)).max(axis=1)
+    assert (errors < 2.0 * errors[-1] + 1e-12).all()
+    assert [np.linalg.norm(q) for q, _ in states] == pytest.approx([1.0] * 6, abs=1e-15)
+
+
+def test_polynomial_through_a_step_on_a_group_is_of_order_3():
+    lengths = 0.1 * np.array([1.0, 0.7, 0.5])
+    errors = [np.abs(np.hstack(top(INTEGRATORS['lie_gauss8'](), h).dense_step()
+                               .polynomial(TO_THE_END)) - top_at(h * TO_THE_END)).max() for h in lengths]
+    # Cubic Hermite errs by h^4.
+    assert np.polyfit(np.log(lengths), np.log(errors), 1)[0] >= 4 - 0.35
+
+
+@pytest.mark.filterwarnings('ignore:the model was trained through')
+@pytest.mark.parametrize('name', ['heavy_top', long('quadrotor'), long('turning_pendulum')])
+def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: str):
+    times, scene = [0.0, 0.0137, 0.05, 0.1, 0.3333, 0.4999], load_scene(name)
+    if name == 'quadrotor':
+        # It hovers; here it turns.
+        scene.initial_state.p[3:] = [0.01, 0.02, 0.03]
+    runs = [simulate(scene, 0.5, step_size=scene.known_step_size / parts, times=times)
+            for parts in (1, 2, 8)]
+    assert runs[0].t.tolist() == times
+    coarse, fine = (max(np.abs(run.q - runs[2].q).max(), np.abs(run.p - runs[2].p).max())
+                    for run in runs[:2])
+    # (1 - 1 / 64) / (1 / 4 - 1 / 64) = 4.2 times, within the 0.35 of the tests of order.
+    assert coarse / fine >= 4.2 / 2.0 ** 0.35
+    q0, p0 = np.tile(runs[0].q[0], (3, 1)), np.tile(runs[0].p[0], (3, 1))
+    many = simulate_many(scene, q0, p0, 0.4999, samples=3)
+    alone = simulate(scene, 0.4999, times=many.t)
+    # Of a block the equations are solved until all of it has converged.
+    assert np.abs(many.q[:, 1] - alone.q).max() < 1e-13

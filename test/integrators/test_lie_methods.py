@@ -7,27 +7,32 @@ from functools import cache, cached_property
 from typing import Any
 import warnings
 
-from helpers import exact, long, mostly_long, python_kernel, python_step, Uncompiled
-from hnn_vi_ros import load_scene, simulate, simulate_many
+from helpers import (
+    exact, long, mostly_long, plain_steps, python_kernel, python_step, Uncompiled)
+from hnn_vi_ros import simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import HnnViRosError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.free_rigid_body import FreeRigidBody
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
+from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.hamiltonians.turning_body import spatial_momentum
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, OK, Point
-from hnn_vi_ros.integrators.composition import Suzuki4, Yoshida4
+from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.integrators.composition import KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.lie.lie_leapfrog import (
     LieLeapfrog, LieSymplecticEuler, LieSymplecticEulerAdjoint, LieVariationalEuler)
+from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.lie.rotations import RETRACTIONS
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.phase_space import check_state, Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
+from lie_group_models import random_lie_group, random_states
 from messages import refused
+import mpmath
 from mpmath import mpf
 import numpy as np
 import pytest
@@ -42,6 +47,8 @@ CANONICAL = {'lie_symplectic_euler': LieSymplecticEuler,
              'lie_symplectic_euler_adjoint': LieSymplecticEulerAdjoint,
              'lie_leapfrog': LieLeapfrog}
 METHODS = {**CANONICAL, 'lie_variational_euler': LieVariationalEuler}
+# Of central differences in 60 digits.
+SPACING = mpf(10) ** -20
 
 
 def simulation(method: Integrator, h: float, hamiltonian: Hamiltonian = TOP,
@@ -110,18 +117,18 @@ def start() -> np.ndarray:
 
 def moved(z: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Return the state turned by a small vector in the body's frame, with its momentum changed."""
-    small = np.array([*(change[:3] / 2), mpf(1)])
+    small = np.array([*(change[:3] / 2), 1 + 0 * change[0]])
     return np.append(product(z[:4], small / np.sqrt(small.dot(small))), z[4:] + change[3:])
 
 
-def trivialised_jacobian(function: Callable, z: np.ndarray) -> np.ndarray:
+def trivialised_jacobian(function: Callable, z: np.ndarray, spacing: Any = SPACING) -> np.ndarray:
     """Return the derivative of a map in left-trivialised variables, shape (6, 6); see jacobian."""
-    spacing, there, result = mpf(10) ** -20, function(z), []
+    there, result = function(z), []
     inverse = np.array([*-there[:3], there[3]])
     for i in range(6):
         ends = []
         for sign in (1, -1):
-            change = np.array([mpf(0)] * 6)
+            change = np.array([0 * spacing] * 6)
             change[i] = sign * spacing
             end = function(moved(z, change))
             turned = product(inverse, end[:4])
@@ -257,16 +264,21 @@ def test_free_rigid_body_follows_jacobi_elliptic_functions(measured):
     assert fine < 1e-5
 
 
-@pytest.mark.parametrize('retraction', mostly_long(RETRACTIONS, 'cayley'))
-@pytest.mark.parametrize('name', METHODS)
-def test_turn_of_nearly_pi_in_one_step_fails(name: str, retraction: str):
+TURNING = {**{f'{name}, {retraction}': kind(retraction) for name, kind in METHODS.items()
+              for retraction in RETRACTIONS},
+           **{name: INTEGRATORS[name]() for name in ('lie_gauss8', 'lie_stormer_verlet')}}
+
+
+@pytest.mark.parametrize('name', mostly_long(
+    TURNING, *(f'{name}, cayley' for name in METHODS), 'lie_gauss8', 'lie_stormer_verlet'))
+def test_turn_of_nearly_pi_in_one_step_fails(name: str):
     body, fast = FreeRigidBody([1.0, 1.0, 1.0]), (Q, [0.0, 0.0, 3.1])
-    half = 2.0 if name == 'lie_leapfrog' else 1.0
-    run = simulation(METHODS[name](retraction), half, body, fast, on_failure='stop')
+    half = 2.0 if 'lie_leapfrog' in name else 1.0
+    run = simulation(TURNING[name], half, body, fast, on_failure='stop')
     with pytest.raises(StepFailure, match='turn by nearly pi'):
         run.advance(1)
     assert run.steps == 0 and (run.q == Q).all()
-    rescued = simulation(METHODS[name](retraction), half, body, fast)
+    rescued = simulation(TURNING[name], half, body, fast)
     rescued.advance(1)
     assert rescued.rescued == 1
     # Sub-steps about a fixed axis: the norm of the momentum is kept.
@@ -350,19 +362,11 @@ def test_scalar_coordinates_beside_a_rotation_step_as_by_the_flat_method(name: s
     h, (x, p_x), (y, p_y) = 0.05, (0.7, -1.2), (-0.3, 0.4)
     method = METHODS[name]()
 
-    def advance(method: Integrator, kernel: Kernel, q: list[float], p: list[float]) -> Point:
-        z, z1 = Point.empty(len(q)), Point.empty(len(q))
-        z.q[:], z.p[:] = q, p
-        kernel.gradient(kernel.parameters, z.q, z.p, z.dH_dq, z.dH_dp)
-        memory = method.memory(len(q))
-        for _ in range(20):
-            assert method.step(kernel, h, method.options(), z, z1, memory)[0] == OK
-            copy_point(z1, z)
-        return z
-    mixed = advance(method, Beside().kernel, [x, *Q, y], [p_x, *P, p_y, 0.0])
-    alone = advance(method, python_kernel(TOP), list(Q), [*P, 0.0])
+    mixed = plain_steps(method, Beside().kernel, h, [x, *Q, y], [p_x, *P, p_y], 20)
+    alone = plain_steps(method, python_kernel(TOP), h, Q, P, 20)
     tao = python_kernel(HAMILTONIANS['tao']())
-    first, last = (advance(INTEGRATORS[flat](), tao, [q], [p]) for q, p in ((x, p_x), (y, p_y)))
+    first, last = (plain_steps(INTEGRATORS[flat](), tao, h, [q], [p], 20)
+                   for q, p in ((x, p_x), (y, p_y)))
     # Each is solved to round-off, by solvers that end at different iterates.
     for found, expected in ((mixed.q, [*first.q, *alone.q, *last.q]),
                             (mixed.p, [*first.p, *alone.p[:3], *last.p, 0.0])):
@@ -388,63 +392,6 @@ def test_scene_of_a_body_that_turns_is_simulated_and_refuses_what_it_cannot_take
             simulate('free_rigid_body', **{'duration': 0.2, **changes})
 
 
-# States between steps.
-
-def top_at(t: np.ndarray) -> np.ndarray:
-    """Return (q, p) of the top at rising times, shape (k, 7)."""
-    return solve_ivp(euler_poisson, (0.0, t[-1]), [*Q, *P], 'DOP853', t_eval=t, rtol=1e-13,
-                     atol=1e-13).y.T
-
-
-THETAS = np.array([0.1, 0.25, 0.4, 0.6, 0.85, 1.0])
-
-
-ON_A_GROUP = {**{name: create for name, create in INTEGRATORS.items()
-                 if name.startswith('lie_')}, 'yoshida4': lambda: Yoshida4('lie_leapfrog')}
-
-
-@pytest.mark.parametrize('name', mostly_long(
-    ON_A_GROUP, 'lie_variational_euler', 'lie_leapfrog', 'lie_gauss4'))
-def test_states_between_steps_on_a_group_are_as_accurate_as_the_method(name: str):
-    """No worse than twice the local error of a whole step, and no worse than the reference."""
-    h = 0.1
-    dense = simulation(ON_A_GROUP[name](), h).dense_step()
-    states = [dense.state(theta) for theta in THETAS]
-    errors = np.abs(np.array([np.concatenate(state) for state in states])
-                    - top_at(h * THETAS)).max(axis=1)
-    assert (errors < 2.0 * errors[-1] + 1e-12).all()
-    assert [np.linalg.norm(q) for q, _ in states] == pytest.approx([1.0] * 6, abs=1e-15)
-
-
-def test_polynomial_through_a_step_on_a_group_is_of_order_3():
-    lengths = 0.1 * np.array([1.0, 0.7, 0.5])
-    errors = [np.abs(np.hstack(simulation(INTEGRATORS['lie_gauss8'](), h).dense_step()
-                               .polynomial(THETAS)) - top_at(h * THETAS)).max() for h in lengths]
-    # Cubic Hermite errs by h^4.
-    assert np.polyfit(np.log(lengths), np.log(errors), 1)[0] >= 4 - 0.35
-
-
-@pytest.mark.filterwarnings('ignore:the model was trained through')
-@pytest.mark.parametrize('name', ['heavy_top', long('quadrotor'), long('turning_pendulum')])
-def test_times_between_steps_of_a_scene_that_turns_are_met_to_the_order(name: str):
-    times, scene = [0.0, 0.0137, 0.05, 0.1, 0.3333, 0.4999], load_scene(name)
-    if name == 'quadrotor':
-        # It hovers; here it turns.
-        scene.initial_state.p[3:] = [0.01, 0.02, 0.03]
-    runs = [simulate(scene, 0.5, step_size=scene.known_step_size / parts, times=times)
-            for parts in (1, 2, 8)]
-    assert runs[0].t.tolist() == times
-    coarse, fine = (max(np.abs(run.q - runs[2].q).max(), np.abs(run.p - runs[2].p).max())
-                    for run in runs[:2])
-    # (1 - 1 / 64) / (1 / 4 - 1 / 64) = 4.2 times, within the 0.35 of the tests of order.
-    assert coarse / fine >= 4.2 / 2.0 ** 0.35
-    q0, p0 = np.tile(runs[0].q[0], (3, 1)), np.tile(runs[0].p[0], (3, 1))
-    many = simulate_many(scene, q0, p0, 0.4999, samples=3)
-    alone = simulate(scene, 0.4999, times=many.t)
-    # Of a block the equations are solved until all of it has converged.
-    assert np.abs(many.q[:, 1] - alone.q).max() < 1e-13
-
-
 @pytest.mark.long
 def test_events_of_a_body_that_turns_are_found_and_end_its_run(tmp_path):
     """Of equal moments of inertia: qz = sin(t / 2) and qw = cos(t / 2), at 1 rad/s."""
@@ -466,3 +413,172 @@ events:
         [np.pi / 3.0, top, np.pi - top, 5.0 * np.pi / 3.0, 7.0 * np.pi / 3.0], abs=1e-12)
     assert (run.t[-1], run.q[-1, 2]) == pytest.approx((7.0 * np.pi / 3.0, -0.5), abs=1e-12)
     assert run.q.shape == (len(run.t), 4) and run.p.shape == (len(run.t), 3)
+
+
+# Explicit methods: Störmer-Verlet, and its composition of order 8.
+
+@pytest.fixture
+def exact_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give numpy the sine and cosine of numbers of many digits."""
+    for name in ('sin', 'cos'):
+        monkeypatch.setattr(mpf, name, getattr(mpmath, name), raising=False)
+
+
+def test_lie_stormer_verlet_converges_with_order_2(measured):
+    check_order('lie_stormer_verlet', LieStormerVerlet(), [40, 80, 160], measured)
+
+
+def test_kahan_li8_over_lie_stormer_verlet_converges_with_order_8(measured):
+    check_order('kahan_li8', KahanLi8('lie_stormer_verlet'), [6, 9, 12], measured)
+
+
+EXPLICIT = {method.kernel_name: method
+            for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet'))}
+
+
+@pytest.mark.parametrize('name', mostly_long(EXPLICIT, 'LieStormerVerlet'))
+def test_explicit_method_on_a_group_is_symplectic_and_symmetric(
+        name: str, exact_turns: None, measured):
+    method, h, z = EXPLICIT[name], mpf('0.1'), start()
+    derivative = trivialised_jacobian(lambda z: step(method, h, z), z)
+    found = defect(derivative, z, step(method, h, z))
+    measured('symplectic defect on SO(3), 60 digits', method.kernel_name, found, '<= 1e-25')
+    assert found <= 1e-25
+    back = float(abs(step(method, -h, step(method, h, z)) - z).max())
+    measured('back by -h, 60 digits', method.kernel_name, back, '<= 1e-45')
+    assert back <= 1e-45
+
+
+@pytest.mark.parametrize('inertia', [[1.0, 1.0, 0.5], [1.0, 0.5, 1.0], [0.5, 1.0, 1.0],
+                                     [0.7, 0.7, 0.7]])
+def test_free_body_of_two_equal_moments_moves_exactly(inertia: list[float]):
+    body, t = FreeRigidBody(inertia), 0.8
+    run = simulation(LieStormerVerlet(), t, body, (Q, P))
+    run.advance(1)
+
+    def rates(t: float, z: np.ndarray) -> np.ndarray:
+        omega = z[4:] / np.array(inertia)
+        return np.array([*(0.5 * product(z[:4], np.array([*omega, 0.0]))),
+                         *np.cross(z[4:], omega)])
+    true = solve_ivp(rates, (0.0, t), [*Q, *P], 'DOP853', rtol=1e-13, atol=1e-14).y[:, -1]
+    # What the tolerances leave of it.
+    assert np.allclose([*run.q, *run.p], true, rtol=0.0, atol=1e-11)
+
+
+def test_pose_on_a_spring_moves_as_by_the_gauss_method():
+    spring = EFFECTS['spring'](['body'], point_in_body=[0.03, -0.04, 0.02], stiffness=4.0,
+                               anchor=[0.1, 0.0, 9.5], rest_length=0.5)
+    state = (np.array([0.0, 0.1, 10.0, *Q]), np.array([0.1, 0.2, -0.3, 0.01, -0.02, 0.03]))
+    ends = []
+    for method in (KahanLi8('lie_stormer_verlet'), INTEGRATORS['lie_gauss12']()):
+        run = Simulation(Uncompiled(Quadrotor()), method, 0.025, *state, effects=[spring])
+        run.advance(16)
+        ends.append(np.array([*run.q, *run.p]))
+    # Half the step changes either by 1.5e-9 at most.
+    assert np.allclose(*ends, rtol=0.0, atol=1e-8)
+
+
+def test_lie_stormer_verlet_refuses_what_it_cannot_take():
+    with pytest.raises(UnsupportedSystem, match='rotations and poses.* none'):
+        check_method(LieStormerVerlet(), HAMILTONIANS['pendulum']())
+    learned = LieGroupHamiltonian(random_lie_group('rotation'))
+    for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
+        with refused(UnsupportedSystem):
+            check_method(method, learned)
+    learned.separable = True
+    for method in (LieStormerVerlet(), KahanLi8('lie_stormer_verlet')):
+        with refused(UnsupportedSystem):
+            check_method(method, learned)
+    joined = System(FreeRigidBody([1.0, 2.0, 2.5]), [], LieStormerVerlet()).hamiltonian
+    check_method(LieStormerVerlet(), joined)
+
+
+# Gauss collocation, and all methods on a learned H.
+
+# Central differences of a step over 1e-5: 1e-10 times third derivatives, and round-off 1e-11.
+DIFFERENCES = 1e-8
+
+
+@pytest.mark.parametrize('order, steps', [(4, [20, 40, 80]), (8, [8, 16])])
+def test_lie_gauss_converges_with_its_order(order: int, steps: list[int], measured):
+    method = INTEGRATORS[f'lie_gauss{order}']()
+    assert method.order == order
+    if order == 4:
+        check_order('lie_gauss4', method, steps, measured)
+        return
+    errors = []
+    for n in steps:
+        run = simulation(method, 1.0 / n)
+        run.advance(n)
+        errors.append(np.linalg.norm([*run.q, *run.p] - reference()))
+    # Short of its range: 8.2 from steps of 1/10 to 1/20, 8.9 from those of 1/5.
+    slope = np.log2(errors[0] / errors[1])
+    measured('order on the heavy top', 'lie_gauss8', slope, '8 + 1')
+    assert 7.7 < slope < 9.2
+
+
+def test_lie_gauss_keeps_spatial_momentum_and_norm():
+    run = simulation(INTEGRATORS['lie_gauss8'](), 0.1, FreeRigidBody([1.0, 2.0, 2.5]), (Q, P))
+    q, p = run.record(100, 1)
+    # Round-off of a hundred steps.
+    assert abs(spatial_momentum(q, p) - spatial_momentum(Q, P)).max() < 1e-13
+    assert abs(np.sum(q * q, axis=-1) - 1.0).max() < 1e-15
+
+
+LEARNED = {**METHODS, 'lie_gauss4': INTEGRATORS['lie_gauss4']}
+COMPOSED = {'yoshida4': lambda: Yoshida4('lie_leapfrog'),
+            'suzuki4': lambda: Suzuki4('lie_leapfrog')}
+
+
+def learned_end(method: Integrator, h: float, steps: int, kind: str = 'rotation',
+                state: tuple | None = None) -> np.ndarray:
+    """Return (q, p) of a random network after some steps."""
+    hamiltonian = LieGroupHamiltonian(random_lie_group(kind))
+    q, p = random_states(hamiltonian.dimension - 1, 1)
+    run = simulation(method, h, hamiltonian, state or (q[0], p[0]))
+    run.advance(steps)
+    return np.concatenate([run.q, run.p])
+
+
+@pytest.fixture(scope='module')
+def learned_reference() -> np.ndarray:
+    """Return the state of the learned body at t = 1, to about 1e-12."""
+    return learned_end(INTEGRATORS['lie_gauss12'](), 0.125, 8)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize('name', [*LEARNED, *COMPOSED])
+def test_method_on_a_group_converges_with_its_order_on_a_learned_h(
+        name: str, learned_reference: np.ndarray, measured):
+    method = (LEARNED | COMPOSED)[name]()
+    steps = {1: (32, 64), 2: (8, 16)}.get(method.order, (4, 8))
+    errors = [np.linalg.norm(learned_end(method, 1.0 / n, n) - learned_reference) for n in steps]
+    slope = np.log2(errors[0] / errors[1])
+    measured('order on a learned H', name, slope, f'{method.order} +- 0.4')
+    # The next term of the error is h times the first one.
+    assert abs(slope - method.order) < 0.4
+
+
+def test_lie_leapfrog_is_symmetric_on_a_learned_h(measured):
+    for kind in ('rotation', 'pose'):
+        hamiltonian = LieGroupHamiltonian(random_lie_group(kind))
+        q, p = random_states(hamiltonian.dimension - 1, 1)
+        there = learned_end(METHODS['lie_leapfrog'](), 0.1, 1, kind)
+        d = hamiltonian.dimension
+        back = plain_steps(
+            METHODS['lie_leapfrog'](), python_kernel(hamiltonian), -0.1, there[:d], there[d:])
+        found = abs(np.concatenate([back.q - q[0], back.p[:d - 1] - p[0]])).max()
+        measured('back by -h on a learned H', f'lie_leapfrog, {kind}', found, '<= 1e-14')
+        # Two steps, solved to round-off.
+        assert found <= 1e-14
+
+
+@pytest.mark.parametrize('name', mostly_long([*CANONICAL, 'lie_gauss4'], 'lie_leapfrog'))
+def test_method_on_a_group_is_symplectic_on_a_learned_h(name: str, measured):
+    def step(z: np.ndarray) -> np.ndarray:
+        return learned_end(LEARNED[name](), 0.2, 1, 'rotation', (z[:4], z[4:]))
+
+    z = np.concatenate([part[0] for part in random_states(3, 1)])
+    found = defect(trivialised_jacobian(step, z, 1e-5), z, step(z))
+    measured('symplectic defect on a learned H', name, found, f'<= {DIFFERENCES}')
+    assert found <= DIFFERENCES
