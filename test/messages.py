@@ -18,6 +18,8 @@ import re
 import tempfile
 
 from hnn_vi_ros.files.resources import share_folder
+from hnn_vi_ros.files.yaml_file import in_plain_words
+from pydantic import ValidationError
 import pytest
 
 TESTS = Path(__file__).resolve().parent
@@ -41,6 +43,14 @@ def refused(*kinds: type[BaseException]) -> Iterator[pytest.ExceptionInfo]:
     with pytest.raises(kinds) as caught:
         yield caught
     assert_message(f'{caught.type.__name__}: {caught.value}')
+
+
+@contextmanager
+def misfit() -> Iterator[None]:
+    """Expect data that do not fit a schema, for the reason in the table."""
+    with pytest.raises(ValidationError) as caught:
+        yield
+    assert_message(in_plain_words(caught.value))
 
 
 def assert_message(text: str) -> None:

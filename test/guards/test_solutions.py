@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps whose equation has several solutions, or none."""
 
-from functools import cached_property
 import math
 
 from helpers import Uncompiled
@@ -11,10 +10,8 @@ from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.steps import SolutionGuard
 from hnn_vi_ros.guards.watch import look
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import pytest
@@ -23,33 +20,13 @@ from scipy.optimize import brentq
 H = 0.25
 
 
-class Wavy(Hamiltonian):
-    """H = (p^2 + q^2) / 2 + q sin(5 p): eq. (6) has several solutions where 5 h > 1."""
-
-    coordinates, separable = (Coordinate('x'),), False
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        def energy(_, q, p):
-            return 0.5 * (p[0] ** 2 + q[0] ** 2) + q[0] * math.sin(5.0 * p[0])
-
-        def gradient(_, q, p, dH_dq, dH_dp):
-            for i in range(q.size):
-                dH_dq[i] = q[i] + math.sin(5.0 * p[i])
-                dH_dp[i] = p[i] + 5.0 * q[i] * math.cos(5.0 * p[i])
-
-        def hessian_vector(_, q, p, v_q, v_p, product_q, product_p):
-            for i in range(q.size):
-                mixed = 5.0 * math.cos(5.0 * p[i])
-                product_q[i] = v_q[i] + mixed * v_p[i]
-                product_p[i] = mixed * v_q[i] + (1.0 - 25.0 * q[i] * math.sin(5.0 * p[i])) * v_p[i]
-
-        return Kernel(energy, gradient, hessian_vector, (), 1, (0.0, 0.0), False)
+# Eq. (6) has several solutions where 5 h > 1.
+WAVY = Uncompiled(Formula(['x'], '(p_x^2 + x^2)/2 + x*sin(5*p_x)'))
 
 
 def wavy(name: str = 'variational_euler') -> Simulation:
-    """Return a simulation of Wavy at a step size for which it has several solutions."""
-    return Simulation(Wavy(), INTEGRATORS[name](), H, [0.5], [0.3])
+    """Return a simulation of WAVY at a step size for which it has several solutions."""
+    return Simulation(WAVY, INTEGRATORS[name](), H, [0.5], [0.3])
 
 
 def connected(name: str, q: float, p: float) -> float:
@@ -141,7 +118,7 @@ def test_run_that_is_resumed_takes_the_same_solutions_bit_by_bit():
 def test_trajectories_together_take_the_solutions_that_each_takes_alone():
     starts = np.random.default_rng(2).uniform(-1.0, 1.0, (4, 2))
     alone, compared = wavy(), 0
-    together = Simulation(Wavy(), INTEGRATORS['variational_euler'](), H, starts[:, :1],
+    together = Simulation(WAVY, INTEGRATORS['variational_euler'](), H, starts[:, :1],
                           starts[:, 1:])
     for _ in range(8):
         before = together.q.ravel().copy(), together.p.ravel().copy()

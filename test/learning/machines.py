@@ -28,6 +28,15 @@ def driven(simulation: Simulation, tau: np.ndarray, steps: int = 1
     return q, v
 
 
+def machine_config(names: str = 'a', kind: str = 'continuous', more: dict | None = None,
+                   **family: object) -> MachineConfig:
+    """Return a configuration of coordinates of one letter, without a prior unless it is given."""
+    return MachineConfig.model_validate({
+        'coordinates': [{'name': name, 'kind': kind} for name in names],
+        'data': {'kind': 'arrays'},
+        'family': {'kind': 'mechanical', 'prior': 'none', **family}, **(more or {})})
+
+
 def shaken(network: MechanicalNetwork) -> MechanicalNetwork:
     """Move a network away from its initial values, at which M and friction are near constants."""
     with torch.no_grad():

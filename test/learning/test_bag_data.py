@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data from bags: the states of recorded motions, and one line for what cannot be used."""
 
-from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
+from bag_files import ARRAY, array, JOINTS, Message, state, write
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.bags import (
     BagData, BagMotions, BLOCKS, read_bag_motions, read_bags)
@@ -13,24 +14,19 @@ from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hypothesis import given, settings, strategies as st
-from mcap.writer import Writer
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from ros.recorded import as_received, record_run
 from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
 from rosbags.typesys import get_typestore, Stores
-from schemas import misfit
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
-ARRAY, JOINTS = 'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/JointState'
 OMEGA, MASS = 2.0, 3.0
 T = 0.01 * np.arange(1, 501)
 DERIVATIVES = {'kind': 'savitzky_golay', 'window': 0.09, 'degree': 4}
-
-Message = tuple[str, str, float, bytes]
 
 
 def bag(**changes) -> BagData:
@@ -38,39 +34,12 @@ def bag(**changes) -> BagData:
         'kind': 'bag', 'joints': ['swing'], 'derivatives': DERIVATIVES, **changes})
 
 
-def write(path: Path, messages: Iterable[Message]) -> Path:
-    """Write (topic, type, log time [s], bytes) as others' recorders do."""
-    with path.open('wb') as stream:
-        writer = Writer(stream, chunk_size=8192)
-        writer.start('ros2')
-        channels: dict[tuple[str, str], int] = {}
-        for topic, kind, time, data in messages:
-            if (topic, kind) not in channels:
-                channels[topic, kind] = writer.register_channel(
-                    topic, 'cdr', writer.register_schema(kind, 'ros2msg', b''))
-            writer.add_message(channels[topic, kind], round(time * 1e9), data, 0)
-        writer.finish()
-    return path
-
-
-def joints(t: np.ndarray, velocity: bool = True, delay: float = 0.0, topic: str = '/joint_states',
+def joints(t: np.ndarray, velocity: bool = True, topic: str = '/joint_states',
            amplitude: float = 1.0) -> list[Message]:
     """Return an oscillation as joint states of two joints, the second at rest."""
-    messages = []
-    for time in t:
-        position = amplitude * np.sin(OMEGA * time)
-        state = JointState(name=['rest', 'swing'], position=[0.0, position])
-        if velocity:
-            state.velocity = [0.0, amplitude * OMEGA * np.cos(OMEGA * time)]
-        state.header.stamp.sec = int(time)
-        state.header.stamp.nanosec = round((time - int(time)) * 1e9)
-        messages.append((topic, JOINTS, time + delay, serialize_message(state)))
-    return messages
-
-
-def array(t: np.ndarray, values: np.ndarray, topic: str) -> list[Message]:
-    return [(topic, ARRAY, time, serialize_message(Float64MultiArray(data=np.atleast_1d(row))))
-            for time, row in zip(t, values, strict=True)]
+    return [state(time, ['rest', 'swing'], [0.0, amplitude * np.sin(OMEGA * time)],
+                  [0.0, amplitude * OMEGA * np.cos(OMEGA * time)] if velocity else [],
+                  topic=topic) for time in t]
 
 
 def assert_oscillates(data, tolerance: float, mass: float = MASS) -> None:
@@ -81,17 +50,16 @@ def assert_oscillates(data, tolerance: float, mass: float = MASS) -> None:
         assert np.abs(found[:, 0] - expected).max() < tolerance
 
 
-@pytest.fixture
-def shifted(monkeypatch):
+def shifted(data, first: float):
     """Let times begin at the first message, as in a bag."""
-    return lambda data, first: type(data)(**{**vars(data), 't': data.t + first})
+    return replace(data, t=data.t + first)
 
 
 # A polynomial of degree 4 in a window of 0.09 s: h^4 times the fifth derivative, some 1e-4.
 TOLERANCE = 1e-3
 
 
-def test_joint_states_and_a_mass_give_momenta_and_rates(tmp_path, shifted):
+def test_joint_states_and_a_mass_give_momenta_and_rates(tmp_path):
     path = write(tmp_path / 'a.mcap', joints(T))
     data = read_bags([path], bag(mass=[MASS]))
     assert_oscillates(shifted(data, T[0]), TOLERANCE)
@@ -100,7 +68,7 @@ def test_joint_states_and_a_mass_give_momenta_and_rates(tmp_path, shifted):
     assert (data.trajectory == 0).all()
 
 
-def test_velocities_that_are_not_recorded_are_estimated(tmp_path, shifted):
+def test_velocities_that_are_not_recorded_are_estimated(tmp_path):
     recorded = read_bags([write(tmp_path / 'a.mcap', joints(T))], bag(mass=[MASS]))
     for more in ({}, {'estimate_velocity': True}):
         path = write(tmp_path / f'b{len(more)}.mcap', joints(T, velocity=bool(more)))
@@ -109,7 +77,7 @@ def test_velocities_that_are_not_recorded_are_estimated(tmp_path, shifted):
         assert not np.array_equal(estimated.dq_dt, recorded.dq_dt)
 
 
-def test_arrays_at_other_times_are_brought_to_common_even_ones(tmp_path, shifted):
+def test_arrays_at_other_times_are_brought_to_common_even_ones(tmp_path):
     rng = np.random.default_rng(2)
     uneven, other = np.sort(rng.uniform(0.0, 5.0, 800)), np.linspace(0.1, 4.9, 300)
     path = write(tmp_path / 'a.mcap', [
@@ -123,7 +91,7 @@ def test_arrays_at_other_times_are_brought_to_common_even_ones(tmp_path, shifted
     assert len(data.windows(0.02, 3)) == len(data.t) - 4
 
 
-def test_stamps_of_headers_count_unless_the_log_is_asked_for(tmp_path, shifted):
+def test_stamps_of_headers_count_unless_the_log_is_asked_for(tmp_path):
     jitter = np.random.default_rng(1).uniform(0.0, 0.004, len(T))
     late = [(topic, kind, time + late, data) for (topic, kind, time, data), late
             in zip(joints(T), jitter, strict=True)]
@@ -141,7 +109,7 @@ def test_a_gap_begins_a_new_trajectory(tmp_path):
     assert np.abs(data.dp_dt).max() < 1.01 * OMEGA**2
 
 
-def test_nothing_is_made_up_where_one_topic_has_a_gap(tmp_path, shifted):
+def test_nothing_is_made_up_where_one_topic_has_a_gap(tmp_path):
     some = T[(T < 1.5) | (T > 3.0)]
     path = write(tmp_path / 'a.mcap', sorted([
         *joints(T), *array(some, MASS * OMEGA * np.cos(OMEGA * some), '/p')],
@@ -186,8 +154,7 @@ def test_whole_name_of_a_topic_is_preferred_to_the_end_of_another(tmp_path):
 
 
 def test_messages_without_the_joint_are_passed_over(tmp_path):
-    other = JointState(name=['gripper'], position=[1.0])
-    foreign = [('/joint_states', JOINTS, time + 0.005, serialize_message(other)) for time in T]
+    foreign = [state(time + 0.005, ['gripper'], [1.0]) for time in T]
     path = write(tmp_path / 'a.mcap', [*foreign, *joints(T)])
     alone = read_bags([write(tmp_path / 'b.mcap', joints(T))], bag())
     assert np.array_equal(read_bags([path], bag()).q, alone.q)
@@ -203,31 +170,27 @@ def test_commands_hold_until_the_next(tmp_path):
     assert (data.commands[t > 3.005] == [2.0, 6.0]).all()
 
 
+def assert_exact(data, scene, tolerance: float) -> None:
+    dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
+    assert np.abs(data.dq_dt - dH_dp).max() < tolerance
+    assert np.abs(data.dp_dt + dH_dq).max() < tolerance
+
+
 @pytest.mark.parametrize('close', [True, False])
 def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, close):
     scene = load_scene('exact_double_pendulum')
     path = record_run(tmp_path / 'bag', scene, 300, close=close)
     data = read_bags([path], bag(
         joints=['angle1', 'angle2'], p='p', dp_dt='state', derivatives=None))
-    dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
-    assert np.abs(data.dq_dt - dH_dp).max() < 1e-12
-    assert np.abs(data.dp_dt + dH_dq).max() < 1e-12
+    assert_exact(data, scene, 1e-12)
     assert len(data.q) == 280
-
-
-FORCED = """\
-hamiltonian: {kind: pendulum}
-effects: [{kind: external_force, coordinates: [angle], timeout: 10.0}]
-integrator: {kind: implicit_midpoint}
-step_size: 0.01
-initial_state: {q: [1.0], p: [0.0]}
-"""
 
 
 @pytest.mark.parametrize('begin', [None, 0])
 def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_path, begin, caplog):
-    (tmp_path / 'scene.yaml').write_text(FORCED)
-    path = record_run(tmp_path / 'bag', load_scene(tmp_path / 'scene.yaml'), 200,
+    scene = load_scene('exact_pendulum').with_overrides(0.01, 'implicit_midpoint', effects=[
+        {'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}])
+    path = record_run(tmp_path / 'bag', scene, 200,
                       commands={0: [[0.5]], 100: [[-0.5]]}, begin=begin)
     data = read_bags([path], bag(joints=['angle'], commands='commands', stamps='log'))
     # Of the rows that are left at each end as margins nothing is asked.
@@ -238,12 +201,6 @@ def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_pat
         {0.5, -0.5} if begin is None else {-0.5})
     # Samples at steps 1 to 99.
     assert ('an unknown force for 99 samples' in told) == (begin == 0)
-
-
-def assert_exact(data, scene, tolerance: float) -> None:
-    dH_dq, dH_dp = scene.create_hamiltonian().gradient(data.q, data.p)
-    assert np.abs(data.dq_dt - dH_dp).max() < tolerance
-    assert np.abs(data.dp_dt + dH_dq).max() < tolerance
 
 
 def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_recorders(tmp_path):
@@ -373,13 +330,7 @@ def test_configuration_without_its_bags_is_one_line(tmp_path, monkeypatch, more)
 
 
 def positions(t: np.ndarray, q: np.ndarray) -> list[Message]:
-    messages = []
-    for time, position in zip(t, q, strict=True):
-        state = JointState(name=['swing'], position=[position])
-        state.header.stamp.sec = int(time)
-        state.header.stamp.nanosec = round((time - int(time)) * 1e9)
-        messages.append(('/joint_states', JOINTS, time, serialize_message(state)))
-    return messages
+    return [state(time, ['swing'], [position]) for time, position in zip(t, q, strict=True)]
 
 
 def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path, caplog):

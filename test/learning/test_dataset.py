@@ -7,10 +7,9 @@ from hnn_vi_ros.learning.data.dataset import (
     differentiate, ExactData, sample_exact, SavitzkyGolay, SmoothingSpline)
 from hnn_vi_ros.learning.data.text import MeasuredData, read_measured_log
 from hypothesis import given, settings, strategies as st
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
-from schemas import misfit
 from scipy.signal import savgol_coeffs
 
 LOG = {'kind': 'measured', 'columns': ['t', 'x', 'v'], 'time': 't', 'q': ['x'], 'p': ['v'],

@@ -12,10 +12,9 @@ from hnn_vi_ros.learning.fit.steps import simulated
 from hnn_vi_ros.learning.tasks.machine import (
     estimated_delay, MachineTask, problem_of, whole)
 from hnn_vi_ros.models.mechanical_card import FrictionCard
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
-from schemas import misfit
 import torch
 
 MASS, VISCOUS, COULOMB, OFFSET, FADE = 2.0, (1.5, 2.5), (0.5, 0.8), 0.3, 0.04

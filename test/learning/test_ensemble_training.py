@@ -13,13 +13,13 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.judging import ensemble as module
 from hnn_vi_ros.learning.judging.ensemble import (
     conformal_factors, kept_and_held, resampled, resampled_blocks)
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
+from machines import machine_config
 from messages import refused
 import numpy as np
 import pytest
@@ -110,15 +110,9 @@ def swing(seconds: float, name: str = 'run') -> Run:
     return smoothed(name, t, q, 3.0 * np.cos(3.0 * t)[:, None], 0.0 * q, 40.0)
 
 
-def config(**changes) -> MachineConfig:
-    return MachineConfig.model_validate({
-        'coordinates': [{'name': 'a'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'none'}, **changes})
-
-
 def test_blocks_are_whole_parts_of_motions_a_fifth_of_which_is_held_out():
     motions = [swing(4.0, 'one'), swing(7.5, 'two')]
-    kept, held = kept_and_held(motions, config())
+    kept, held = kept_and_held(motions, machine_config())
     # Of at least a second: four, and seven.
     assert len(kept) == 9 and len(held) == 2
     rows = [(motion.name, round(t / 0.01)) for motion in (*kept, *held) for t in motion.t]
@@ -126,12 +120,12 @@ def test_blocks_are_whole_parts_of_motions_a_fifth_of_which_is_held_out():
     assert min(len(motion.t) for motion in (*kept, *held)) >= 100
     # Twice the longest window.
     windows = {'kind': 'trajectory', 'windows': [{'duration': 0.75, 'steps': 1}]}
-    kept, held = kept_and_held(motions, config(loss=windows))
+    kept, held = kept_and_held(motions, machine_config(more={'loss': windows}))
     assert len(kept) + len(held) == 2 + 5
 
 
 def test_bootstrap_of_blocks_draws_as_many_with_replacement():
-    blocks = kept_and_held([swing(20.0)], config())[0]
+    blocks = kept_and_held([swing(20.0)], machine_config())[0]
     drawn = resampled_blocks(blocks, 1)
     assert len(drawn) == len(blocks) == 16
     begins = [motion.t[0] for motion in drawn]
@@ -142,7 +136,7 @@ def test_bootstrap_of_blocks_draws_as_many_with_replacement():
 
 def test_motions_of_few_blocks_are_refused():
     with refused(DataError):
-        kept_and_held([swing(4.9)], config())
+        kept_and_held([swing(4.9)], machine_config())
 
 
 @pytest.mark.long

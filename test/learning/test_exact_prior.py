@@ -4,9 +4,8 @@
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.priors import ExactPrior
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -14,13 +13,11 @@ from hnn_vi_ros.learning.tasks.machine import describe, learn
 from hnn_vi_ros.models.exact_prior import exact_systems
 from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import check_prior
-from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
-from machines import driven
-from messages import refused
+from machines import driven, machine_config
+from messages import misfit, refused
 import numpy as np
 import pytest
-from schemas import misfit
 import torch
 
 
@@ -52,34 +49,17 @@ def test_torch_runs_the_formulas_of_the_compiled_kernel(kind):
     assert np.abs(change).max() < 1e-12
 
 
-class Quartic(Hamiltonian):
+class Quartic(Formula):
     """H = stiffness q^2 / 2 + p^4 / 4."""
 
-    coordinates = (Coordinate('x'),)
-
     def __init__(self, stiffness: float = 1.0):
-        self.stiffness = stiffness
-
-    @property
-    def kernel(self) -> Kernel:
-        return compiled_kernel((energy, gradient, gradient), (self.stiffness,), 1)
-
-
-def energy(parameters, q, p):
-    return 0.5 * parameters[0] * q[0] * q[0] + 0.25 * p[0]**4
-
-
-def gradient(parameters, q, p, dH_dq, dH_dp):
-    dH_dq[0] = parameters[0] * q[0]
-    dH_dp[0] = p[0]**3
+        super().__init__(['x'], 'k*x^2/2 + p_x^4/4', {'k': stiffness})
 
 
 def config(prior: str, names: str = 'x', **changes) -> MachineConfig:
-    return MachineConfig.model_validate({
-        'coordinates': [{'name': name, 'kind': 'prismatic'} for name in names],
-        'data': {'kind': 'arrays'}, 'hidden': [4],
-        'family': {'kind': 'mechanical', 'prior': prior, 'friction': {'coulomb': 0}} | changes,
-        'loss': {'kind': 'trajectory', 'batch': 32, 'windows': [{'duration': 0.1, 'steps': 10}]}})
+    return machine_config(names, 'prismatic', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'batch': 32, 'windows': [{'duration': 0.1, 'steps': 10}]}},
+        **{'prior': prior, 'friction': {'coulomb': 0}} | changes)
 
 
 def test_systems_that_are_not_mechanical_are_refused_in_one_line(monkeypatch):

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 import shutil
 
+from helpers import long, mostly_long
 import hnn_vi_ros
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.resources import shipped_file
@@ -21,6 +22,7 @@ from hnn_vi_ros.learning.scene_numbers.intervals import (
     Estimates, estimates_of, processes, profile)
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 from messages import refused
 import numpy as np
 import pytest
@@ -32,20 +34,20 @@ from urdf_robots import ROOT, TREE
 NOISE = 0.01, 0.05
 
 
-def long_after_first(rows: Sequence, count: int = 1) -> list:
-    """Return rows of parameters, of which so many stay in the quick run."""
-    return [*rows[:count], *(pytest.param(*(row if isinstance(row, tuple) else (row,)),
-                                          marks=pytest.mark.long) for row in rows[count:])]
+def measured(scene: Scene, motion: Trajectory, tau: np.ndarray | None = None,
+             random: np.random.Generator | None = None, noise: tuple[float, float] = NOISE) -> Run:
+    """Return the log of a motion of a scene, with forces and with white noise, if any."""
+    q, v = motion.q, scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
+    if random is not None:
+        q, v = (part + size * random.normal(size=part.shape)
+                for part, size in zip((q, v), noise, strict=True))
+    return smoothed('log', motion.t, q, v, np.zeros_like(q) if tau is None else tau, 40.0)
 
 
 def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Run:
     """Return a log of a scene from its initial state, with white noise unless without a seed."""
-    motion = hnn_vi_ros.simulate(scene, duration, every=every)
-    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
-    random = np.random.default_rng(seed)
-    q, v = (part + (seed is not None) * noise * random.normal(size=part.shape)
-            for part, noise in zip((motion.q, v), NOISE, strict=True))
-    return smoothed('log', motion.t, q, v, np.zeros_like(q), 40.0)
+    return measured(scene, hnn_vi_ros.simulate(scene, duration, every=every),
+                    random=None if seed is None else np.random.default_rng(seed))
 
 
 def freed(scene: Scene, folder: Path, **starts: float) -> FreeScene:
@@ -88,11 +90,11 @@ def test_the_study_of_coverage_finds_what_made_its_logs(case):
     assert any(next(identify_coverage.held(case, 'white', 1, 3)))
 
 
-@pytest.mark.parametrize('name, numbers', long_after_first([
+@pytest.mark.parametrize('name, numbers', [
     ('exact_double_pendulum', {'mass2': 1.1, 'damping__rate': 0.4,
                                'quadratic_drag__coefficient': 0.1}),
-    ('exact_double_pendulum', {'mass2': 1.1, 'length2': 0.9}),
-    ('two_joint_arm', {'forearm__mass': 1.1})]))
+    long('exact_double_pendulum', {'mass2': 1.1, 'length2': 0.9}),
+    long('two_joint_arm', {'forearm__mass': 1.1})])
 def test_exact_tangents_are_differences_of_simulations(name, numbers, tmp_path, monkeypatch):
     scene = load_scene(name)
     if 'damping__rate' in numbers:
@@ -256,8 +258,7 @@ def test_delay_and_friction_of_a_driven_pendulum_are_found(tmp_path):
     # Of the mean of a force over a step its value in the middle is wrong by h^2 / 24 of F''.
     motion = hnn_vi_ros.simulate(
         scene, 4.0, every=2, commands=lambda t: [float(force(np.array(t + 0.005 - late)))])
-    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
-    log = smoothed('log', motion.t, motion.q, v, force(motion.t)[:, None], 40.0)
+    log = measured(scene, motion, force(motion.t)[:, None])
     found = estimated(freed(scene, tmp_path, input_delay=0.0, damping__rate=0.2, mass=1.1), log)
     delay, damping, mass = (one.value for one in found.estimates)
     # Between samples the force is taken for straight: dt^2 / 12 of F'', at most 3 N m * 8.6^2.
@@ -284,23 +285,12 @@ def held_log() -> Run:
     force = np.repeat(3.0 * np.random.default_rng(1).normal(size=21), 4)
     motion = hnn_vi_ros.simulate(scene, 1.6, every=20, commands=lambda t: [
         float(force[max(0, int((t - LATE) / 0.02 + 1e-6))])])
-    v = scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
-    return replace(smoothed('log', motion.t, motion.q, v, force[:81, None], 40.0), held=True)
-
-
-def write_commanded(folder: Path) -> Path:
-    """Write the scene of a driven pendulum and return its path."""
-    path = folder / 'scene.yaml'
-    path.write_text(
-        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
-        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
-        'initial_state: {q: [0.5], p: [0.0]}\n')
-    return path
+    return replace(measured(scene, motion, force[:81, None]), held=True)
 
 
 # Late in a step, in its middle, and at its end; rk4 begins steps by a gradient of the last.
-@pytest.mark.parametrize('method, step_size', long_after_first([
-    ('gauss4', 0.02), ('gauss4', 0.01), ('gauss4', 0.005), ('rk4', 0.005)]))
+@pytest.mark.parametrize('method, step_size', [
+    ('gauss4', 0.02), long('gauss4', 0.01), long('gauss4', 0.005), long('rk4', 0.005)])
 def test_held_forces_act_from_the_moment_of_their_command_on(
         held_log, method, step_size, tmp_path):
     free = freed(commanded(method, step_size), tmp_path, input_delay=0.03, mass=1.05)
@@ -310,54 +300,53 @@ def test_held_forces_act_from_the_moment_of_their_command_on(
     assert delay == pytest.approx(LATE, abs=1e-7)
 
 
+def identified(folder: Path, log: Run, capsys: pytest.CaptureFixture, *options: str
+               ) -> tuple[str, dict]:
+    """Return what is said of the delay and the damping of such a pendulum, and the numbers."""
+    np.savez(folder / 'log.npz', t=log.t, q=log.q, dq=log.v, tau=log.tau)
+    (folder / 'scene.yaml').write_text(
+        'hamiltonian: {kind: pendulum}\nintegrator: {kind: gauss4}\nstep_size: 0.02\n'
+        'effects: [{kind: external_force, coordinates: [angle]}, {kind: damping, rate: 0.2}]\n'
+        'initial_state: {q: [0.5], p: [0.0]}\n')
+    path = folder / f'{len(options)}.json'
+    main([str(folder / 'scene.yaml'), '--data', str(folder / 'log.npz'), '--free', 'input_delay',
+          'damping.rate', '--json', str(path), *options])
+    return capsys.readouterr().out, json.loads(path.read_text())
+
+
 def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, capsys):
     random = np.random.default_rng(0)
     q, v = (part + noise * random.normal(size=part.shape)
             for part, noise in zip((held_log.q, held_log.v), (1e-4, 1e-3), strict=True))
-    np.savez(tmp_path / 'log.npz', t=held_log.t, q=q, dq=v, tau=held_log.tau)
-    write_commanded(tmp_path)
-
-    def identified(*options: str) -> tuple[str, dict]:
-        path = tmp_path / f'{len(options)}.json'
-        main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'log.npz'), '--free',
-              'input_delay', 'damping.rate', '--json', str(path), *options])
-        return capsys.readouterr().out, json.loads(path.read_text())['input_delay']
-    said, delay = identified()
+    log = replace(held_log, q=q, v=v)
+    said, found = identified(tmp_path, log, capsys)
     # Interpolated forces come half of a sample earlier.
-    assert delay['low'] > LATE + 0.005
+    assert found['input_delay']['low'] > LATE + 0.005
     assert 'taken as interpolated, which the data do not say; held, they fit better' in said
     assert 'take --inputs held' in said
-    said, delay = identified('--inputs', 'held')
-    assert delay['low'] < LATE < delay['high']
+    said, found = identified(tmp_path, log, capsys, '--inputs', 'held')
+    assert found['input_delay']['low'] < LATE < found['input_delay']['high']
     assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
 
 
 @pytest.mark.parametrize('unit, told', [(1.0, False), (1e3, True)])
 def test_efforts_in_newton_millimetres_are_named_as_a_cause(held_log, unit, told, tmp_path,
                                                             capsys):
-    np.savez(tmp_path / 'log.npz', t=held_log.t, q=held_log.q, dq=held_log.v,
-             tau=unit * held_log.tau)
-    main([str(write_commanded(tmp_path)), '--data', str(tmp_path / 'log.npz'), '--inputs', 'held',
-          '--free', 'mass'])
-    assert ('N mm' in capsys.readouterr().out) == told
+    log = replace(held_log, tau=unit * held_log.tau)
+    said, _ = identified(tmp_path, log, capsys, '--inputs', 'held', '--free', 'mass')
+    assert ('N mm' in said) == told
 
 
 @pytest.mark.parametrize('idle', [True, False])
 def test_what_acted_before_a_record_is_found_with_the_delay(idle, tmp_path, capsys):
-    late, random = 0.06, np.random.default_rng(3)
+    late, random, scene = 0.06, np.random.default_rng(3), commanded('gauss4', 0.01)
     force = np.repeat(3.0 * random.normal(size=25), 4)
     force[:4] = 4.0
-    motion = hnn_vi_ros.simulate(commanded('gauss4', 0.01), 1.98, every=2, commands=lambda t: [
+    motion = hnn_vi_ros.simulate(scene, 1.98, every=2, commands=lambda t: [
         0.0 if idle and t < late - 1e-9 else
         float(force[max(0, int((t - late) / 0.02 + 1e-6))])])
-    v = load_scene('exact_pendulum').create_hamiltonian().gradient(motion.q, motion.p)[1]
-    q, v = (part + noise * random.normal(size=part.shape)
-            for part, noise in ((motion.q, 1e-4), (v, 1e-3)))
-    np.savez(tmp_path / 'log.npz', t=motion.t, q=q, dq=v, tau=force[:len(motion.t), None])
-    write_commanded(tmp_path)
-    main([str(tmp_path / 'scene.yaml'), '--data', str(tmp_path / 'log.npz'), '--inputs', 'held',
-          '--free', 'input_delay', 'damping.rate', '--json', str(tmp_path / 'found.json')])
-    said, found = capsys.readouterr().out, json.loads((tmp_path / 'found.json').read_text())
+    log = measured(scene, motion, force[:len(motion.t), None], random, (1e-4, 1e-3))
+    said, found = identified(tmp_path, log, capsys, '--inputs', 'held')
     assert f'Before each run {"none" if idle else "its first force"} had acted' in said
     for name, truth in (('input_delay', late), ('damping.rate', 0.3)):
         assert found[name]['low'] < truth < found[name]['high']
@@ -414,7 +403,7 @@ def test_profile_of_a_number_is_its_interval_where_all_is_nearly_linear(pendulum
     assert told.high == pytest.approx(one.high, abs=0.03 * one.standard_error)
 
 
-@pytest.mark.parametrize('robust', long_after_first([False, True]))
+@pytest.mark.parametrize('robust', [False, long(True)])
 def test_profile_is_as_wide_as_the_interval_where_noise_is_correlated(
         robust, pendulum, tmp_path):
     log, random = swing(pendulum, 4.0, 2, None), np.random.default_rng(3)
@@ -463,8 +452,8 @@ def test_correlated_noise_is_noticed_and_white_noise_is_not():
             together, rel=0.1)
 
 
-@pytest.mark.parametrize('kind', long_after_first([
-    'arma', identify_coverage.QUANTISED, *sorted({*identify_coverage.NOISES} - {'arma'})], 2))
+@pytest.mark.parametrize('kind', mostly_long(
+    [*identify_coverage.NOISES, identify_coverage.QUANTISED], 'arma', identify_coverage.QUANTISED))
 def test_intervals_hold_the_truth_whatever_the_noise_is_like(kind):
     rows = np.array([*identify_coverage.held_by_regression(300, kind, 30, 1)])
     # Of 30 logs more than five miss a number by chance once in a thousand. Chance is no less

@@ -25,12 +25,11 @@ from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
-from machines import compiled, shaken
+from machines import compiled, machine_config, shaken
 from mechanical_models import random_mechanical, saved
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
-from schemas import misfit
 from scipy.integrate import solve_ivp
 import torch
 from trainings import trained
@@ -98,11 +97,9 @@ def test_map_is_learned_with_a_prior_whose_scale_its_norm_fixes():
     z = solve_ivp(lambda t, z: [z[1], 4.0 * np.sin(2.0 * t) - 9.81 * np.sin(z[0])],
                   (0.0, t[-1]), [0.5, 0.0], t_eval=t, rtol=1e-9, atol=1e-9).y.T
     motion = smoothed('run', t, z[:, :1], z[:, 1:], -2.0 * np.sin(2.0 * t)[:, None], 40.0)
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'a', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'pendulum', 'residual': False,
-                   'input_map': 'learned', 'friction': {'coulomb': 0}},
-        'loss': {'kind': 'trajectory', 'windows': [{'duration': 0.1, 'steps': 1}]}})
+    config = machine_config(more={'loss': {
+        'kind': 'trajectory', 'windows': [{'duration': 0.1, 'steps': 1}]}}, prior='pendulum',
+        residual=False, input_map='learned', friction={'coulomb': 0})
     network, _ = learn(config, [motion])
     with torch.no_grad():
         assert network.input_map().tolist() == [[-1.0]]

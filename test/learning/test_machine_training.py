@@ -23,11 +23,10 @@ from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_
 from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.learning.tasks.machine import fix_scale
 from hnn_vi_ros.simulation import Simulation
-from machines import compiled, driven, shaken
-from messages import refused
+from machines import compiled, driven, machine_config, shaken
+from messages import misfit, refused
 import numpy as np
 import pytest
-from schemas import misfit
 from scipy.integrate import solve_ivp
 import torch
 
@@ -146,10 +145,8 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
 def fitted(motions: list[Run], hidden: int, loss: dict, **family: object
            ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return networks of a pendulum that were trained, and their losses."""
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', **family},
-        'hidden': [hidden], 'loss': loss})
+    config = machine_config(more={'hidden': [hidden], 'loss': loss},
+                            **{'mass': 'constant', **family})
     network = MechanicalNetwork(config.structure(), [hidden], scales_of(motions), 0)
     return network, MachineProblem(network, config, motions).fit()
 
@@ -205,11 +202,9 @@ def test_what_lbfgs_is_judged_by_is_held_back_from_adam():
     for part in (slice(None), slice(20)):
         motions = [replace(motion, **{name: values[part] for name, values in vars(motion).items()
                                       if isinstance(values, np.ndarray)})]
-        config = MachineConfig.model_validate({
-            'coordinates': [{'name': 'angle'}], 'data': {'kind': 'arrays'}, 'hidden': [4],
-            'family': {'kind': 'mechanical', 'prior': 'none'}, 'loss': {
-                'kind': 'trajectory', 'forward_steps': 20, 'forward_lbfgs_steps': 20, 'batch': 2,
-                'windows': [{'duration': 0.02, 'steps': 1}]}})
+        config = machine_config(kind='revolute', more={'hidden': [4], 'loss': {
+            'kind': 'trajectory', 'forward_steps': 20, 'forward_lbfgs_steps': 20, 'batch': 2,
+            'windows': [{'duration': 0.02, 'steps': 1}]}})
         network = MechanicalNetwork(config.structure(), [4], scales_of(motions), 0)
         asked, whole = [], network.accelerations
         network.accelerations = lambda q, *others: (asked.append(q.detach()), whole(q, *others))[1]
@@ -249,7 +244,7 @@ def test_friction_that_depends_on_the_angle_is_learned():
     network, _ = fitted(
         [motion_of_an_eccentric_pendulum(seed) for seed in (1, 2)], 8,
         {'kind': 'forward', 'steps': 200, 'lbfgs_steps': 1000}, friction={
-            'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['angle']})
+            'viscous': False, 'coulomb': 0, 'network': True, 'network_depends_on': ['a']})
     q = torch.linspace(-2.0, 2.0, 9, dtype=torch.float64)[:, None]
     with torch.no_grad():
         friction = network.friction(q, torch.ones_like(q)).numpy()
@@ -426,11 +421,9 @@ def test_forces_are_averaged_as_they_act_between_samples(held, means):
 @LONG
 def test_plain_network_learns_what_it_is_compared_by():
     """Of the same motions, and angles that have turned over are the same ones to it."""
-    config = MachineConfig.model_validate({
-        'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-        'family': {'kind': 'mechanical', 'prior': 'none'}, 'loss': {
-            'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0,
-            'step_size': 0.02, 'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]}})
+    config = machine_config(more={'loss': {
+        'kind': 'trajectory', 'forward_steps': 300, 'forward_lbfgs_steps': 0,
+        'step_size': 0.02, 'batch': 64, 'windows': [{'duration': 0.2, 'steps': 100}]}})
     train, test = [driven_pendulum(1), driven_pendulum(2)], [driven_pendulum(3)]
     network = PlainNetwork(['continuous'], [12], scales_of(train), 0)
     q, v, tau = torch.rand(3, 5, 1, dtype=torch.float64)

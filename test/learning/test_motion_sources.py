@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from bag_files import array, Message, state, write
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
 from hnn_vi_ros.learning.data.bags import BagMotions, read_bag_motions
@@ -14,27 +15,15 @@ from hnn_vi_ros.learning.data.sources import guessed, read_motions
 from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from schemas import misfit
-from sensor_msgs.msg import JointState
-from test_bag_data import array, JOINTS, Message, write
 
 OMEGA = 2.0
 T = 0.01 * np.arange(1, 401)
 Q = np.stack([np.sin(OMEGA * T), np.cos(3.0 * T)], axis=-1)
 V = np.stack([OMEGA * np.cos(OMEGA * T), -3.0 * np.sin(3.0 * T)], axis=-1)
 TAU = np.stack([0.1 * T, np.ones_like(T)], axis=-1)
-
-
-def state(time: float, names: Sequence[str], q: Sequence[float], v: Sequence[float] = (),
-          tau: Sequence[float] = ()) -> Message:
-    message = JointState(name=list(names), position=list(q), velocity=list(v), effort=list(tau))
-    message.header.stamp.sec, nanoseconds = divmod(round(time * 1e9), 10**9)
-    message.header.stamp.nanosec = nanoseconds
-    return '/joint_states', JOINTS, time, serialize_message(message)
 
 
 def driver(rows: Sequence[int] = range(len(T))) -> list[Message]:
@@ -88,8 +77,10 @@ def test_gap_begins_a_new_motion(tmp_path):
         read(path, on_bad='fail')
 
 
-def test_velocities_that_are_not_published_are_estimated_and_efforts_are_none(tmp_path):
-    messages = [state(T[i], ['a', 'b'], Q[i], [np.nan, np.nan]) for i in range(len(T))]
+@pytest.mark.parametrize('known', [False, True])
+def test_velocities_that_a_joint_never_has_are_estimated_and_efforts_are_none(tmp_path, known):
+    messages = [state(T[i], ['a', 'b'], Q[i], [V[i, 0] if known else np.nan, np.nan])
+                for i in range(len(T))]
     (motion,), description = read(write(tmp_path / 'a.mcap', messages))
     assert 'velocities estimated' in description
     assert not motion.tau.any()
@@ -385,11 +376,6 @@ def test_efforts_of_joints_without_a_motor_are_zero_and_told(tmp_path):
 def test_forces_are_left_out_where_there_are_to_be_none(tmp_path):
     (motion,), described = read(write(tmp_path / 'a.mcap', driver()), forces='none')
     assert not motion.tau.any() and 'effort' not in described
-
-
-def test_velocities_that_one_joint_never_has_are_estimated(tmp_path):
-    messages = [state(T[i], ['a', 'b'], Q[i], [V[i, 0], np.nan], TAU[i]) for i in range(len(T))]
-    assert 'velocities estimated' in read(write(tmp_path / 'a.mcap', messages))[1]
 
 
 def commands(rows, stamp=lambda i: T[i] + 0.005, names=('b', 'a'), tau=lambda i: TAU[i, ::-1]):

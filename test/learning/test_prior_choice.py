@@ -8,7 +8,7 @@ from helpers import alarm_of
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.learning.data.runs import Run, smoothed
-from hnn_vi_ros.learning.families.choices import Structure
+from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import Fading, scales_of
@@ -16,6 +16,7 @@ from hnn_vi_ros.learning.tasks.machine import problem_of
 from hnn_vi_ros.learning.tasks.selection import best_of, held_out, RIGID, selected
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.models.seen import CandidateCard, Domain, DomainCard
+from machines import machine_config
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -148,12 +149,9 @@ def carriage(seed: int, back: float) -> Run:
 
 
 def sliding(**family: object) -> MachineConfig:
-    return MachineConfig.model_validate({
-        'coordinates': [{'name': 'x', 'kind': 'prismatic'}],
-        'data': {'kind': 'arrays'}, 'hidden': [4],
-        'loss': {'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
-                 'windows': [{'duration': 0.3, 'steps': 2}]},
-        'family': {'kind': 'mechanical', **family}})
+    return machine_config('x', 'prismatic', {'hidden': [4], 'loss': {
+        'kind': 'trajectory', 'forward_steps': 2, 'forward_lbfgs_steps': 0, 'batch': 16,
+        'windows': [{'duration': 0.3, 'steps': 2}]}}, **{'prior': AUTO, **family})
 
 
 @pytest.mark.long

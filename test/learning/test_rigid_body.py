@@ -15,10 +15,10 @@ from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import momentum
 from hnn_vi_ros.learning.tasks.machine import learn
 from hnn_vi_ros.simulation import Simulation
-from machines import driven
+from machines import driven, machine_config
+from messages import misfit
 import numpy as np
 import pytest
-from schemas import misfit
 from scipy.integrate import solve_ivp
 import torch
 
@@ -62,12 +62,10 @@ def states(network: MechanicalNetwork) -> torch.Tensor:
 
 
 def config(names: str = 'ab', **family) -> MachineConfig:
-    return MachineConfig.model_validate({
-        'coordinates': [{'name': name, 'kind': 'continuous'} for name in names],
-        'data': {'kind': 'arrays'}, 'hidden': [8],
-        'family': {'kind': 'mechanical', 'prior': 'double_pendulum', 'mass_depends_on': ['a - b'],
-                   'friction': {'coulomb': 1}} | family,
-        'loss': {'kind': 'trajectory', 'batch': 64, 'windows': [{'duration': 0.1, 'steps': 20}]}})
+    return machine_config(names, more={'hidden': [8], 'loss': {
+        'kind': 'trajectory', 'batch': 64, 'windows': [{'duration': 0.1, 'steps': 20}]}},
+        **{'prior': 'double_pendulum', 'mass_depends_on': ['a - b'],
+           'friction': {'coulomb': 1}} | family)
 
 
 @pytest.mark.parametrize('noise', [pytest.param(0.0, marks=pytest.mark.long), 1e-3])

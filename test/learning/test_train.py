@@ -10,7 +10,7 @@ import time
 
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import DataError, HnnViRosError, ParameterError
-from hnn_vi_ros.files.resources import shipped_file, shipped_names
+from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.families.base import Scales
@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import (
-    Fit, Interrupted, INTERVAL, Keeper, LossHistory, Problem, Stage)
+    Fit, Interrupted, Keeper, LossHistory, Problem, Stage)
 from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -79,20 +79,6 @@ def assert_is_the_oscillator(path: Path) -> None:
     assert np.abs(errors).max() < 1e-3
     energy_errors = hamiltonian.energy(q, p) - 0.5 * (q[:, 0]**2 + p[:, 0]**2)
     assert np.abs(energy_errors).max() < 4e-4 + 2.0 * np.sqrt(2.0) * 1e-3
-
-
-def test_shipped_harmonic_oscillator_has_the_field_of_the_exact_one():
-    assert_is_the_oscillator(shipped_file('model', 'harmonic_oscillator'))
-
-
-def test_shipped_model_card_says_how_it_was_made():
-    card = load_checkpoint(shipped_file('model', 'harmonic_oscillator')).card
-    config = load_config(find_config('harmonic_oscillator'))
-    assert card.training_command == 'ros2 run hnn_vi_ros train --config harmonic_oscillator'
-    assert (card.name, card.seed) == ('harmonic_oscillator', config.seed)
-    assert card.widths == [2, *config.hidden, 1]
-    assert card.coordinates == config.coordinates
-    assert card.losses['field_rms'] < 1e-4
 
 
 @pytest.mark.long
@@ -333,49 +319,6 @@ def prepared(path: Path) -> tuple[FieldConfig, Dataset]:
     return config, make_dataset(config.data, config.seed, path)
 
 
-def keeper_of(path: Path, config: FieldConfig, dataset: Dataset) -> Keeper:
-    arrays = [part for part in vars(dataset).values() if isinstance(part, np.ndarray)]
-    return Keeper(path, config, arrays, 'cpu')
-
-
-def trained(problem: FieldProblem) -> LossHistory:
-    fit = Fit(problem)
-    fit.run()
-    return fit.history
-
-
-def weights_of(problem: FieldProblem) -> bytes:
-    return b''.join(part.detach().numpy().tobytes() for part in problem.module.parameters())
-
-
-# In the first steps of L-BFGS, before any step, in those of Adam, and when L-BFGS has a history.
-@pytest.mark.parametrize('stop, patience', [
-    (60, ''), (60 + 2 * INTERVAL, 'patience: 3\n'),
-    *(pytest.param(stop, patience, marks=pytest.mark.long) for stop, patience in (
-        (0, ''), (INTERVAL, ''), (60 + 2 * INTERVAL, ''), (0, 'patience: 3\n'),
-        (INTERVAL, 'patience: 3\n'), (60, 'patience: 3\n')))])
-def test_training_resumed_from_its_file_is_bit_identical(tmp_path, stop, patience):
-    config, dataset = prepared(tiny(tmp_path, PENDULUM + patience))
-    whole = FieldProblem(config, dataset)
-    history = trained(whole)
-    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
-
-    def pause(fit: Fit) -> None:
-        if fit.step == stop:
-            keeper._stopping = True
-        keeper(fit)
-
-    with refused(Interrupted):
-        Fit(FieldProblem(config, dataset)).run(pause)
-    resumed = FieldProblem(config, dataset)
-    fit = Fit(resumed)
-    keeper_of(tmp_path / 'm.training', config, dataset).load(fit)
-    assert fit.step == stop
-    fit.run()
-    assert fit.history == history
-    assert weights_of(resumed) == weights_of(whole)
-
-
 def test_ctrl_c_keeps_the_run_and_resume_ends_it_as_if_nothing_had_been(
         tmp_path, monkeypatch, capsys):
     arguments = ['--config', str(tiny(tmp_path, PENDULUM)), '--out']
@@ -413,7 +356,8 @@ def test_resume_refuses_what_it_cannot_go_on_with_in_one_line(tmp_path):
     with refused(ParameterError):
         main(arguments)
     config, dataset = prepared(path)
-    keeper = keeper_of(tmp_path / 'm.training', config, dataset)
+    arrays = [part for part in vars(dataset).values() if isinstance(part, np.ndarray)]
+    keeper = Keeper(tmp_path / 'm.training', config, arrays, 'cpu')
     keeper._stopping = True
     with pytest.raises(Interrupted):
         keeper(Fit(FieldProblem(config, dataset)))
@@ -425,17 +369,16 @@ def test_early_stopping_ends_with_the_weights_of_the_least_validation_loss(tmp_p
     # Far more weights than data, whose noise a long training would learn.
     text = PENDULUM.replace('noise: 0.0', 'noise: 0.3').replace('[8, 5]', '[40]').replace(
         'lbfgs_steps: 80', 'lbfgs_steps: 800')
-    config, dataset = prepared(tiny(tmp_path, text + 'patience: 3\n'))
-    problem = FieldProblem(config, dataset)
-    history = trained(problem)
+
+    def trained(text: str) -> tuple[float, LossHistory]:
+        problem = FieldProblem(*prepared(tiny(tmp_path, text)))
+        fit = Fit(problem)
+        fit.run()
+        return problem.validation_loss(), fit.history
+    (loss, history), (through, _) = trained(text + 'patience: 3\n'), trained(text)
     assert history.train_step[-1] < 860
-    assert problem.validation_loss() == min(history.validation)
-    assert history.validation[history.validation_step.index(history.best_step)] \
-        == min(history.validation)
-    config, _ = prepared(tiny(tmp_path, text))
-    through = FieldProblem(config, dataset)
-    trained(through)
-    assert problem.validation_loss() < through.validation_loss()
+    assert loss == min(history.validation) < through
+    assert history.validation[history.validation_step.index(history.best_step)] == loss
 
 
 def test_run_leaves_a_report_with_pictures_and_curves_beside_its_model(drawn, tmp_path):

@@ -13,14 +13,13 @@ from hnn_vi_ros.learning.data.runs import Run, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
-from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
 from hnn_vi_ros.learning.tasks.machine import describe, problem_of
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.simulation import Simulation
-from machines import compiled, shaken, slopes_along
+from machines import compiled, machine_config, shaken, slopes_along
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -175,13 +174,10 @@ def test_equation_without_a_solution_is_no_number():
 
 
 T = 0.02 * np.arange(301)
-CONFIG = MachineConfig.model_validate({
-    'coordinates': [{'name': 'angle', 'kind': 'continuous'}], 'data': {'kind': 'arrays'},
-    'family': {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant',
-               'friction': {'coulomb': 1, 'network': True}},
-    'hidden': [8], 'loss': {
-        'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 100, 'step_size': 0.04,
-        'batch': 32, 'windows': [{'duration': 0.2, 'steps': 20}]}})
+CONFIG = machine_config(more={'hidden': [8], 'loss': {
+    'kind': 'trajectory', 'forward_steps': 100, 'forward_lbfgs_steps': 100, 'step_size': 0.04,
+    'batch': 32, 'windows': [{'duration': 0.2, 'steps': 20}]}},
+    mass='constant', friction={'coulomb': 1, 'network': True})
 
 
 def pendulum(seed: int) -> Run:
