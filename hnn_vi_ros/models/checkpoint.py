@@ -310,7 +310,7 @@ def _card(path: str | Path, metadata: dict[str, Any]) -> ModelCard:
     try:
         return ModelCard.model_validate_json(metadata['model_card'])
     except ValidationError as problem:
-        raise ModelError(f'{path}: model_card.{in_plain_words(problem)}; {_ANEW}, or use the '
+        raise ModelError(f'{path}: model_card: {in_plain_words(problem)}; {_ANEW}, or use the '
                          'version of hnn_vi_ros that wrote it') from problem
 
 

@@ -378,7 +378,7 @@ def test_constant_masses_are_seen(text: str, quadratic: bool):
 def ends_and_gradients(integrators: tuple, hamiltonian: Hamiltonian, h: float, q: list[float],
                        p: list[float], steps: int, effects: tuple = ()
                        ) -> tuple[list[np.ndarray], list[int]]:
-    """Return (q, p) after some steps, and how many gradients they took, by each of some methods."""
+    """Return (q, p) after some steps, and how many gradients they took, by each method."""
     runs = [Simulation(Uncompiled(hamiltonian), integrator, h, q, p, effects)
             for integrator in integrators]
     for run in runs:

@@ -5,6 +5,7 @@
 import json
 from pathlib import Path
 
+from ensembles import OSCILLATOR
 from helpers import EPS, exact, jacobian, python_step, symplectic_defect, Uncompiled
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
@@ -217,17 +218,12 @@ def test_confined_state_too_far_for_a_double_ends_in_a_failure():
         Simulation(confined('pendulum'), INTEGRATORS['rk4'](), 0.01, [1e200], [0.0])
 
 
-def save_with(path: Path, confine: bool) -> None:
-    """Save the shipped pendulum with another word on confinement in its card."""
-    shipped = load_checkpoint(shipped_file('model', 'pendulum'))
-    card = shipped.card.model_copy(update={'confine': confine})
-    save_checkpoint(path, Checkpoint(card, shipped.networks))
-
-
 @pytest.mark.parametrize('in_card', [False, True])
 def test_model_card_says_whether_a_scene_confines_unless_the_scene_does(tmp_path, in_card):
-    model = tmp_path / 'model.safetensors'
-    save_with(model, in_card)
+    model, shipped = tmp_path / 'model.safetensors', load_checkpoint(
+        shipped_file('model', 'pendulum'))
+    card = shipped.card.model_copy(update={'confine': in_card})
+    save_checkpoint(model, Checkpoint(card, shipped.networks))
     assert load_checkpoint(model).card.confine == in_card
     for text, expected in (('', in_card), (', confine: true', True), (', confine: false', False)):
         scene = tmp_path / 'scene.yaml'
@@ -246,14 +242,7 @@ def test_model_card_from_before_confinement_loads_unconfined():
 
 def test_training_configuration_with_confine_makes_a_model_that_confines(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path('config.yaml').write_text("""\
-coordinates: [{name: x, q_unit: m, p_unit: kg m/s}]
-data: {kind: exact, hamiltonian: {kind: harmonic_oscillator},
-       box: {q: [[-1.0, 1.0]], p: [[-1.0, 1.0]]}, samples: 50}
-hidden: [4]
-adam_steps: 2
-lbfgs_steps: 0
-confine: true
-""")
+    Path('config.yaml').write_text(
+        f'{OSCILLATOR}hidden: [4]\nadam_steps: 2\nlbfgs_steps: 0\nconfine: true\n')
     train(['--config', 'config.yaml', '--out', 'm.safetensors'])
     assert isinstance(load_learned(Path('m.safetensors')), ConfinedHamiltonian)

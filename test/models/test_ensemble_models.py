@@ -5,7 +5,7 @@
 import json
 from pathlib import Path
 
-from ensembles import ensemble
+from ensembles import ensemble, mechanisms
 from helpers import random_checkpoint
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.commands import scene_tool
@@ -16,7 +16,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.model_card import EnsembleCard, ModelCard
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
 import safetensors.numpy
@@ -59,9 +59,8 @@ def test_what_wants_one_model_refuses_an_ensemble(model: Path):
         EFFECTS['learned_dissipation'](str(model))
 
 
-@pytest.mark.parametrize(('number', 'message'), [
-    (4, 'member = 4: the members are 1 to 3'), (0, 'member = 0: the members are 1 to 3')])
-def test_member_that_is_not_there_is_refused(model: Path, number: int, message: str):
+@pytest.mark.parametrize('number', [4, 0])
+def test_member_that_is_not_there_is_refused(model: Path, number: int):
     with refused(ModelError):
         load_learned(model, member=number)
 
@@ -82,41 +81,52 @@ def test_file_without_a_tensor_of_a_member_is_refused(model: Path):
         load_checkpoint(model, ensembles=True)
 
 
-@pytest.mark.parametrize(('changes', 'message'), [
-    ({'family': 'dgnet', 'friction': [0.1]}, 'family of a member|the family dgnet has none'),
-    ({'activation': 'sine'}, 'activation of a member'),
-    ({'widths': [2, 5, 1]}, 'layout of a member')])
-def test_members_that_differ_are_refused(changes: dict, message: str):
-    card = ensemble(2).card
-    data = json.loads(card.model_dump_json(exclude_none=True))
+def card_data(card: ModelCard) -> dict:
+    """Return what a file holds of a card."""
+    return json.loads(card.model_dump_json(exclude_none=True))
+
+
+@pytest.mark.parametrize('changes', [
+    {'family': 'dgnet', 'friction': [0.1]}, {'activation': 'sine'}, {'widths': [2, 5, 1]}])
+def test_members_that_differ_are_refused(changes: dict):
+    data = card_data(ensemble(2).card)
     data['ensemble']['members'][1] |= changes
-    with pytest.raises(ValueError, match=message):
+    with misfit():
         ModelCard.model_validate(data)
 
 
-def test_one_factor_of_version_0_2_is_that_of_all(tmp_path: Path):
-    data = json.loads(ensemble(2).card.model_dump_json(exclude_none=True))
+@pytest.mark.parametrize('changes', [
+    {'features': [[1.0, 0.0], [0.0, 1.0]]}, {'input_map': [[1.0], [0.5]]},
+    {'mass_features': [[0.0, 2.0]]}])
+def test_mechanisms_that_are_not_alike_are_refused(changes: dict):
+    data = card_data(mechanisms('arm', 2).card)
+    data['ensemble']['members'][1]['mechanical'] |= changes
+    with misfit():
+        ModelCard.model_validate(data)
+
+
+def test_one_factor_of_version_0_2_is_that_of_all():
+    data = card_data(ensemble(2).card)
     del data['ensemble']['factors']
     data['ensemble']['factor'] = 3.5
     assert ModelCard.model_validate(data).ensemble.factors == [3.5, 3.5]
     for members in ([], [1, 2], 'none', [{'coordinates': 3}]):
-        with pytest.raises(ValueError, match='members'):
+        with misfit():
             EnsembleCard.model_validate({'factor': 3.5, 'members': members})
 
 
 def test_factors_must_be_as_many_as_coordinates_and_momenta():
-    data = json.loads(ensemble(2).card.model_dump_json(exclude_none=True))
+    data = card_data(ensemble(2).card)
     data['ensemble']['factors'] = [1.0, 2.0, 3.0]
-    with pytest.raises(ValueError, match='3 factors, expected 2, of q and p'):
+    with misfit():
         ModelCard.model_validate(data)
 
 
 def test_ensemble_of_ensembles_is_refused():
     card = ensemble(2).card
     nested = EnsembleCard.model_construct(members=[card, card])
-    data = card.model_copy(update={'ensemble': nested}).model_dump()
-    with pytest.raises(ValueError, match='one model, no ensemble'):
-        ModelCard.model_validate(data)
+    with misfit():
+        ModelCard.model_validate(card.model_copy(update={'ensemble': nested}).model_dump())
 
 
 def test_what_takes_the_networks_of_one_model_refuses_a_mean_and_names_members(model: Path):

@@ -23,7 +23,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.system import System
 from mechanical_models import assert_agrees_with_torch, network, random_mechanical
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 from pydantic import TypeAdapter
 import pytest
@@ -206,17 +206,12 @@ def test_model_file_of_each_family_is_read_back_exactly(tmp_path, family: str):
             assert all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-@pytest.mark.parametrize('family, changes, words', [
-    ('vin', {'mass': None}, 'mass must be given for the family vin'),
-    ('vin', {'mass': [[-1.0]]}, 'positive definite'),
-    ('vin', {'widths': [2, 5, 1]}, 'must begin with 1'),
-    ('hnn', {'friction': [0.1]}, 'friction must not be given'),
-    ('hnn', {'networks': {'energy': [2, 5, 1]}}, 'widths, and no networks'),
-    ('separable_hnn', {'networks': {'kinetic': [1, 5, 1]}}, 'must describe kinetic, potential'),
-    ('dgnet', {'friction': [-0.1]}, 'greater than or equal to 0'),
-])
-def test_card_that_contradicts_its_family_is_refused(family: str, changes: dict, words: str):
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize('family, changes', [
+    ('vin', {'mass': None}), ('vin', {'mass': [[-1.0]]}), ('vin', {'widths': [2, 5, 1]}),
+    ('hnn', {'friction': [0.1]}), ('hnn', {'networks': {'energy': [2, 5, 1]}}),
+    ('separable_hnn', {'networks': {'kinetic': [1, 5, 1]}}), ('dgnet', {'friction': [-0.1]})])
+def test_card_that_contradicts_its_family_is_refused(family: str, changes: dict):
+    with misfit():
         random_model(family, 1, **changes)
 
 

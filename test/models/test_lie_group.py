@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned Hamiltonians of bodies that turn: their kernel, their steps in torch, their effects."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from hnn_vi_ros.effects import EFFECTS
@@ -18,7 +19,7 @@ from hnn_vi_ros.models.lie_group import LieGroupHamiltonian
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.simulation import Simulation
 from lie_group_models import CARDS, random_lie_group, random_states
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
 import torch
@@ -35,27 +36,21 @@ def nodes(name: str, count: int = 3) -> tuple[LieGroupHamiltonian, np.ndarray, n
 
 
 @pytest.mark.parametrize('name', CARDS)
-def test_gradient_of_a_learned_body_is_the_derivative_of_its_energy(name: str):
+def test_gradient_and_hessian_of_a_learned_body_are_the_derivatives_of_its_energy(name: str):
     hamiltonian, q, p = nodes(name)
     d, z, step = hamiltonian.dimension, np.hstack([q, p]), 1e-5
+
+    def slope(function: Callable, change: np.ndarray) -> np.ndarray:
+        ahead, behind = (np.hstack(function(*np.split(z + sign * step * change, [d], axis=1)))
+                         for sign in (1.0, -1.0))
+        return (ahead - behind) / (2.0 * step)
     gradient = np.hstack(hamiltonian.gradient(q, p))
     # Off the unit sphere as well, where steps never are but differences of quaternions go.
-    for i, unit in enumerate(step * np.eye(z.shape[1])):
-        ahead, behind = (hamiltonian.energy(*np.split(z + sign * unit, [d], axis=1))
-                         for sign in (1.0, -1.0))
-        assert np.abs(gradient[:, i] - (ahead - behind) / (2.0 * step)).max() <= DIFFERENCES
-
-
-@pytest.mark.parametrize('name', CARDS)
-def test_hessian_of_a_learned_body_is_the_derivative_of_its_gradient(name: str):
-    hamiltonian, q, p = nodes(name)
-    d, z, step = hamiltonian.dimension, np.hstack([q, p]), 1e-5
+    for i, unit in enumerate(np.eye(z.shape[1])):
+        assert np.abs(gradient[:, i] - slope(hamiltonian.energy, unit)).max() <= DIFFERENCES
     v = np.random.default_rng(4).normal(size=z.shape)
-    ahead, behind = (np.hstack(hamiltonian.gradient(*np.split(z + sign * step * v, [d], axis=1)))
-                     for sign in (1.0, -1.0))
-    product = np.hstack(hamiltonian.hessian_vector(
-        *np.split(z, [d], axis=1), *np.split(v, [d], axis=1)))
-    assert np.abs(product - (ahead - behind) / (2.0 * step)).max() <= 10.0 * DIFFERENCES
+    product = np.hstack(hamiltonian.hessian_vector(q, p, *np.split(v, [d], axis=1)))
+    assert np.abs(product - slope(hamiltonian.gradient, v)).max() <= 10.0 * DIFFERENCES
 
 
 @pytest.mark.parametrize('method, retraction', [
@@ -148,11 +143,9 @@ def test_learned_body_refuses_what_it_cannot_be_used_for(tmp_path):
                        [0.0] * 6 + [1.0], [0.0] * 6, [EFFECTS[kind](model=paths['rotation'])])
 
 
-@pytest.mark.parametrize('changes, words', [
-    ({'mass_depends_on': ['position']}, 'a rotation has no position'),
-    ({'potential_depends_on': ['attitude', 'attitude']}, 'one thing twice'),
-    ({'mass_scale': [1.0]}, 'expected 3'),
-])
-def test_card_of_a_body_that_contradicts_itself_is_refused(changes: dict, words: str):
-    with pytest.raises(ValueError, match=words):
+@pytest.mark.parametrize('changes', [
+    {'mass_depends_on': ['position']}, {'potential_depends_on': ['attitude', 'attitude']},
+    {'mass_scale': [1.0]}], ids=range(3))
+def test_card_of_a_body_that_contradicts_itself_is_refused(changes: dict):
+    with misfit():
         LieGroupCard(**{**CARDS['rotation'], 'mass_scale': [1.0] * 3, 'floor': 0.1, **changes})

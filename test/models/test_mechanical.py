@@ -4,21 +4,22 @@
 
 from pathlib import Path
 
+from helpers import random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import (
     FrictionCard, MechanicalCard, PriorCard, Quantity)
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, parameter_names
-from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from mechanical_models import (
     assert_agrees_with_torch, network, PRIOR, random_mechanical, ROUND_OFF, saved, seen, SHAPES)
-from messages import refused
+from messages import misfit, refused
 import numpy as np
 import pytest
 import torch
@@ -76,25 +77,18 @@ def changed(**values: float) -> PriorCard:
         name: Quantity(value=value, unit='1') for name, value in values.items()})
 
 
-@pytest.mark.parametrize('changes, message', [
-    ({'kinds': ['continuous', 'prismatic']}, 'mixes a continuous coordinate'),
-    ({'features': [[0.5, 0.0]]}, 'no period'),
-    ({'features': [[0.0, 0.0]]}, 'a row of zeros'),
-    ({'features': [[1.0]]}, r'features\[0\] has 1 entries'),
-    ({'mass_features': [[1.0]]}, r'mass_features\[0\] has 1 entries'),
-    ({'friction_features': [[0.5, 0.0]]}, 'no period'),
-    ({'friction_features': [[1.0]]}, r'friction_features\[0\] has 1 entries'),
-    ({'floor': 0.0}, 'floor must be positive'),
-    ({'prior': PRIOR, 'kinds': ['continuous', 'prismatic'], 'features': [[1.0, 0.0], [0.0, 1.0]],
-      'mass_features': []}, 'prismatic ones first'),
-    ({'prior': PRIOR, 'features': [[1.0, 0.0], [0.0, 1.0]]}, 'expected inertia1, .*, gravity2 '),
-    ({'prior': PRIOR, 'features': [[1.0, 0.0]]}, 'angles of its links'),
-    ({'prior': changed(coupling12=1.2)}, 'not positive definite'),
-])
-def test_card_refuses_features_that_make_no_sense(changes: dict, message: str):
+@pytest.mark.parametrize('changes', [
+    {'kinds': ['continuous', 'prismatic']}, {'features': [[0.5, 0.0]]},
+    {'features': [[0.0, 0.0]]}, {'features': [[1.0]]}, {'mass_features': [[1.0]]},
+    {'friction_features': [[0.5, 0.0]]}, {'friction_features': [[1.0]]}, {'floor': 0.0},
+    {'prior': PRIOR, 'kinds': ['continuous', 'prismatic'], 'features': [[1.0, 0.0], [0.0, 1.0]],
+     'mass_features': []}, {'prior': PRIOR, 'features': [[1.0, 0.0], [0.0, 1.0]]},
+    {'prior': PRIOR, 'features': [[1.0, 0.0]]}, {'prior': changed(coupling12=1.2)}],
+    ids=range(12))
+def test_card_refuses_features_that_make_no_sense(changes: dict):
     settings = SHAPES['arm'] | {'mass_scale': [1.0, 1.0], 'floor': 0.1,
                                 'friction': FrictionCard(viscous=[0.0, 0.0])} | changes
-    with pytest.raises(ValueError, match=message):
+    with misfit():
         MechanicalCard(**settings)
 
 
@@ -151,28 +145,20 @@ def test_friction_network_takes_energy_in_every_state(tmp_path, shape):
         assert force @ v < 0.0
 
 
-def test_model_with_a_friction_network_needs_it_in_the_file(tmp_path):
-    model = random_mechanical('worn')
-    card = model.card.model_dump()
-    for changed, message in (
-            (card | {'networks': {name: widths for name, widths in card['networks'].items()
-                                  if name != 'friction'}}, 'must describe mass, potential, fric'),
-            (card | {'networks': card['networks'] | {'friction': [3, 9, 6, 2]}},
-             'must begin with 3 and end with 3')):
-        with pytest.raises(ValueError, match=message):
-            ModelCard.model_validate(changed)
+def test_model_with_a_friction_network_needs_it_in_the_file():
+    card = random_mechanical('worn').card.model_dump()
+    for networks in ({name: widths for name, widths in card['networks'].items()
+                      if name != 'friction'}, card['networks'] | {'friction': [3, 9, 6, 2]}):
+        with misfit():
+            ModelCard.model_validate(card | {'networks': networks})
 
 
 def test_scene_of_a_model_with_a_friction_network_comes_to_rest(tmp_path):
     model = saved(tmp_path, 'eccentric')
-    (tmp_path / 'scene.yaml').write_text(f"""
-hamiltonian: {{kind: learned, model: {model}}}
-integrator: {{kind: implicit_midpoint}}
-step_size: 0.01
-initial_state: {{q: [0.3], p: [0.4]}}
-effects: [{{kind: learned_friction, model: {model}}}]
-""")
-    simulation = build(load_scene(tmp_path / 'scene.yaml'))
+    simulation = build(Scene.build(
+        hamiltonian={'kind': 'learned', 'model': model}, integrator='implicit_midpoint',
+        step_size=0.01, initial_state=([0.3], [0.4]),
+        effects=[{'kind': 'learned_friction', 'model': model}]))
     energies = []
     for _ in range(50):
         energies.append(simulation.energy)
@@ -201,8 +187,6 @@ def test_energy_keeps_its_band_without_friction():
 
 
 def test_learned_friction_names_the_family_that_has_none(tmp_path):
-    from helpers import random_checkpoint
-    from hnn_vi_ros.models.checkpoint import save_checkpoint
     save_checkpoint(tmp_path / 'hnn.safetensors', random_checkpoint([2, 8, 1], 0))
     with refused(ModelError):
         EFFECTS['learned_friction'](str(tmp_path / 'hnn.safetensors'))

@@ -2,11 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ensembles of mechanisms: what their mean is, and what of it is exact."""
 
-import json
 from pathlib import Path
 
 from ensembles import mechanisms, scaled, together
-from hnn_vi_ros import load_scene, simulate_spread
+from hnn_vi_ros import simulate_spread
 from hnn_vi_ros.companions.members import Accompanied, Members
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectState
@@ -15,7 +14,6 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import load_member
-from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
@@ -162,17 +160,6 @@ def test_scene_of_an_ensemble_of_mechanisms_keeps_its_balance(tmp_path: Path):
     assert friction < -0.05 and abs(command) > 0.01
 
 
-@pytest.mark.parametrize(('change', 'message'), [
-    ({'features': [[1.0, 0.0], [0.0, 1.0]]}, 'features of a member'),
-    ({'input_map': [[1.0], [0.5]]}, 'motors of input_map'),
-    ({'mass_features': [[0.0, 2.0]]}, 'mass_features of a member')])
-def test_mechanisms_that_are_not_alike_are_refused(change: dict, message: str):
-    data = json.loads(mechanisms('arm', 2).card.model_dump_json(exclude_none=True))
-    data['ensemble']['members'][1]['mechanical'] |= change
-    with pytest.raises(ValueError, match=message):
-        ModelCard.model_validate(data)
-
-
 def test_member_that_is_not_there_is_refused(tmp_path: Path):
     file = saved(tmp_path, mechanisms('arm', 2, input_map=MAP))
     for make in (EFFECTS['learned_friction'], lambda model, member: EFFECTS['external_force'](
@@ -185,17 +172,8 @@ def test_member_that_is_not_there_is_refused(tmp_path: Path):
 
 def test_member_in_a_scene_is_the_scene_of_that_model_alone(tmp_path: Path):
     model = mechanisms('arm', 2)
-    alone = tmp_path / 'alone.safetensors'
-    save_checkpoint(alone, model.members[1])
     scene = scene_of(tmp_path, model)
-    (tmp_path / 'scene.yaml').write_text(f"""
-hamiltonian: {{kind: learned, model: {alone}}}
-integrator: {{kind: gauss4}}
-step_size: 0.02
-initial_state: {{q: [0.5, -0.8], p: [1.0, -0.6]}}
-effects: [{{kind: learned_friction, model: {alone}}}]
-""")
-    one, other = build(load_scene(tmp_path / 'scene.yaml')), build(scene.changed({
+    one, other = build(scene_of(tmp_path / 'alone', model.members[1])), build(scene.changed({
         'hamiltonian': {**scene.hamiltonian.model_dump(), 'member': 2},
         'effects': [{**scene.effects[0].model_dump(), 'member': 2}]}))
     one.advance(10)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The vectorised sine, cosine and softplus against mpmath."""
+"""The vectorised tanh, sine, cosine and softplus against mpmath."""
 
 from collections.abc import Callable
 
@@ -24,6 +24,15 @@ def both(function: Callable) -> Callable:
 SINE, SOFTPLUS = both(activations.sine_and_cosine), both(activations.softplus_and_slope)
 
 
+@numba.njit
+def tanh(x: np.ndarray) -> np.ndarray:
+    """Return the tanh of every element."""
+    result = np.empty_like(x)
+    for i in range(x.size):
+        result[i] = activations.tanh(x[i])
+    return result
+
+
 def evaluate(loop: Callable, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     first, second = np.empty_like(x), np.empty_like(x)
     loop(x, first, second)
@@ -39,6 +48,24 @@ def scattered(largest: float, n: int = 3000) -> np.ndarray:
     """Return numbers of either sign and of every scale from 1e-12 on."""
     rng = np.random.default_rng(1)
     return rng.choice([-1.0, 1.0], n) * 10.0 ** rng.uniform(-12.0, np.log10(largest), n)
+
+
+def test_tanh_is_accurate_to_4_eps_at_every_scale():
+    x = scattered(10.0 ** 1.5, 4000)
+    expected = exact(mp.tanh, x)
+    # Rounding of the reduction, of the series, of the sum m + 2 and of the quotient: 1 eps each.
+    assert (np.abs(tanh(x) - expected) <= 4.0 * EPS * np.abs(expected)).all()
+
+
+def test_tanh_keeps_not_a_number_and_saturates_at_one():
+    special = tanh(np.array([np.nan, np.inf, -np.inf, 1e300, -1e300, 0.0, 1e-310]))
+    assert np.isnan(special[0])
+    assert special[1:].tolist() == [1.0, -1.0, 1.0, -1.0, 0.0, 1e-310]
+
+
+def test_tanh_is_odd():
+    x = np.linspace(0.0, 20.0, 1001)
+    assert np.abs(tanh(-x) + tanh(x)).max() <= 4.0 * EPS
 
 
 def test_sine_and_cosine_are_accurate_to_2_eps_up_to_a_million():
@@ -75,30 +102,37 @@ def test_softplus_keeps_not_a_number_and_its_limits():
     assert np.abs([value[3:], slope[3:]]).max() < 1e-300
 
 
-@pytest.mark.parametrize('coefficients, function, end', [
+# Functions and intervals [low, high]; what is left of an error by its factor is below eps / 8.
+@pytest.mark.parametrize('coefficients, function, interval, factor', [
     (activations._SIN, lambda x: (mp.sin(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
-     lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
+     lambda: (0, (mpf('1.0001') * mp.pi / 4) ** 2), lambda x: x),
     (activations._COS, lambda x: (mp.cos(mp.sqrt(x)) - 1 + x / 2) / x ** 2,
-     lambda: (mpf('1.0001') * mp.pi / 4) ** 2),
+     lambda: (0, (mpf('1.0001') * mp.pi / 4) ** 2), lambda x: x),
     (activations._LOG, lambda x: (mp.atanh(mp.sqrt(x)) / mp.sqrt(x) - 1) / x,
-     lambda: mpf('1.0001') / 9),
-], ids=['sine', 'cosine', 'artanh'])
+     lambda: (0, mpf('1.0001') / 9), lambda x: x),
+    (activations._EXP, lambda x: mp.expm1(x) / x,
+     lambda: (-mp.log(2) / 2 * mpf('1.0001'), mp.log(2) / 2 * mpf('1.0001')),
+     lambda x: x / mp.expm1(x))], ids=['sine', 'cosine', 'artanh', 'tanh'])
 def test_polynomials_interpolate_in_chebyshev_nodes_to_an_eighth_of_eps(
-        coefficients, function, end):
+        coefficients, function, interval, factor):
     mp.dps = 40
-    n, end = len(coefficients), end()
-    nodes = [end / 2 * (1 + mp.cos(mp.pi * (2 * k + 1) / (2 * n))) for k in range(n)]
+    n, (low, high) = len(coefficients), interval()
+    nodes = [(low + high + (high - low) * mp.cos(mp.pi * (2 * k + 1) / (2 * n))) / 2
+             for k in range(n)]
     powers = mp.matrix([[node ** j for j in range(n)] for node in nodes])
     solution = mp.lu_solve(powers, mp.matrix([function(node) for node in nodes]))
     assert [float(value) for value in solution] == list(coefficients)
-    for x in np.linspace(float(end) / 300, float(end), 300):
-        error = (mp.polyval(list(map(mpf, coefficients[::-1])), mpf(x)) - function(mpf(x))) * x
-        assert abs(error) < EPS / 8
+    # Away from zero, where the functions are not defined.
+    for x in np.linspace(float(low), float(high), 1001)[1::2]:
+        error = mp.polyval(list(map(mpf, coefficients[::-1])), mpf(x)) - function(mpf(x))
+        assert abs(error * factor(mpf(x))) < EPS / 8
 
 
-@pytest.mark.parametrize('loop', [SINE, SOFTPLUS], ids=['sine', 'softplus'])
-def test_activations_become_vector_instructions(loop):
-    evaluate(loop, np.zeros(1))
-    (assembly,) = loop.inspect_asm().values()
-    # Two or more products at once, under the names that x86 or ARM gives them.
-    assert any(name in assembly for name in ('mulpd', 'fmul\tv', 'fmla\tv', 'fmadd213pd'))
+@pytest.mark.parametrize('function', [tanh, SINE, SOFTPLUS], ids=['tanh', 'sine', 'softplus'])
+def test_activations_become_vector_instructions(function):
+    function(*[np.zeros(1)] * (1 if function is tanh else 3))
+    (assembly,) = function.inspect_asm().values()
+    # Two or more products, or quotients, at once, under the names that x86 or ARM gives them.
+    names = ('divpd', 'fdiv\tv') if function is tanh else (
+        'mulpd', 'fmul\tv', 'fmla\tv', 'fmadd213pd')
+    assert any(name in assembly for name in names)
