@@ -5,6 +5,7 @@
 import re
 import warnings
 
+from helpers import mostly_long
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.guards.bands import ResolutionGuard
@@ -29,9 +30,9 @@ def unresolved(scene: Scene, h: float, duration: float, **how) -> list[str]:
             if text.startswith(ResolutionGuard.kind)]
 
 
-@pytest.mark.parametrize('name', ['pendulum', *(
-    pytest.param(name, marks=pytest.mark.long) for name in shipped_names('scene')
-    if name not in ('pendulum', 'air_track'))])  # the model of the latter is not shipped
+# The model of the air track is not shipped.
+@pytest.mark.parametrize('name', mostly_long(
+    sorted({*shipped_names('scene')} - {'air_track'}), 'pendulum'))
 def test_step_size_that_the_alarm_of_a_scene_names_resolves_the_run(name):
     scene, named = load_scene(name), 0
     if not build(scene).conservative:

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many trajectories at once against each of them alone."""
 
-from pathlib import Path
 import warnings
 
-from helpers import EPS
+from helpers import EPS, long
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.scene import load_scene, Scene
@@ -17,24 +16,27 @@ from messages import refused
 import numpy as np
 import pytest
 
-SCENE = """\
-hamiltonian: {{kind: {kind}}}
-integrator: {{kind: {integrator}}}
-step_size: 0.05
-initial_state: {{q: {q}, p: {q}}}
-"""
+
+def scene_of(kind: str, integrator: str | dict, d: int = 1, h: float = 0.05, *effects: dict
+             ) -> Scene:
+    """Return a scene of a system of d coordinates."""
+    return Scene.build(hamiltonian=kind, integrator=integrator, step_size=h, effects=effects,
+                       initial_state=([1.0] * d, [0.0] * d))
+
+
+def free_particle() -> Scene:
+    """Return the scene of a mass of 1 kg at rest, in steps of 0.01 s."""
+    return Scene.build(hamiltonian='free_particle', integrator='stormer_verlet', step_size=0.01,
+                       initial_state=([0.0], [0.0]))
 
 
 @pytest.mark.parametrize('threads, kind, integrator, d', [
     (2, 'tao', 'variational_euler', 1), (1, 'double_pendulum', 'variational_euler', 2),
-    *(pytest.param(threads, *row, marks=pytest.mark.long) for threads, rows in (
-        (1, [('tao', 'variational_euler', 1)]), (2, [('double_pendulum', 'variational_euler', 2)]),
-        *((threads, [('tao', 'gauss6', 1), ('tao', 'generalized_leapfrog', 1),
-                     ('tao', 'discrete_gradient', 1)]) for threads in (1, 2))) for row in rows)])
-def test_many_trajectories_are_those_of_each_alone(tmp_path, kind, integrator, d, threads):
-    path = tmp_path / 'scene.yaml'
-    path.write_text(SCENE.format(kind=kind, integrator=integrator, q=[0.0] * d))
-    scene = load_scene(path)
+    long(1, 'tao', 'variational_euler', 1), long(2, 'double_pendulum', 'variational_euler', 2),
+    *(long(threads, 'tao', method, 1) for threads in (1, 2)
+      for method in ('gauss6', 'generalized_leapfrog', 'discrete_gradient'))])
+def test_many_trajectories_are_those_of_each_alone(kind, integrator, d, threads):
+    scene = scene_of(kind, integrator, d)
     m, samples, every = 2 * BLOCK + 3, 4, 10
     q, p = np.random.default_rng(0).uniform(-0.8, 0.8, (2, m, d))
     many = simulate_many(scene, q, p, samples * every * 0.05, samples=samples, threads=threads)
@@ -68,60 +70,44 @@ def test_energies_of_a_block_are_those_of_each_and_evaluated_once(monkeypatch):
     assert counts[1] - counts[0] == 2
 
 
-def test_many_trajectories_report_the_failure_of_one(tmp_path):
-    path = tmp_path / 'scene.yaml'
-    path.write_text(SCENE.format(kind='tao', integrator='variational_euler, solver: fixed_point',
-                                 q=[0.0]))
+def test_many_trajectories_report_the_failure_of_one():
+    scene = scene_of('tao', {'kind': 'variational_euler', 'solver': 'fixed_point'})
     q = np.zeros((20, 1))
     q[17] = 1e3
     with pytest.raises(StepFailure):
-        simulate_many(load_scene(path), q, q, 1.0)
+        simulate_many(scene, q, q, 1.0)
 
 
-def test_many_trajectories_refuse_bad_arguments():
-    scene = load_scene('harmonic_oscillator')
-    with refused(ValueError):
-        simulate_many(scene, [[1.0, 2.0]], [[0.0, 0.0]], 1.0)
-    with refused(ValueError):
-        simulate_many(scene, [1.0, 2.0], [0.0, 0.0], 1.0)
+@pytest.mark.parametrize('kind, arguments', [
+    (ValueError, {'q': [[1.0, 2.0]], 'p': [[0.0, 0.0]]}),
+    (ValueError, {'q': [1.0, 2.0], 'p': [0.0, 0.0]}),
+    (ValueError, {'q': [[np.nan]]}), (ValueError, {'duration': 0.0}),
+    (ValueError, {'q': np.empty((0, 1)), 'p': np.empty((0, 1))}), (ValueError, {'threads': -1}),
+    (TypeError, {'samples': 1.5}), (ValueError, {'samples': 10 ** 12}), (TypeError, {'q': 'a'})],
+    ids=range(9))
+def test_many_trajectories_refuse_bad_arguments(kind, arguments):
+    with refused(kind):
+        simulate_many('harmonic_oscillator', **{'q': [[1.0]], 'p': [[0.0]], 'duration': 1.0}
+                      | arguments)
+
+
+def test_simulate_refuses_to_choose_a_method_by_itself():
     with refused(SceneError):
-        simulate(scene, 1.0, integrator='auto')
-    with refused(ValueError):
-        simulate_many(scene, [[np.nan]], [[0.0]], 1.0)
-    with refused(ValueError):
-        simulate_many(scene, [[1.0]], [[0.0]], 0.0)
-    with refused(ValueError):
-        simulate_many(scene, np.empty((0, 1)), np.empty((0, 1)), 1.0)
-    with refused(ValueError):
-        simulate_many(scene, [[1.0]], [[0.0]], 1.0, threads=-1)
-    with refused(TypeError):
-        simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=1.5)
-    with refused(ValueError):
-        simulate_many(scene, [[1.0]], [[0.0]], 1.0, samples=10 ** 12)
-    with refused(TypeError):
-        simulate_many(scene, 'a', [[0.0]], 1.0)
-
-
-def scene_of(tmp_path: Path, kind: str, integrator: str, h: float, d: int, effects: str = ''
-             ) -> Scene:
-    (tmp_path / 'scene.yaml').write_text(
-        f'hamiltonian: {{kind: {kind}}}\nintegrator: {{kind: {integrator}}}\nstep_size: {h}\n'
-        f'initial_state: {{q: {[1.0] * d}, p: {[0.0] * d}}}\n{effects}')
-    return load_scene(tmp_path / 'scene.yaml')
+        simulate('harmonic_oscillator', 1.0, integrator='auto')
 
 
 # The orbits of e = 0.9 and 0.1 from their pericentres.
 CLOSE, FAR = ([0.1, 0.0], [0.0, 19.0 ** 0.5]), ([0.9, 0.0], [0.0, (1.1 / 0.9) ** 0.5])
+KEPLER = scene_of('kepler', 'variational_euler', 2, 0.01)
 
 
-def test_simulate_warns_of_what_the_guards_find_and_returns_it(tmp_path):
-    scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
+def test_simulate_warns_of_what_the_guards_find_and_returns_it():
     with pytest.warns(AlarmWarning, match='under-resolved: .*; use .* step_size 0.00') as caught:
-        trajectory = simulate(scene, 6.28, initial_state=CLOSE)
+        trajectory = simulate(KEPLER, 6.28, initial_state=CLOSE)
     assert [alarm.kind for alarm in trajectory.alarms] == ['under-resolved']
     assert caught[0].filename == __file__
     # Of the very guards of the node, sample by sample.
-    simulation = build(scene.with_overrides(
+    simulation = build(KEPLER.with_overrides(
         initial_state=dict(zip('qp', CLOSE, strict=True))))
     watch = Watch(simulation, None)
     watch.update(look(simulation))
@@ -131,12 +117,11 @@ def test_simulate_warns_of_what_the_guards_find_and_returns_it(tmp_path):
     assert tuple(watch.alarms) == trajectory.alarms
 
 
-def test_simulate_is_silent_where_all_is_well(tmp_path):
+def test_simulate_is_silent_where_all_is_well():
     with warnings.catch_warnings():
         warnings.simplefilter('error')
-        scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
-        assert simulate(scene, 6.28, initial_state=FAR).alarms == ()
-        assert simulate_many(scene, [FAR[0]] * 3, [FAR[1]] * 3, 6.28, samples=50).alarms == (
+        assert simulate(KEPLER, 6.28, initial_state=FAR).alarms == ()
+        assert simulate_many(KEPLER, [FAR[0]] * 3, [FAR[1]] * 3, 6.28, samples=50).alarms == (
             (), (), ())
 
 
@@ -149,25 +134,23 @@ def test_ends_of_many_trajectories_alone_raise_no_alarm_where_each_path_is_resol
             simulate_many('pendulum', q, p, duration)
 
 
-def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory(tmp_path):
-    scene = scene_of(tmp_path, 'kepler', 'variational_euler', 0.01, 2)
+def test_simulate_many_warns_once_and_tells_the_alarms_of_each_trajectory():
     q, p = zip(FAR, CLOSE, FAR, CLOSE, strict=True)
     with pytest.warns(AlarmWarning, match='in 2 of 4 trajectories; in number 1, t = ') as caught:
-        many = simulate_many(scene, q, p, 6.28, samples=628)
+        many = simulate_many(KEPLER, q, p, 6.28, samples=628)
     assert [len(own) for own in many.alarms] == [0, 1, 0, 1] and len(caught) == 1
     assert caught[0].filename == __file__
     with pytest.warns(AlarmWarning):
-        assert simulate(scene, 6.28, initial_state=CLOSE).alarms == many.alarms[1]
+        assert simulate(KEPLER, 6.28, initial_state=CLOSE).alarms == many.alarms[1]
 
 
 @pytest.mark.parametrize('integrator, said', [
     ('explicit_euler', ('energy not accounted for',)), ('variational_euler', ())])
 def test_energy_that_no_work_accounts_for_is_told_by_simulate_and_simulate_many(
-        tmp_path, integrator, said):
+        integrator, said):
     """Explicit Euler multiplies an oscillator's energy by 1 + h^2 in each step, by 7.4 here."""
-    drive = ('effects: [{kind: periodic_drive, coordinate: x, amplitude: 0.01, frequency: 0.3, '
-             'phase: 0.0}]\n')
-    scene = scene_of(tmp_path, 'harmonic_oscillator', integrator, 0.01, 1, drive)
+    drive = {'kind': 'periodic_drive', 'coordinate': 'x', 'amplitude': 0.01, 'frequency': 0.3}
+    scene = scene_of('harmonic_oscillator', integrator, 1, 0.01, drive)
     with warnings.catch_warnings():
         warnings.simplefilter('ignore' if said else 'error')
         one = simulate(scene, 200.0)
@@ -200,9 +183,9 @@ def test_steps_that_were_rescued_or_slow_are_told_by_simulate_many_as_well():
 
 
 @pytest.mark.filterwarnings('ignore::RuntimeWarning')
-def test_state_whose_energy_is_infinite_is_an_alarm(tmp_path):
+def test_state_whose_energy_is_infinite_is_an_alarm():
     with pytest.warns(AlarmWarning, match='the energy is infinite, or no number'):
-        run = simulate(free_particle(tmp_path), 0.2, initial_state=([0.0], [1e200]))
+        run = simulate(free_particle(), 0.2, initial_state=([0.0], [1e200]))
     assert 'under-resolved' in {alarm.kind for alarm in run.alarms}
 
 
@@ -210,9 +193,9 @@ PUSHED = [{'kind': 'external_force', 'coordinates': ['x']}]
 
 
 @pytest.mark.parametrize('more', [0, 1, 3])
-def test_last_part_of_a_run_takes_the_command_of_its_own_row(tmp_path, more):
+def test_last_part_of_a_run_takes_the_command_of_its_own_row(more):
     """A row for each sample is one more than is needed; what comes later is not used."""
-    scene = free_particle(tmp_path)
+    scene = free_particle()
     rows = [[1.0], [2.0], [3.0], *[[100.0]] * more]
     run = simulate(scene, 0.255, effects=PUSHED, commands=rows, every=10)
     # Impulses of forces that are constant in parts: nothing but rounding.
@@ -232,8 +215,8 @@ def test_commands_of_a_run_hold_a_quadrotor_where_it_is():
 
 
 @pytest.mark.parametrize('every', [np.int64(10), np.int32(10), 10])
-def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
-    assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
+def test_simulate_takes_whole_numbers_of_numpy(every):
+    assert simulate(free_particle(), 0.2, every=every).t.tolist() == [0.0, 0.1, 0.2]
 
 
 @pytest.mark.parametrize('argument, value', [
@@ -243,47 +226,33 @@ def test_simulate_takes_whole_numbers_of_numpy(tmp_path, every):
     ('initial_state', ([0.0], [10 ** 400])),
     ('initial_state', (np.array(['2020-01-01'], 'datetime64[D]'), [0.0])),
     ('initial_state', ([1j], [0.0]))])
-def test_arguments_that_are_no_numbers_are_named(tmp_path, argument, value):
+def test_arguments_that_are_no_numbers_are_named(argument, value):
     with refused(TypeError):
-        simulate(free_particle(tmp_path), 0.2, effects=PUSHED, **{argument: value})
+        simulate(free_particle(), 0.2, effects=PUSHED, **{argument: value})
 
 
 @pytest.mark.parametrize('times', [
     (0.1 * k for k in range(2)), np.ma.array([0.1], mask=[True])], ids=['generator', 'masked'])
-def test_times_that_are_no_numbers_are_named(tmp_path, times):
+def test_times_that_are_no_numbers_are_named(times):
     with pytest.raises(TypeError, match='times = (<generator|masked_array).* must be numbers'):
-        simulate(free_particle(tmp_path), 0.2, times=times)
+        simulate(free_particle(), 0.2, times=times)
 
 
 @pytest.mark.parametrize('every', [100, 10 ** 12, 10 ** 30, 10 ** 400])
-def test_sample_at_the_duration_is_taken_however_large_every_is(tmp_path, every):
-    assert simulate(free_particle(tmp_path), 0.2, every=every).t.tolist() == [0.0, 0.2]
+def test_sample_at_the_duration_is_taken_however_large_every_is(every):
+    assert simulate(free_particle(), 0.2, every=every).t.tolist() == [0.0, 0.2]
 
 
-def free_particle(tmp_path: Path) -> Scene:
-    """Return the scene of a mass of 1 kg at rest, in steps of 0.01 s."""
-    file = tmp_path / 'free.yaml'
-    file.write_text("""
-hamiltonian: {kind: free_particle, mass: 1.0, names: [x]}
-integrator: {kind: stormer_verlet}
-step_size: 0.01
-initial_state: {q: [0.0], p: [0.0]}
-""")
-    return load_scene(file)
-
-
-def test_duration_that_no_float_holds_is_refused(tmp_path):
+def test_duration_that_no_float_holds_is_refused():
     with refused(ValueError):
-        simulate(free_particle(tmp_path), 10 ** 400)
+        simulate(free_particle(), 10 ** 400)
 
 
-def test_trajectories_that_step_together_raise_no_slow_step_that_none_raises_alone(tmp_path):
+def test_trajectories_that_step_together_raise_no_slow_step_that_none_raises_alone():
     """Newton's method of a block takes a column of the Jacobian for each of its unknowns."""
-    path = tmp_path / 'scene.yaml'
-    path.write_text(SCENE.format(kind='double_pendulum', integrator='variational_euler',
-                                 q=[0.0, 0.0]))
     q, p = np.random.default_rng(0).uniform(-0.8, 0.8, (2, BLOCK, 2))
-    many = simulate_many(path, q, p, 2.0, samples=4)
+    many = simulate_many(
+        scene_of('double_pendulum', 'variational_euler', 2), q, p, 2.0, samples=4)
     assert 'slow step' not in {alarm.kind for alarm in many.alarms[0]}
 
 
