@@ -4,6 +4,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
+from helpers import long, mostly_long
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.control import BatchStep
 from hnn_vi_ros.errors import UnsupportedSystem
@@ -25,9 +26,8 @@ def states(seed: int, count: int, d: int) -> tuple[np.ndarray, np.ndarray]:
     return rng.normal(size=(count, 2 * d)), rng.normal(size=(count, 1))
 
 
-@pytest.mark.parametrize('method', [
-    'rk4', *(pytest.param(name, marks=pytest.mark.long) for name in (
-        'variational_euler', 'implicit_midpoint'))])
+@pytest.mark.parametrize('method', mostly_long(
+    ('rk4', 'variational_euler', 'implicit_midpoint'), 'rk4'))
 def test_steps_equal_those_of_simulate_bit_by_bit(method):
     scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
     z, u = states(0, 3, 2)
@@ -63,8 +63,7 @@ def test_derivatives_are_those_by_complex_steps():
             start + 0j, command + 1e-30j).imag / 1e-30).max() < 1e-10
 
 
-@pytest.mark.parametrize('method', [
-    'rk4', 'implicit_midpoint', pytest.param('variational_euler', marks=pytest.mark.long)])
+@pytest.mark.parametrize('method', ['rk4', 'implicit_midpoint', long('variational_euler')])
 def test_derivatives_are_differences_of_held_steps(method):
     scene = driven('exact_double_pendulum', method, 'angle2', {'kind': 'damping', 'rate': 0.3})
     steps = BatchStep(scene, 4)

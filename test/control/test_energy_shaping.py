@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Controllers that end at a state at rest: energy shaping, the regulator, and hovering."""
 
+from helpers import long
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.control import BatchStep, find_equilibrium, velocity
 from hnn_vi_ros.control.balance import Balance, weights_of
@@ -33,8 +34,7 @@ def test_weights_of_velocities_are_those_of_momenta_over_the_inertia():
     assert found == pytest.approx(np.diag([3.0, 5.0 / 2.0**2]), abs=1e-12)
 
 
-@pytest.mark.parametrize('effects', [
-    (), pytest.param(({'kind': 'damping', 'rate': 0.05},), marks=pytest.mark.long)])
+@pytest.mark.parametrize('effects', [(), long(({'kind': 'damping', 'rate': 0.05},))])
 def test_energy_shaping_swings_a_pendulum_up_from_rest_and_balances_it(effects):
     law = balance(scene(1.0, *effects))
     controller, z, modes = EnergyShaping(law), np.zeros(2), []
@@ -70,7 +70,7 @@ def test_regulator_catches_where_its_law_leads_home_and_nowhere_else():
     assert law.catches(np.array([np.pi - 0.6, 2.0]))
 
 
-@pytest.mark.parametrize('late', [pytest.param(0, marks=pytest.mark.long), 3])
+@pytest.mark.parametrize('late', [long(0), 3])
 def test_hover_brings_the_quadrotor_to_a_place_also_by_commands_that_come_late(late: int):
     run, place = build(load_scene('quadrotor')), np.array([8.0, -5.0, 14.0])
     body = run.hamiltonian

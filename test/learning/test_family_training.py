@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
-from helpers import python_step, random_checkpoint
+from helpers import mostly_long, python_step, random_checkpoint
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -77,9 +77,6 @@ RUNS = {
 }
 
 
-LONG = [pytest.param(name, marks=pytest.mark.long) for name in RUNS if ',' in name]
-
-
 def train(folder: Path, data: str, model: str, text: str = DATA) -> Path:
     """Train a model by a small configuration and return its file."""
     config = folder / 'small.yaml'
@@ -95,7 +92,7 @@ def model_of(pytestconfig: pytest.Config, name: str) -> Path:
     return trained(pytestconfig, name, DATA.format(data=data, model=model)).model
 
 
-@pytest.mark.parametrize('name', [*(name for name in RUNS if ',' not in name), *LONG])
+@pytest.mark.parametrize('name', mostly_long(RUNS, *(name for name in RUNS if ',' not in name)))
 def test_each_family_learns_the_oscillator_by_each_of_its_losses(pytestconfig, name: str):
     learned, tolerance = load_learned(model_of(pytestconfig, name)), RUNS[name][-1]
     q, p = np.random.default_rng(1).uniform(-1.0, 1.0, (2, 200, 1)) * [[[1.2]], [[2.5]]]

@@ -4,6 +4,7 @@
 
 from pathlib import Path
 
+from helpers import long
 from hnn_vi_ros.errors import ModelError, ParameterError
 from hnn_vi_ros.learning.families.lie_group import HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.import_checkpoint import main
@@ -79,7 +80,7 @@ def imported(tmp_path: Path, layout: str, path: Path, *more: str) -> None:
           '--out', str(tmp_path / 'model.safetensors'), *more])
 
 
-@pytest.mark.parametrize('layout', ['so3', pytest.param('se3', marks=pytest.mark.long)])
+@pytest.mark.parametrize('layout', ['so3', long('se3')])
 def test_imported_body_has_the_energy_and_gradient_of_its_source(tmp_path: Path, layout: str):
     networks = source(layout)
     imported(tmp_path, layout, save(tmp_path, networks))

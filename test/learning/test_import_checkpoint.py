@@ -7,7 +7,7 @@ import pickle
 import tarfile
 import zipfile
 
-from helpers import Malicious
+from helpers import Malicious, mostly_long
 from hnn_vi_ros.errors import HnnViRosError, ModelError, ParameterError
 from hnn_vi_ros.learning.import_checkpoint import main, MAX_BYTES, read_layers
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -66,8 +66,7 @@ def import_file(path: Path, activation: str, layout: str, names: str, *more: str
 
 
 # Kernels of the other functions are compiled for these tests alone.
-@pytest.mark.parametrize('activation', ['tanh', *(
-    pytest.param(name, marks=pytest.mark.long) for name in FUNCTIONS if name != 'tanh')])
+@pytest.mark.parametrize('activation', mostly_long(FUNCTIONS, 'tanh'))
 @pytest.mark.parametrize('layout, widths', [
     ('hnn', [4, 30, 30, 2]), ('sum_second_half', [6, 20, 20, 20, 6])], ids=str)
 @pytest.mark.parametrize('order', ['qp', 'pq'])

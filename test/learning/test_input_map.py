@@ -5,6 +5,7 @@
 from dataclasses import replace
 
 from belt import BELT, FAMILY, MAP, MASS, motion_by_a_belt, motions_by_a_belt
+from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError, ModelError
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -35,8 +36,7 @@ import torch
 from trainings import trained
 
 
-@pytest.mark.parametrize('motors', [
-    pytest.param(1, marks=pytest.mark.long), 2, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize('motors', [long(1), 2, long(3)])
 def test_commands_act_in_torch_as_in_the_compiled_effect(tmp_path, motors: int):
     structure = Structure(['continuous', 'revolute', 'prismatic'], [
         [1.0, 0.0, 0.0], [0.0, 1.0, -0.5]], [[0.0, 1.0, 0.0]], friction_features=[[1.0, 0.0, 0.0]])

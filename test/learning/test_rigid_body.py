@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 
+from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
@@ -68,7 +69,7 @@ def config(names: str = 'ab', **family) -> MachineConfig:
            'friction': {'coulomb': 1}} | family)
 
 
-@pytest.mark.parametrize('noise', [pytest.param(0.0, marks=pytest.mark.long), 1e-3])
+@pytest.mark.parametrize('noise', [long(0.0), 1e-3])
 def test_parameters_of_a_double_pendulum_are_found(noise):
     network, losses = learn(config(residual=False), motions(noise=noise))
     assert losses.keys() == {'rigid_body_forward', 'rigid_body_0.1'}

@@ -7,6 +7,7 @@ from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 
+from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.runs import Run, smoothed
@@ -53,9 +54,8 @@ def random_network(structure: Structure) -> MechanicalNetwork:
 STAY = [*((method, 'arm') for method in METHODS), ('implicit_midpoint', 'three')]
 
 
-@pytest.mark.parametrize('method, structure', [*STAY, *(
-    pytest.param(*pair, marks=pytest.mark.long) for pair in product(METHODS, STRUCTURES)
-    if pair not in STAY)])
+@pytest.mark.parametrize('method, structure', [
+    *STAY, *(long(*pair) for pair in product(METHODS, STRUCTURES) if pair not in STAY)])
 def test_steps_in_torch_are_those_of_the_compiled_methods(tmp_path, method, structure):
     network = random_network(STRUCTURES[structure])
     d = network.d
@@ -202,7 +202,7 @@ def records() -> tuple[Problem, Records]:
     return problem, found
 
 
-@pytest.mark.parametrize('steps', [40, pytest.param(1000, marks=pytest.mark.long)])
+@pytest.mark.parametrize('steps', [40, long(1000)])
 def test_gradient_of_motions_is_that_of_differences(records, steps: int):
     problem, loss = records
     parts = [part for name, part in problem.module.named_parameters() if 'linears' in name]
