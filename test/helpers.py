@@ -14,7 +14,6 @@ from typing import Any
 
 from benchmarks import systems
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
@@ -252,14 +251,6 @@ def problem_of(name: str) -> InitialValueProblem:
     scene = load_scene(name)
     return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
                                np.array(scene.initial_state.q), np.array(scene.initial_state.p))
-
-
-def content_of(bag: Path) -> list[tuple[str, int, bytes]]:
-    """Return topic, time and data of the messages of a bag, which is not damaged."""
-    reader = BagReader(bag)
-    found = [(reader.channels[m.channel].topic, m.time, m.data) for m in reader.messages()]
-    assert not reader.damage
-    return found
 
 
 class Malicious:

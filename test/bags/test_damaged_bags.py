@@ -14,8 +14,8 @@ import shutil
 import socket
 import struct
 
+from bag_content import content_of
 from bag_mutations import Mutant, mutants, records_of
-from helpers import content_of
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_records import MAGIC, walk

@@ -24,9 +24,16 @@ from hnn_vi_ros.version import __version__
 from messages import assert_message, refused
 import numpy as np
 import pytest
-from test_cli import ask
 
 SETUP = (Path(__file__).resolve().parents[2] / 'setup.py').read_text()
+
+
+def ask(executable: str, *words: str) -> subprocess.CompletedProcess:
+    """Run an executable; what it has imported is the last line that it prints."""
+    code = ('import atexit, sys; atexit.register(lambda: print(*sys.modules)); '
+            f'from hnn_vi_ros.cli import {executable}; {executable}()')
+    return subprocess.run([sys.executable, '-c', code, *words], capture_output=True, text=True,
+                          timeout=240, check=False)
 
 
 def test_every_executable_is_a_command():

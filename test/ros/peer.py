@@ -23,16 +23,11 @@ from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from recorded import TICK_TYPES
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 SIMULATOR = '/hnn_simulator'
-# Topics of each tick.
-TICK_TYPES = {
-    '/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
-    '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
-    '/joint_states': JointState}
 # Transitions and states by number, as lifecycle_msgs has them.
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
 UNCONFIGURED_SHUTDOWN, INACTIVE_SHUTDOWN, ACTIVE_SHUTDOWN = 5, 6, 7

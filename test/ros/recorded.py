@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from helpers import content_of
+from bag_content import content_of
 from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.bags.cdr import serialize
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
@@ -24,10 +24,15 @@ from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
 from mcap.writer import Writer
 import numpy as np
-from peer import TICK_TYPES
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Float64MultiArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray
 
+# Topics of each tick.
+TICK_TYPES = {
+    '/hnn_simulator/state': JointState, '/hnn_simulator/q': Float64MultiArray,
+    '/hnn_simulator/p': Float64MultiArray, '/hnn_simulator/energy': Float64,
+    '/joint_states': JointState}
 # Of samples that nobody may miss: a machine may stall for more than ten messages.
 QUEUE = QoSProfile(depth=10_000)
 # Wall time at which another recorder began [ns].

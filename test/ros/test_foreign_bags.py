@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 import shutil
 
-from helpers import content_of
+from bag_content import content_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags import bag_files
 from hnn_vi_ros.bags.mcap_file import McapFile

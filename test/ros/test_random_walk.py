@@ -15,7 +15,7 @@ from executables import Executable
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 import numpy as np
-from peer import peer, Peer
+from peer import Peer, peer
 from processes import simulator_words, standard_error, start_executable
 import pytest
 from rclpy.node import Node

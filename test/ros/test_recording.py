@@ -9,8 +9,8 @@ import shutil
 import signal
 
 from diagnostic_msgs.msg import DiagnosticArray
+from bag_content import content_of
 from executables import Executable
-from helpers import content_of
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun

@@ -5,7 +5,7 @@
 from pathlib import Path
 import time
 
-from helpers import content_of
+from bag_content import content_of
 import numpy as np
 from processes import finish, start
 import pytest
