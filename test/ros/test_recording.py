@@ -8,8 +8,8 @@ import resource
 import shutil
 import signal
 
-from diagnostic_msgs.msg import DiagnosticArray
 from bag_content import content_of
+from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
