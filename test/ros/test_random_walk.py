@@ -13,6 +13,7 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 import numpy as np
 from peer import Peer, peer
@@ -137,9 +138,13 @@ class Walk:
             if not list(bag.glob('*.mcap')):
                 continue
             recover(bag)
-            verdict = check_replay(bag)
-            empty = 'holds no samples' in verdict.text
-            assert verdict.good or empty, verdict.text
+            try:
+                verdict = check_replay(bag)
+                empty = 'holds no samples' in verdict.text
+                assert verdict.good or empty, verdict.text
+            except RecordingError as problem:
+                assert 'topics: none' in str(problem)
+                empty = True
             self.counts['empty bags' if empty else 'verified bags'] += 1
         print(f'\n{dict(sorted(self.counts.items()))}')
 
