@@ -17,7 +17,6 @@ from messages import refused
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.filterwarnings('ignore:Uncompiled is not a tanh network')
 # What every effect is made of, and what solves all constraints together.
 BASES = {'', 'base', 'commands', 'kernels', 'manifold', 'wrapped'}
 

@@ -329,7 +329,7 @@ def test_way_of_forces_between_samples_is_told_and_tested(held_log, tmp_path, ca
     assert 'Forces between samples are taken as held; interpolated, they fit worse' in said
 
 
-@pytest.mark.parametrize('unit, told', [(1.0, False), (1e3, True)])
+@pytest.mark.parametrize('unit, told', [(1.0, False), (1e3, True), (1e-3, True)])
 def test_efforts_in_newton_millimetres_are_named_as_a_cause(held_log, unit, told, tmp_path,
                                                             capsys):
     log = replace(held_log, tau=unit * held_log.tau)

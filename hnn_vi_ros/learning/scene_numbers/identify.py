@@ -39,6 +39,8 @@ _INK, _FITTED = '#333333', '#d55e00'
 # Samples that are drawn of each quantity; more cannot be told apart.
 _MOST = 4000
 _INTERVAL = 1.96
+# Powers of ten by which a ratio may differ from the 1000 that units explain: twice or half.
+_MILLI = 0.3
 
 
 def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]) -> None:
@@ -366,16 +368,16 @@ def _held_back(found: Identified) -> list[str]:
 
 
 def _wrong_units(found: Identified) -> list[str]:
-    """Describe numbers that are about 1000 times their start, or a thousandth of it."""
-    lines = []
-    for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False):
-        ratio = one.value / number.start if one.known and number.start else 1.0
-        if found.inputs is not None and 500.0 < max(ratio, 1.0 / ratio if ratio else 1.0) < 2000.0:
-            lines.append(
-                f'{one.name} is {ratio:.3g} times the {number.start:.4g} {number.unit} of the '
-                'scene: efforts in N mm or lengths in mm have that effect; if so, convert the '
-                'data to N m and m'.replace('  ', ' '))
-    return lines
+    """Describe numbers of a driven scene that are about 1000 times their start, or 1/1000."""
+    if found.inputs is None:
+        return []
+    pairs = zip(found.free.numbers, found.estimates.estimates, strict=False)
+    ratios = {one.name: one.value / number.start for number, one in pairs
+              if one.known and number.start}
+    return [f'{name} is {ratio:.3g} times that of the scene: efforts in N mm or lengths in mm '
+            'have that effect; if so, convert the data to N m and m'
+            for name, ratio in ratios.items()
+            if ratio and abs(abs(math.log10(abs(ratio))) - 3.0) < _MILLI]
 
 
 def _row(one: Estimate) -> str:
