@@ -77,7 +77,7 @@ FAULTS = [
     Fault("energy guard's threshold ten times too high", 'guards/bands.py',
           (('_JUMP = 10.0', '_JUMP = 100.0'),),
           'guards/test_guards.py', 'says_at_once_that_the_energy_jumps'),
-    Fault('checksum of chunks not compared', 'bags/mcap_records.py',
+    Fault('checksum of chunks not compared', 'bags/mcap_file.py',
           ((' and head.crc in (0, zlib.crc32(data))', ''),),
           'bags/test_recover_bag.py', 'damaged_chunk_is_left_out'),
     Fault('delay of commands ignored by the controller', 'control/task.py',

@@ -11,15 +11,12 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
-from mcap.records import Channel, Schema
 
 METADATA_VERSION = 9
 # rosbag2 gives a bag without messages the latest time there is as its start.
 NEVER = 2**63 - 1
 # No metadata.yaml is larger [bytes].
 _LARGEST = 2**20
-# Metadata of our recordings: the definitions of all types, keyed by type name.
-DEFINITIONS = 'definitions'
 
 
 @dataclass(frozen=True)
@@ -184,35 +181,3 @@ def read_description(text: str | bytes) -> dict[str, Any]:
         return parse_mapping(text, 'the description of the bag', RecordingError)[0]
     except RecordingError:
         return {}
-
-
-def described_channels(rosbag2: Mapping[str, str], definitions: Mapping[str, str]
-                       ) -> list[Schema | Channel]:
-    """
-    Return the channels of a recording of ours whose first chunk, which defines them, is lost.
-
-    The recorder numbers them in the order of its description.
-
-    Parameters
-    ----------
-    rosbag2, definitions : mapping of str to str
-        Metadata of the file.
-
-    """
-    described = read_description(rosbag2.get('serialized_metadata', ''))
-    found: list[Schema | Channel] = []
-    try:
-        for number, entry in enumerate(described['topics_with_message_count'], 1):
-            topic = entry['topic_metadata']
-            kind, qos = str(topic['type']), dump_yaml(topic['offered_qos_profiles'])
-            # No number that a schema of the file may have.
-            found.append(Schema(id=-number, data=definitions.get(kind, '').encode(),
-                                encoding='ros2msg', name=kind))
-            found.append(Channel(id=number, topic=str(topic['name']), message_encoding='cdr',
-                                 schema_id=-number, metadata={
-                                     'offered_qos_profiles': qos,
-                                     'topic_type_hash': str(topic['type_description_hash'])}))
-    except (KeyError, TypeError):
-        # Not as we write it.
-        return []
-    return found

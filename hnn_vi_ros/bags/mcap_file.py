@@ -1,538 +1,450 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Content of an MCAP file, finished, cut off or damaged.
+Read an MCAP file: finished, cut off, or with damaged parts, which are left out and told.
 
-``survey`` finds its records, places and definitions without opening its chunks; ``McapFile`` opens
-those that it must, and reads the messages.
+Chunks and attachments are covered by checksums; records are found by their lengths, and behind a
+length that cannot be right, from the next chunk on.
 """
 
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
-from enum import IntEnum
+from collections.abc import Iterable, Iterator
+from io import BytesIO
 import os
 from pathlib import Path
+import re
 import struct
 from typing import Any, BinaryIO, final, NamedTuple
+import zlib
 
-from hnn_vi_ros.bags.bag_metadata import DEFINITIONS, described_channels
-from hnn_vi_ros.bags.bag_source import Piece, Source
-from hnn_vi_ros.bags.mcap_records import (
-    chunk_head, ChunkHead, crc_of, decode, files_in, Frame, Gap, HEAD, is_another_kind,
-    is_consistent, MAGIC, MESSAGE, PREFIX, read_at, read_content, records_in, unpack, walk)
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
+import lz4.frame
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment, Channel, Footer, Header, McapRecord, Message, Metadata, Schema, Statistics)
-import numpy as np
+    Attachment, Channel, DataEnd, Footer, Header, McapRecord, Message, Metadata, Schema,
+    Statistics)
+from mcap.writer import MCAP0_MAGIC as MAGIC
+import zstandard
 
+# Opcode and length come before each record's content.
+PREFIX = struct.Struct('<BQ')
+# A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
+_CHUNK, _SIZE = struct.Struct('<QQQII'), struct.Struct('<Q')
+_HEAD = _CHUNK.size + 8 + _SIZE.size
+# Channel, sequence, log time and publish time come before a message's data.
+_MESSAGE = struct.Struct('<HIQQ')
+# An index of messages begins with its channel and the size of its entries, each of two numbers.
+_INDEX, _ENTRY = struct.Struct('<HI'), 16
+_READERS: dict[int, type[Any]] = {
+    opcode: getattr(records, opcode.name.title().replace('_', '')) for opcode in Opcode
+    if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
+# No record with more bytes, and nothing that unpacks to more, is opened.
+LARGEST = 2**28
 # Messages outside of chunks are read together up to so many bytes.
 _PIECE = 2**18
-# Larger records that are messages by their opcode are not asked whether they are others.
-_OTHERWISE = 2**20
-_CRC_SIZE = 4
-_OF_CHUNKS = (Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.CHUNK_INDEX)
-_DATA = (Opcode.CHUNK, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA)
+_WINDOW = 2**20
+_COMPRESSIONS = ('', 'zstd', 'lz4')
 
 
-class Indexed(NamedTuple):
-    """A chunk, and the indexes of messages that follow it."""
-
-    chunk: Frame
-    indexes: list[Frame]
-
-
-@dataclass
-class Survey:
+class Piece(NamedTuple):
     """
-    The records of a file.
+    A stretch of a file that holds messages.
 
     Parameters
     ----------
-    begins : bool
-        Whether the file begins with the magic.
-    end : int
-        Where the data end [bytes].
-    header, statistics, footer : McapRecord or None
-        If they are there; statistics that contradict themselves are not.
-    chunks : list of Indexed
-        In the order of the file, as all below.
-    stray : list of Frame
-        Indexes of messages before any chunk.
-    runs : list of Piece
-        Messages outside of chunks, those that follow one another together.
-    messages : int
-        How many these are.
-    numbers : set of int
-        Their channels.
-    attachments : list of Frame
-        They are whole: their CRC holds.
-    metadata : list of Metadata
-        All of them.
-    definitions : list of Schema or Channel
-        Those outside of chunks, within the data.
-    repeated : list of Schema or Channel
-        Those behind the data.
-    gaps : list of Gap
-        What cannot be read and may have held messages, attachments or metadata.
-    summary : bool or None
-        Whether the records behind the data are unchanged; None without a CRC.
-    chunked : bool
-        Whether messages are in chunks: then none is believed that is not.
-    another : Gap or None
-        A second file behind the first one, which is not read.
+    first, last : int
+        Times of its earliest and latest message [ns].
+    start, length : int
+        Where it is in the file: in bytes, or as its reader counts.
+    packed : bool
+        Whether it is the content of a chunk.
 
     """
 
-    begins: bool
-    end: int
-    header: Header | None = None
-    statistics: Statistics | None = None
-    footer: Footer | None = None
-    chunks: list[Indexed] = field(default_factory=list)
-    stray: list[Frame] = field(default_factory=list)
-    runs: list[Piece] = field(default_factory=list)
-    messages: int = 0
-    numbers: set[int] = field(default_factory=set)
-    attachments: list[Frame] = field(default_factory=list)
-    metadata: list[Metadata] = field(default_factory=list)
-    definitions: list[Schema | Channel] = field(default_factory=list)
-    repeated: list[Schema | Channel] = field(default_factory=list)
-    gaps: list[Gap] = field(default_factory=list)
-    summary: bool | None = None
-    chunked: bool = False
-    another: Gap | None = None
-
-    @property
-    def is_mcap(self) -> bool:
-        """Return whether this is an MCAP file, by its magic or by what no other file holds."""
-        return bool(self.begins or self.header or self.chunks or self.attachments)
-
-    @property
-    def complete(self) -> bool:
-        """Return whether all is there that the statistics count, messages in chunks aside."""
-        count = self.statistics
-        return count is not None and self.counted and (
-            bool(self.chunks) or count.message_count == self.messages)
-
-    @property
-    def counted(self) -> bool:
-        """Return whether the statistics count as many chunks and files as there are."""
-        count = self.statistics
-        return count is not None and (
-            count.chunk_count, count.attachment_count, count.metadata_count) == (
-            len(self.chunks), len(self.attachments), len(self.metadata))
-
-    @property
-    def missing(self) -> int:
-        """Return how many attachments and metadata are not there that the statistics count."""
-        count = self.statistics
-        return 0 if count is None else (
-            max(0, count.attachment_count - len(self.attachments))
-            + max(0, count.metadata_count - len(self.metadata)))
-
-    def forgive(self) -> None:
-        """Forget what is damaged where nothing is lost: after the data, or if all is there."""
-        self.gaps = [gap for gap in self.gaps if not self.complete and gap.start < self.end]
-
-    def disbelieve(self) -> None:
-        """Count messages outside of chunks as damage."""
-        self.gaps += [Gap(run.start, run.start + run.length, False) for run in self.runs]
-        self.runs, self.messages, self.numbers = [], 0, set()
+    first: int
+    last: int
+    start: int
+    length: int
+    packed: bool = False
 
 
-def survey(stream: BinaryIO, size: int | None = None) -> Survey:
-    """
-    Return what a file holds; its position does not count.
+class _ChunkHead(NamedTuple):
+    first: int  # time of the earliest message [ns]
+    last: int  # and of the latest
+    unpacked: int  # size of the records [bytes]
+    crc: int  # of the unpacked records; 0 for none
+    compression: str
+    start: int  # where the packed records begin in the content
 
-    Parameters
-    ----------
-    stream : BinaryIO
-        The file.
-    size : int, optional
-        Where another one begins behind it [bytes].
 
-    """
-    whole = os.fstat(stream.fileno()).st_size
-    size = whole if size is None else size
-    found = Survey(read_at(stream, 0, len(MAGIC)) == MAGIC, size)
-    for frame in walk(stream, size):
-        if isinstance(frame, Gap):
-            found.gaps.append(frame)
-            continue
-        if frame.opcode == Opcode.HEADER and (begin := _second(found, stream, frame)):
-            # What comes before it may break off there.
-            return survey(stream, begin)
-        if frame.opcode in _DATA and not (frame.opcode == Opcode.MESSAGE and found.chunked):
-            # An end of the data that came before was none.
-            found.end = size
-            found.definitions += found.repeated
-            found.repeated.clear()
-        _add(found, stream, frame)
-    if found.chunked:
-        found.disbelieve()
-    found.forgive()
-    if found.footer is not None and found.footer.summary_crc:
-        found.summary = found.footer.summary_crc == crc_of(
-            stream, found.end + _CRC_SIZE, size - len(MAGIC) - _CRC_SIZE)
-    found.another = Gap(size, whole, False) if size < whole else None
+class _ReadAll(ReadDataStream):
+    """Give all bytes that are asked for, or raise EndOfFile."""
+
+    def read(self, length: int) -> bytes:
+        data = super().read(length)
+        if len(data) != length:
+            raise EndOfFile
+        return data
+
+
+def _decode(opcode: int, content: bytes) -> McapRecord | None:
+    """Return a record; None where the content is not exactly one, or its CRC does not match."""
+    reader = _READERS.get(opcode)
+    if reader is None:
+        return None
+    stream = _ReadAll(BytesIO(content))
+    try:
+        record = reader.read(stream)
+    except (EndOfFile, struct.error, UnicodeDecodeError):
+        return None
+    if opcode == Opcode.ATTACHMENT and int.from_bytes(content[-4:], 'little') not in (
+            0, zlib.crc32(content[:-4])):
+        return None
+    return record if stream.count == len(content) else None
+
+
+def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
+    """Return bytes of a stream, as far as they are there; none of more than LARGEST."""
+    stream.seek(start)
+    return stream.read(length) if length <= LARGEST else b''
+
+
+def crc_of(stream: BinaryIO, start: int, end: int) -> int:
+    """Return the CRC of bytes of a stream."""
+    stream.seek(start)
+    found, left = 0, end - start
+    while left > 0 and (block := stream.read(min(left, _WINDOW))):
+        found, left = zlib.crc32(block, found), left - len(block)
     return found
 
 
-def _second(found: Survey, stream: BinaryIO, header: Frame) -> int:
-    """Return where the file of a header begins behind another one, 0 if that is the first."""
-    begin = header.start - PREFIX.size
-    before = begin - len(MAGIC)
-    if before > 0 and read_at(stream, before, len(MAGIC)) == MAGIC and found.is_mcap:
-        return before
-    return begin if found.header is not None else 0
+def _chunk_head(content: bytes) -> _ChunkHead | None:
+    """Return what a chunk says of itself before its data; None if it cannot be one."""
+    if len(content) < _CHUNK.size:
+        return None
+    first, last, unpacked, crc, letters = _CHUNK.unpack_from(content)
+    name = content[_CHUNK.size:_CHUNK.size + letters].decode('ascii', errors='replace')
+    if first > last or name not in _COMPRESSIONS:
+        return None
+    return _ChunkHead(first, last, unpacked, crc, name, _CHUNK.size + letters + _SIZE.size)
 
 
-def _add(found: Survey, stream: BinaryIO, frame: Frame) -> None:
-    opcode = frame.opcode
-    found.chunked |= opcode in _OF_CHUNKS
-    if opcode == Opcode.CHUNK:
-        found.chunks.append(Indexed(frame, []))
-    elif opcode == Opcode.MESSAGE_INDEX:
-        (found.chunks[-1].indexes if found.chunks else found.stray).append(frame)
-    elif opcode == Opcode.MESSAGE:
-        _add_message(found, stream, frame)
-    elif opcode == Opcode.ATTACHMENT:
-        found.attachments.append(frame)
-    elif opcode == Opcode.DATA_END:
-        found.end = frame.start
-    elif opcode > Opcode.DATA_END:
-        found.gaps.append(Gap(frame.start - PREFIX.size, frame.end, False))
-    else:
-        _add_record(found, decode(opcode, read_content(stream, frame)), frame.start)
+def unpack_zstd(data: bytes, most: int) -> bytes:
+    """Return the first bytes of what zstd frames hold, as many as are there; or ZstdError."""
+    with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
+        return stream.read(most)
 
 
-def _add_record(found: Survey, record: McapRecord | None, start: int) -> None:
-    if isinstance(record, Header):
-        found.header = found.header or record
-    elif isinstance(record, Metadata):
-        found.metadata.append(record)
-    elif isinstance(record, Schema | Channel):
-        (found.definitions if start < found.end else found.repeated).append(record)
-    elif isinstance(record, Footer):
-        found.footer = record
-    elif is_consistent(record):
-        found.statistics = record
+def _unpack(content: bytes) -> bytes | None:
+    """Return the records of a chunk, never more than it declares; None if it is damaged."""
+    head = _chunk_head(content)
+    if head is None or head.unpacked > LARGEST:
+        return None
+    data, most = content[head.start:], head.unpacked + 1
+    try:
+        if head.compression == 'zstd':
+            data = unpack_zstd(data, most)
+        elif head.compression == 'lz4':
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+    except (zstandard.ZstdError, RuntimeError):
+        return None
+    return data if len(data) == head.unpacked and head.crc in (0, zlib.crc32(data)) else None
 
 
-def _add_message(found: Survey, stream: BinaryIO, frame: Frame) -> None:
-    """Note a message outside of chunks: together with the one before it, if there is one."""
-    start, length = frame.start - PREFIX.size, frame.length + PREFIX.size
-    content = read_content(stream, frame._replace(
-        length=frame.length if frame.length <= _OTHERWISE else MESSAGE.size))
-    if is_another_kind(content):
-        found.gaps.append(Gap(start, frame.end, False))
-        return
-    channel, time = MESSAGE.unpack_from(content)
-    found.messages += 1
-    found.numbers.add(channel)
-    before = found.runs[-1] if found.runs else None
-    if before and before.start + before.length == start and before.length < _PIECE:
-        found.runs[-1] = Piece(min(before.first, time), max(before.last, time), before.start,
-                               before.length + length)
-    else:
-        found.runs.append(Piece(time, time, start, length))
-
-
-class Definitions:
-    """
-    Schemas and channels, by their numbers.
-
-    Parameters
-    ----------
-    records : iterable of Schema or Channel
-        Taken one by one.
-
-    Attributes
-    ----------
-    schemas : dict of int to Schema
-        Name and definition of each type.
-    channels : dict of int to Channel
-        Topic, encoding and metadata of each channel.
-    contradicted : bool
-        Whether one was taken that contradicts an earlier one.
-
-    """
-
-    def __init__(self, records: Iterable[Schema | Channel] = ()):
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        self.contradicted = False
-        for record in records:
-            self.take(record)
-
-    def take(self, record: Schema | Channel) -> None:
-        """Take one more; an earlier one of the number stays."""
-        self.contradicted |= self.contradicts(record)
-        self._of(record).setdefault(record.id, record)
-
-    def contradicts(self, record: Schema | Channel) -> bool:
-        """Return whether a record of its number is another one."""
-        return self._of(record).get(record.id, record) != record
-
-    def add(self, others: 'Definitions') -> None:
-        """Add the definitions of others whose numbers are free."""
-        self.schemas |= others.schemas | self.schemas
-        self.channels |= others.channels | self.channels
-
-    def _of(self, record: Schema | Channel) -> dict[int, Any]:
-        return self.schemas if isinstance(record, Schema) else self.channels
-
-
-def loose_definitions(survey: Survey) -> Definitions:
-    """
-    Return what is defined outside of chunks, where only the summary may have a checksum.
-
-    Where that holds, the summary is believed; of two that contradict each other, none.
-    """
-    found: dict[tuple[type, int], Schema | Channel] = {}
-    doubtful = set()
-    for record in survey.definitions:
-        if found.setdefault((type(record), record.id), record) != record:
-            doubtful.add((type(record), record.id))
-    for record in survey.repeated:
-        key = type(record), record.id
-        if survey.summary:
-            found[key] = record
-        elif found.setdefault(key, record) != record and survey.summary is None:
-            doubtful.add(key)
-    return Definitions(
-        record for key, record in found.items() if key not in doubtful
-        and not (isinstance(record, Channel) and (Schema, record.schema_id) in doubtful))
-
-
-_CHANNEL = struct.Struct('<H')
-# Where the entries of a message index begin.
-_ENTRIES = 6
-# Most records in chunks, per byte of the file plus a constant: zstd packs 1.4 messages without
-# content and with even stamps into a byte; of entirely equal ones, 350.
-_PER_BYTE, _AT_LEAST = 4, 2**20
-
-
-class _Kind(IntEnum):
-    """Kind of a piece: messages outside of chunks, a chunk, or what there is of one."""
-
-    MESSAGES = 0
-    CHUNK = 1
-    BROKEN_CHUNK = 2
+def _records_in(data: bytes) -> Iterator[McapRecord | None]:
+    """Yield schemas, channels and messages among records; None, at the end, for what is none."""
+    end = 0
+    while end + PREFIX.size <= len(data):
+        opcode, length = PREFIX.unpack_from(data, end)
+        start = end + PREFIX.size
+        end = start + length
+        if opcode == Opcode.MESSAGE and _MESSAGE.size <= length <= len(data) - start:
+            channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+            yield Message(channel_id=channel, sequence=sequence, log_time=log_time,
+                          publish_time=publish_time, data=data[start + _MESSAGE.size:end])
+        elif isinstance(record := _decode(opcode, data[start:end]), Schema | Channel):
+            yield record
+        else:
+            break
+    if end != len(data):
+        yield None
 
 
 @final
-class McapFile(Source):
+class McapFile:
     """
-    An MCAP file.
+    An MCAP file; nothing but its outline is held in memory.
 
     Parameters
     ----------
     path, name : Path
         The file, and how the user calls it.
     thorough : bool
-        Whether every chunk is opened now; else only where it takes that to know what is in it.
+        Whether every chunk is opened now, as in a file that was not finished.
 
     Attributes
     ----------
-    survey : Survey
-        Survey of the file.
+    channels : dict of int to Channel
+        Topic, encoding and metadata of each channel.
+    schemas : dict of int to Schema
+        Name and definition of each type.
+    pieces : list of Piece
+        In the order of the file.
+    unread : dict of int to int
+        Lengths of the parts that cannot be read, by their place [bytes]; those in chunks are
+        known once these are opened.
+    incomplete : int
+        Bytes of a record with which the file breaks off.
+    held : int
+        How many messages there are, by all that tells it before they are read.
+    counted : int or None
+        How many the recorder has counted; None where it has not.
+    finished : bool
+        Whether the recorder has completed the file, and its summary counts what is there.
+    header : Header or None
+        Profile and library.
 
     Raises
     ------
     RecordingError
-        It is no MCAP file.
+        It is no MCAP file, or holds a second one.
     OSError
         It cannot be read.
 
     """
 
     def __init__(self, path: Path, name: Path, thorough: bool = False):
-        super().__init__(path, name)
+        self.path, self.name = path, name
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        self.pieces: list[Piece] = []
+        self.unread: dict[int, int] = {}
+        self.incomplete, self.held, self._listed = 0, 0, 0
+        self.counted: int | None = None
+        self.header: Header | None = None
+        self.data_end: tuple[int, int] | None = None  # where the data end, and their CRC
+        self._metadata: list[Metadata] = []
+        self._attachments: list[tuple[int, int]] = []  # start, length
+        self._chunks: set[tuple[_ChunkHead, int]] = set()
+        # Behind the data: definitions, counts and the footer, which only its CRC confirms.
+        self._summary: list[McapRecord] = []
         with open_file(path, name) as stream:
-            end = self._begin(stream, None, thorough)
-            # Another file begins where a chunk defines a channel otherwise than one before it, and
-            # where a file begins in what cannot be read: a record that broke off hides it.
-            while end is not None:
-                end = self._begin(stream, end, thorough)
-        self.pieces = sorted(self.pieces + self.survey.runs, key=lambda piece: piece.start)
-        self._define()
-        self._count()
+            size = os.fstat(stream.fileno()).st_size
+            if (begin := _read_at(stream, 0, len(MAGIC))) != MAGIC:
+                refuse_pointer(_read_at(stream, 0, 32), name, RecordingError)
+                reason = 'it does not begin like one' if begin else 'it is empty'
+                raise RecordingError(f'{name}: no MCAP file: {reason}; give a bag or its file')
+            end = self._scan(stream, size)
+            if self.unread or self.incomplete:
+                self._refuse_second(stream, size)
+            self._finish(stream, end, size, thorough)
 
-    def _begin(self, stream: BinaryIO, end: int | None, thorough: bool) -> int | None:
-        """Note what is in the file up to a place; return where another one begins before that."""
-        self.survey: Survey = survey(stream, end)
-        if not self.survey.is_mcap:
-            refuse_pointer(read_at(stream, 0, 32), self.name, RecordingError)
-            reason = 'it does not begin like one' if stream.seek(0, 2) else 'it is empty'
-            raise RecordingError(f'{self.name}: no MCAP file: {reason}; give a bag or its file')
-        self.pieces, self.unread, self.incomplete, self.held = [], {}, 0, self.survey.messages
-        for gap in [*self.survey.gaps, *filter(None, [self.survey.another])]:
-            if gap.incomplete:
-                self.incomplete += gap.end - gap.start
-            else:
-                self.unread[gap.start] = gap.end - gap.start
-        self._left = _PER_BYTE * stream.seek(0, 2) + _AT_LEAST
-        # How many records each chunk that was opened might hold then.
-        self._most: dict[int, int] = {}
-        self._numbers = set(self.survey.numbers)
-        # What chunks define, to which their checksums speak, and what stands outside of them.
-        self._defined, self._loose = Definitions(), loose_definitions(self.survey)
-        self._entries: dict[int, int] = {}
-        self._read_indexes(stream, self.survey.stray)
-        begin = self._note_chunks(stream, thorough)
-        if begin is None and (self.unread or self.incomplete):
-            begin = self._hidden_file(stream, end)
-        return begin
-
-    def _note_chunks(self, stream: BinaryIO, thorough: bool) -> int | None:
-        """Note the chunks up to one that contradicts those before it; return its place."""
-        seen = set[tuple[ChunkHead | None, int]]()
-        for chunk, indexes in self.survey.chunks:
-            head = chunk_head(read_content(stream, chunk._replace(length=min(chunk.length, HEAD))))
-            if head is not None and head.crc and (head, chunk.length) in seen:
-                # A copy of one before it.
-                self.unread[chunk.start] = chunk.length
+    def _scan(self, stream: BinaryIO, size: int) -> int:
+        """Note the records up to the end; return where the footer ends."""
+        place = len(MAGIC)
+        while place < size and not (self._summary and isinstance(self._summary[-1], Footer)):
+            opcode, length = PREFIX.unpack(_read_at(stream, place, PREFIX.size).ljust(9, b'\0'))
+            start = place + PREFIX.size
+            if start + length <= size and self._add(stream, opcode, start, length):
+                place = start + length
                 continue
-            seen.add((head, chunk.length))
-            entries = self._read_indexes(stream, indexes)
-            if thorough or not chunk.whole or not self._trust(chunk, head, entries):
-                self._open_chunk(stream, chunk)
-            if self._defined.contradicted:
-                return chunk.start - PREFIX.size
-        return None
+            if self.data_end is not None:
+                # What is behind the data can be made again.
+                return size
+            found = _next_chunk(stream, place + 1, size)
+            if found == size and start + length > size and 0 < opcode <= Opcode.DATA_END:
+                self.incomplete = size - place
+            else:
+                self.unread[place] = found - place
+            place = found
+        if place + len(MAGIC) < size:
+            self.unread[place + len(MAGIC)] = size - place - len(MAGIC)
+        return place
 
-    def _hidden_file(self, stream: BinaryIO, end: int | None) -> int | None:
-        """Return where another file begins before a place, other than in what is sound."""
-        size = stream.seek(0, os.SEEK_END) if end is None else end
-        sound = [chunk for chunk, _ in self.survey.chunks
-                 if chunk.whole and chunk.start not in self.unread]
-        return next((place for place in files_in(stream, size)
-                     if not any(frame.start <= place < frame.end
-                                for frame in [*sound, *self.survey.attachments])), None)
+    def _add(self, stream: BinaryIO, opcode: int, start: int, length: int) -> bool:
+        """Note a record; return False if there is none."""
+        if opcode == Opcode.CHUNK:
+            head = _chunk_head(_read_at(stream, start, min(length, _HEAD)))
+            if head is None or head.start > length:
+                return False
+            if head.crc and (head, length) in self._chunks:
+                # A copy of one before it.
+                return False
+            self._chunks.add((head, length))
+            self.pieces.append(Piece(head.first, head.last, start, length, True))
+            return True
+        if opcode == Opcode.MESSAGE:
+            return length >= _MESSAGE.size and self._add_message(stream, start, length)
+        if opcode == Opcode.MESSAGE_INDEX:
+            _, entries = _INDEX.unpack(_read_at(stream, start, _INDEX.size))
+            self._listed += entries // _ENTRY
+            return entries == length - _INDEX.size and entries % _ENTRY == 0
+        record = _decode(opcode, _read_at(stream, start, length))
+        if record is None or (isinstance(record, Header) and self.header is not None):
+            return False
+        if isinstance(record, Attachment):
+            self._attachments.append((start, length))
+        elif isinstance(record, Metadata):
+            self._metadata.append(record)
+        elif isinstance(record, Header):
+            self.header = record
+        elif isinstance(record, DataEnd):
+            self.data_end = start - PREFIX.size, record.data_section_crc
+        elif self.data_end is not None:
+            self._summary.append(record)
+        elif isinstance(record, Schema | Channel):
+            self._define(record)
+        return True
 
-    def _define(self) -> None:
-        """Define the channels; what has no checksum comes last."""
-        self._defined.add(self._loose)
-        if not self._numbers <= self._defined.channels.keys() and self.metadata(DEFINITIONS):
-            for record in reversed(self.survey.metadata):
-                if record.name == 'rosbag2':
-                    self._defined.add(Definitions(described_channels(
-                        record.metadata, self.metadata(DEFINITIONS))))
-        self.schemas, self.channels = self._defined.schemas, self._defined.channels
+    def _add_message(self, stream: BinaryIO, start: int, length: int) -> bool:
+        """Note a message outside of chunks, together with the one before it if there is one."""
+        _, _, time, _ = _MESSAGE.unpack(_read_at(stream, start, _MESSAGE.size))
+        begin, before = start - PREFIX.size, self.pieces[-1] if self.pieces else None
+        self.held += 1
+        if before and before.start + before.length == begin and before.length < _PIECE \
+                and not before.packed:
+            self.pieces[-1] = Piece(min(before.first, time), max(before.last, time), before.start,
+                                    start + length - before.start)
+        else:
+            self.pieces.append(Piece(time, time, begin, start + length - begin))
+        return True
 
-    def _count(self) -> None:
-        """Take the count of the summary; else that of the indexes, where they list more."""
-        listed = sum(self._entries.values())
-        self._entries.clear()
-        if self.survey.statistics is not None:
-            self.counted = self.survey.statistics.message_count
-        elif listed > self.held:
-            self.counted = listed
+    def _refuse_second(self, stream: BinaryIO, size: int) -> None:
+        """Refuse a file that goes on with another one, whose channels have the same numbers."""
+        begin = MAGIC + bytes([Opcode.HEADER])
+        for place in _found(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
+            if not any(start <= place < start + length for start, length in self._attachments):
+                raise RecordingError(
+                    f'{self.name}: a second file begins within it: cut it out with '
+                    f'`tail -c +{place + 1} {self.name}`, and the first with `head -c {place}`')
+
+    def _finish(self, stream: BinaryIO, end: int, size: int, thorough: bool) -> None:
+        """Take the summary if it is whole; else open all chunks for what they define."""
+        counts = [record for record in self._summary if isinstance(record, Statistics)
+                  and record.message_count == sum(record.channel_message_counts.values())]
+        self.counted = counts[-1].message_count if counts else None
+        self.finished = len(counts) == 1 and self._is_finished(stream, counts[0], end, size)
+        for record in self._summary if self.finished else ():
+            if isinstance(record, Schema | Channel):
+                self._define(record)
+        known = self.finished and len(self.channels) == counts[0].channel_count
+        if self._chunks and self.held:
+            # Where chunks are, messages outside of them are damaged records.
+            loose = [piece for piece in self.pieces if not piece.packed]
+            self.unread |= {piece.start: piece.length for piece in loose}
+            self.pieces = [piece for piece in self.pieces if piece.packed]
+            self.held = 0
+        if self._chunks:
+            self.held = self._listed
+        if self._chunks and (thorough or not known):
+            self.held = self._open_all(stream)
+            self.pieces = [piece for piece in self.pieces if piece.start not in self.unread]
+            if self._listed > self.held and self.counted is None:
+                self.counted = self._listed
+
+    def _is_finished(self, stream: BinaryIO, count: Statistics, end: int, size: int) -> bool:
+        footer = self._summary[-1]
+        if not isinstance(footer, Footer) or self.data_end is None:
+            return False
+        counted = count.chunk_count, count.attachment_count, count.metadata_count
+        there = len(self._chunks), len(self._attachments), len(self._metadata)
+        summary = self.data_end[0] + PREFIX.size + 4
+        return counted == there and _read_at(stream, end, size - end) == MAGIC \
+            and footer.summary_start in (0, summary) and footer.summary_crc in (
+                0, crc_of(stream, summary, end - 4))
+
+    def _open_all(self, stream: BinaryIO) -> int:
+        """Take what chunks define and the times of their messages; return how many these are."""
+        held, contradicted = 0, False
+        for number, piece in enumerate(self.pieces):
+            times, sound = array('Q'), not contradicted
+            for record in self._records(stream, piece) if sound else ():
+                if isinstance(record, Message):
+                    times.append(record.log_time)
+                elif record is None:
+                    sound = False
+                elif not self._define(record):
+                    # From here on the channels are those of another recording.
+                    sound, contradicted = False, True
+                    break
+            if not sound:
+                self.unread[piece.start] = piece.length
+            elif times:
+                self.pieces[number] = piece._replace(first=min(times), last=max(times))
+                held += len(times)
+        return held
+
+    def _records(self, stream: BinaryIO, piece: Piece) -> Iterable[McapRecord | None]:
+        content = _read_at(stream, piece.start, piece.length)
+        data = _unpack(content) if piece.packed else content
+        return [None] if data is None else _records_in(data)
+
+    def _define(self, record: McapRecord) -> bool:
+        """Take a schema or a channel; return False if it contradicts one of its number."""
+        known: dict[int, Any] = self.schemas if isinstance(record, Schema) else self.channels
+        assert isinstance(record, Schema | Channel)
+        return known.setdefault(record.id, record) == record
 
     def read(self, piece: Piece) -> Iterator[Message]:
-        """See Source."""
+        """Yield the messages of a piece that can be read, all of known channels."""
         with open_file(self.path, self.name) as stream:
-            records, sound = self._open(stream, piece)
-        for record in records:
-            if not isinstance(record, Message):
-                if isinstance(record, Schema | Channel) and self._defined.contradicts(record):
-                    sound = False
-                    break
-            elif record.channel_id in self.channels:
+            found = self._records(stream, piece)
+        for record in found:
+            if isinstance(record, Message) and record.channel_id in self.channels:
                 yield record
-            else:
-                sound = False
-        if not sound:
-            self.unread[piece.start] = piece.length
+            elif isinstance(record, Message) or record is None or not self._define(record):
+                self.unread[piece.start] = piece.length
 
-    def messages(self) -> Iterable[Message]:
+    def messages(self) -> Iterator[Message]:
         """Yield all messages in the order of the file."""
         for piece in self.pieces:
             yield from self.read(piece)
 
-    def attachments(self) -> Iterable[Attachment]:
+    def attachments(self) -> Iterator[Attachment]:
         """Yield the files that are kept with the messages."""
         with open_file(self.path, self.name) as stream:
-            for frame in self.survey.attachments:
-                record = decode(frame.opcode, read_content(stream, frame))
+            for start, length in self._attachments:
+                record = _decode(Opcode.ATTACHMENT, _read_at(stream, start, length))
                 if isinstance(record, Attachment):
                     yield record
 
     def attachment(self, name: str) -> bytes | None:
-        """See Source."""
+        """Return a file that is kept with the messages; None if there is none of this name."""
         return next((found.data for found in self.attachments() if found.name == name), None)
 
+    @property
+    def all_metadata(self) -> list[Metadata]:
+        """Return all metadata, in the order of the file."""
+        return self._metadata
+
     def metadata(self, name: str) -> dict[str, str]:
-        """See Source."""
-        found = [record.metadata for record in self.survey.metadata if record.name == name]
+        """Return the newest metadata of a name; empty if there is none."""
+        found = [record.metadata for record in self._metadata if record.name == name]
         return found[-1] if found else {}
 
-    def _open_chunk(self, stream: BinaryIO, chunk: Frame) -> None:
-        """Take what a chunk defines, and note its messages."""
-        self.incomplete += 0 if chunk.whole else chunk.length
-        kind = _Kind.CHUNK if chunk.whole else _Kind.BROKEN_CHUNK
-        records, sound = self._open(stream, Piece(0, 0, chunk.start, chunk.length, kind))
-        if not sound:
-            self.unread[chunk.start] = chunk.length
-        times = array('Q')
-        for record in records:
-            if isinstance(record, Message):
-                self._numbers.add(record.channel_id)
-                times.append(record.log_time)
-            elif isinstance(record, Schema | Channel):
-                self._defined.take(record)
-        if times:
-            self._add_piece(Piece(min(times), max(times), chunk.start, chunk.length, kind),
-                            len(times))
 
-    def _read_indexes(self, stream: BinaryIO, frames: Sequence[Frame]
-                      ) -> list[tuple[int, np.ndarray]]:
-        """Return channel and entries of indexes, and count these; of equal indexes one counts."""
-        found = []
-        for frame in frames:
-            content = read_content(stream, frame)
-            entries = np.frombuffer(content, '<u8', offset=_ENTRIES).reshape(-1, 2)
-            self._entries[hash(content)] = len(entries)
-            found.append((_CHANNEL.unpack_from(content)[0], entries))
-        return found
+# The opcode of a chunk, a length below 4 GiB, and the name of a compression where it has to be.
+_CHUNK_START = re.compile(
+    rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)', re.DOTALL)
 
-    def _trust(self, chunk: Frame, head: ChunkHead | None,
-               indexes: Sequence[tuple[int, np.ndarray]]) -> bool:
-        """Note a chunk without opening it, if it and its indexes agree and it defines nothing."""
-        numbers = {number for number, _ in indexes}
-        times, places = np.concatenate(
-            [np.empty((0, 2), '<u8'), *(entries for _, entries in indexes)]).T
-        # The definitions in a chunk come before its first message.
-        if head is None or not len(times) or places.min() != 0 or len(numbers) < len(indexes) \
-                or not numbers <= {*self._defined.channels, *self._loose.channels} \
-                or (head.first, head.last) != (int(times.min()), int(times.max())):
-            return False
-        self._add_piece(
-            Piece(head.first, head.last, chunk.start, chunk.length, _Kind.CHUNK), len(times))
-        return True
 
-    def _add_piece(self, piece: Piece, messages: int) -> None:
-        self.pieces.append(piece)
-        self.held += messages
+def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
+    """Return where the next chunk with a checksum seems to begin; the size if none does."""
+    for start in _found(stream, _CHUNK_START, place, size, PREFIX.size + _HEAD):
+        _, length = PREFIX.unpack(_read_at(stream, start, PREFIX.size))
+        head = _chunk_head(_read_at(stream, start + PREFIX.size, _HEAD))
+        if head is not None and head.crc and start + PREFIX.size + length <= size:
+            return start
+    return size
 
-    def _open(self, stream: BinaryIO, piece: Piece) -> tuple[Iterator[McapRecord], bool]:
-        """Return the records of a piece, and whether all that is there can be read."""
-        whole = piece.kind != _Kind.BROKEN_CHUNK
-        content = read_content(stream, Frame(Opcode.CHUNK, piece.start, piece.length, whole))
-        if piece.kind == _Kind.MESSAGES:
-            return records_in(content, len(content)), True
-        known = piece.start in self._most
-        most = self._most.setdefault(piece.start, self._left)
-        content, sound = unpack(content, whole, most)
-        records = records_in(content, most)
-        return records if known else self._counted(records), sound or not whole
 
-    def _counted(self, records: Iterator[McapRecord]) -> Iterator[McapRecord]:
-        """Yield the records of a chunk, and leave as many less to other chunks."""
-        for record in records:
-            self._left -= 1
-            yield record
+def _found(stream: BinaryIO, pattern: re.Pattern[bytes], place: int, size: int, longest: int
+           ) -> Iterator[int]:
+    """Yield where a pattern is found, of so many bytes at most."""
+    for begin in range(place, size, _WINDOW):
+        window = _read_at(stream, begin, min(_WINDOW + longest - 1, size - begin))
+        yield from (begin + match.start() for match in pattern.finditer(window))

@@ -7,10 +7,9 @@ from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import final, NamedTuple
 
-from hnn_vi_ros.bags.bag_files import bag_files, open_source
+from hnn_vi_ros.bags.bag_files import bag_files, ForeignBag, open_sources
 from hnn_vi_ros.bags.bag_metadata import counted_messages
-from hnn_vi_ros.bags.bag_source import Piece, Source
-from hnn_vi_ros.bags.mcap_records import LARGEST
+from hnn_vi_ros.bags.mcap_file import LARGEST, McapFile, Piece
 from hnn_vi_ros.errors import RecordingError
 from mcap.records import Channel, Schema
 import zstandard
@@ -45,7 +44,7 @@ class _Part(NamedTuple):
     """A piece of one of the files, with the numbers that their channels have here."""
 
     piece: Piece
-    source: Source
+    source: McapFile | ForeignBag
     numbers: dict[int, int]
 
 
@@ -54,8 +53,8 @@ class BagReader:
     """
     A bag, finished, cut off or damaged; nothing but its outline is held in memory.
 
-    It is one MCAP file or several, as rosbag2 splits them, or SQLite files; packed with zstd as
-    wholes or message by message, or not. The channels of a topic in several files are one.
+    It is one MCAP file or several, as rosbag2 splits them, whose messages may be packed one by
+    one; or what else rosbags reads. The channels of a topic in several files are one.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ class BagReader:
         self.schemas: dict[int, Schema] = {}
         self._files, self._parts = files, list[_Part]()
         try:
-            self._sources = [open_source(path) for path in files]
+            self._sources = open_sources(bag, files)
         except OSError as problem:
             raise RecordingError(f'{self.path}: cannot be read ({problem.strerror or problem}); '
                                  'give the folder of a bag, or its file') from problem
@@ -190,7 +189,7 @@ class BagReader:
             else:
                 yield Recorded(message.log_time, number, data)
 
-    def _join(self, source: Source) -> dict[int, int]:
+    def _join(self, source: McapFile | ForeignBag) -> dict[int, int]:
         """Take the channels of a file; return the numbers that they have here."""
         known = {self._key(channel, self.schemas): number
                  for number, channel in self.channels.items()}

@@ -13,7 +13,7 @@ import time
 from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.bags.bag_metadata import (
-    bag_metadata, DEFINITIONS, Extent, NEVER, Topic, write_bag_metadata)
+    bag_metadata, Extent, NEVER, Topic, write_bag_metadata)
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
@@ -92,7 +92,7 @@ class McapSink:
     def __init__(self, folder: Path, topics: Sequence[Topic], attachments: Mapping[str, bytes],
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
-        self._ticks, self._described = 0, False
+        self._ticks = 0
         # Topics without a message each tick: their channel, and how many messages they have.
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
@@ -109,7 +109,7 @@ class McapSink:
                 enable_data_crcs=True)
             compact_index(self._writer)
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
-            self._describe()
+            self._add_metadata()
             self._attach(attachments)
             # It shows whether the same run could be had again, bit by bit.
             self._writer.add_metadata('hnn_vi_ros', origin)
@@ -143,7 +143,7 @@ class McapSink:
                 self._writer.add_message(channel, stamp_ns, payload, stamp_ns, sequence)
             self._ticks += 1
             self._extend_to(stamp_ns)
-            if not self._described:
+            if self._ticks == 1:
                 # At once: of a run that began there is a sample.
                 self._flush()
 
@@ -239,22 +239,8 @@ class McapSink:
         # As rosbag2 does: once at the start for a file that is cut off, once at the end.
         self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
 
-    def _describe(self) -> None:
-        """
-        Write once more what the first chunk defines: without it, messages mean nothing.
-
-        Done some kilobytes before that chunk and again behind it, so that no damage of one page
-        takes it all from a file that was never finished.
-        """
-        self._writer.add_metadata(
-            DEFINITIONS, {topic.type: topic.definition for topic in self._topics})
-        self._add_metadata()
-
     def _flush(self) -> None:
         self._writer.flush()
-        if self._ticks and not self._described:
-            self._described = True
-            self._describe()
         # What goes into a file that was removed is lost.
         self._path.stat()
         self._unflushed = False

@@ -10,7 +10,6 @@ from typing import NamedTuple
 from mcap.writer import MCAP0_MAGIC as MAGIC
 
 _PREFIX = struct.Struct('<BQ')
-_HEADER = 0x01
 KINDS = ('flip', 'zeros', 'truncation', 'insertion', 'deletion', 'opcode', 'swap', 'repeat',
          'removal', 'join', 'double')
 
@@ -44,13 +43,10 @@ def opcode_flips(content: bytes) -> Iterator[Mutant]:
 
 
 def joined(first: bytes, second: bytes) -> Iterator[Mutant]:
-    """Yield one file behind another: as it is, and without its magic, its header, its end."""
+    """Yield one file behind another, as it is and without its end; and behind a broken one."""
     whole = MAGIC + b''.join(records_of(second))
-    plain = whole[len(MAGIC):]
-    without_header = b''.join(r for r in records_of(second) if r[0] != _HEADER)
     for end, before in (('whole', first), ('cut off', first[:len(first) * 2 // 3])):
-        for begin, behind in (('whole', second), ('without end', whole), ('without magic', plain),
-                              ('without header', without_header),
+        for begin, behind in (('whole', second), ('without end', whole),
                               ('half', second[:len(second) // 2])):
             yield Mutant('join', before + behind, f'{end} file, then one {begin}')
 

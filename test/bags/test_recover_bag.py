@@ -136,17 +136,6 @@ def test_file_cut_off_at_any_byte_is_read_as_and_recovers_a_prefix_of_its_messag
         assert not recovery.lost
 
 
-def test_messages_inside_a_chunk_that_breaks_off_are_salvaged(tmp_path, recorded):
-    chunks = make_reader(BytesIO(recorded)).get_summary().chunk_indexes
-    last = chunks[1]
-    before = sum(message.log_time < last.message_start_time for message in messages_of(recorded))
-    # Cut shortly before its end: of its blocks of 128 KiB, the last is lost.
-    bag = cut(tmp_path / 'bag', recorded[:last.chunk_start_offset + last.chunk_length - 10])
-    recovery = recover(bag)
-    assert recovery.incomplete > 0 and not recovery.lost
-    assert recovery.messages > before + 100
-
-
 def test_damaged_chunk_is_left_out_and_told(tmp_path, recorded):
     chunk = make_reader(BytesIO(recorded)).get_summary().chunk_indexes[1]
     damaged = bytearray(recorded[:-8])
@@ -266,42 +255,6 @@ def split_bag(folder: Path) -> tuple[Path, Path]:
         sink.close()
         sink._path.rename(path)
     return files
-
-
-def test_split_bag_is_described_as_one_with_all_its_files(tmp_path, capsys):
-    first, second = split_bag(tmp_path / 'bag')
-    second.write_bytes(second.read_bytes()[:-20])
-    # A file by itself is not the bag.
-    recover(first)
-    assert not (first.parent / 'metadata.yaml').exists()
-    assert main([str(first.parent)]) == 0
-    assert capsys.readouterr().out.splitlines()[-1].endswith(
-        'metadata.yaml written: 150 messages in 2 files')
-    described = yaml.safe_load((first.parent / 'metadata.yaml').read_text())[
-        'rosbag2_bagfile_information']
-    assert described['relative_file_paths'] == [first.name, second.name]
-    assert [(file['path'], file['message_count'], file['starting_time'], file['duration'])
-            for file in described['files']] == [
-        (path.name, 3 * ticks, {'nanoseconds_since_epoch': begin * PERIOD},
-         {'nanoseconds': (ticks - 1) * PERIOD})
-        for path, begin, ticks in ((first, 0, 20), (second, 20, 30))]
-    assert described['duration'] == {'nanoseconds': 49 * PERIOD}
-    with AnyReader([first.parent]) as reader:
-        assert {c.topic: c.msgcount for c in reader.connections} == {
-            topic.name: 50 for topic in TOPICS}
-        assert len(list(reader.messages())) == 150
-    before = [path.read_bytes() for path in sorted(first.parent.iterdir())]
-    assert main([str(first.parent)]) == 0
-    assert [path.read_bytes() for path in sorted(first.parent.iterdir())] == before
-
-
-def test_messages_that_a_file_of_a_split_bag_has_lost_are_counted_by_its_metadata(tmp_path):
-    first, second = split_bag(tmp_path / 'bag')
-    assert main([str(first.parent)]) == 0
-    # Cut off behind ten chunks; the file's own count was at its end.
-    chunk = make_reader(BytesIO(second.read_bytes())).get_summary().chunk_indexes[10]
-    second.write_bytes(second.read_bytes()[:chunk.chunk_start_offset])
-    assert recover(second).fewer == 60
 
 
 ENDLESS = """

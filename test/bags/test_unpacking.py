@@ -5,9 +5,9 @@
 from pathlib import Path
 import struct
 
-from hnn_vi_ros.bags import mcap_file, mcap_reader
+from hnn_vi_ros.bags import mcap_reader
+from hnn_vi_ros.bags.mcap_file import _unpack, LARGEST
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_records import LARGEST, unpack
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import RecordingError
 import lz4.frame
@@ -76,14 +76,14 @@ def test_chunk_that_lies_about_its_size_is_damaged_and_the_next_is_read(
 @pytest.mark.parametrize('compression', PACKERS)
 def test_no_more_is_unpacked_than_a_chunk_declares_or_256_mebibytes(monkeypatch, compression):
     unpacked = []
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_records.unpack_zstd',
+    monkeypatch.setattr('hnn_vi_ros.bags.mcap_file.unpack_zstd',
                         lambda data, most: unpacked.append(most) or b'')
     data = records()
     assert LARGEST == 256 * 2**20
     for size in (10, LARGEST, LARGEST + 1, 2**60):
         content = struct.pack('<QQQII', 0, 9, size, 0, len(compression)) + compression.encode() \
             + struct.pack('<Q', len(data)) + PACKERS[compression](data)
-        assert unpack(content, True) == (b'', False)
+        assert _unpack(content) is None
     assert unpacked == ([11, LARGEST + 1] if compression == 'zstd' else [])
 
 
@@ -113,40 +113,6 @@ def test_chunk_of_two_gibibytes_of_zeros_costs_no_memory(tmp_path, declared):
     path = write_chunk(tmp_path / 'a.mcap', 'zstd', zeros(2**31), declared)
     assert path.stat().st_size < 2**20
     assert memory_of(path) < 50
-
-
-def repeated(count: int, spacing: int) -> bytes:
-    """Return the records of a chunk of messages without content."""
-    parts = [records(0)]
-    parts += [struct.pack('<BQHIQQ', 0x05, 22, 1, 0, i * spacing, i * spacing)
-              for i in range(count)]
-    return b''.join(parts)
-
-
-@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
-def test_chunk_of_more_messages_than_any_recording_packs_into_it_is_damaged(
-        tmp_path, monkeypatch, compression):
-    monkeypatch.setattr(mcap_file, '_AT_LEAST', 1000)
-    data = repeated(50_000, 0)
-    path = write_chunk(tmp_path / 'a.mcap', compression, PACKERS[compression](data), len(data))
-    assert path.stat().st_size < 11_000
-    reader = BagReader(path)
-    # The one behind it is read, and read again.
-    for _ in range(2):
-        assert [int(message.data) for message in reader.messages()] == list(range(50))
-    assert '1 damaged parts' in reader.damage and recover(path).damaged == 1
-
-
-@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
-@pytest.mark.parametrize('spacing', [1, 10**6, 2**20])
-def test_even_messages_without_content_are_not_too_many(
-        tmp_path, monkeypatch, compression, spacing):
-    monkeypatch.setattr(mcap_file, '_AT_LEAST', 0)
-    data = repeated(20_000, spacing)
-    path = write_chunk(tmp_path / 'a.mcap', compression, PACKERS[compression](data), len(data))
-    for _ in range(2):
-        reader = BagReader(path)
-        assert len([0 for _ in reader.messages()]) == 20_050 and not reader.damage
 
 
 def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(

@@ -5,12 +5,13 @@
 from collections import Counter
 import os
 from pathlib import Path
+import re
 import shutil
 
 from bags.bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_records import MAGIC
+from hnn_vi_ros.bags.mcap_file import MAGIC
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bag_motions, read_bags
@@ -96,19 +97,14 @@ def test_no_damaged_bag_is_confirmed_or_used_as_if_it_were_whole(
 
 def test_second_file_is_found_behind_a_record_that_breaks_off(bag, other, tmp_path):
     """The record's length covers the beginning of the other file, whose channels are alike."""
-    whole, path = content_of(bag), tmp_path / 'bag' / 'bag_0.mcap'
+    path = tmp_path / 'bag' / 'bag_0.mcap'
     first = without_end((bag / 'bag_0.mcap').read_bytes())
     for end in range(len(first) // 4, len(first), 499):
         shutil.rmtree(path.parent, ignore_errors=True)
         path.parent.mkdir()
         path.write_bytes(first[:end] + without_end(other)[:len(other) // 2])
-        try:
-            assert recover(path.parent).another == end
-        except RecordingError as problem:
-            # Of the first file there is too little.
-            assert f'tail -c +{end + 1}' in str(problem)
-        else:
-            assert content_of(path.parent) <= whole
+        with pytest.raises(RecordingError, match=re.escape(f'tail -c +{end + 1} ')):
+            recover(path.parent)
 
 
 def recovered(path: Path, whole: Counter, cut_off: bool) -> bool:

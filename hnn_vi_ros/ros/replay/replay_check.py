@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate a recorded run again, and compare it with its log bit by bit."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import missing_stamps
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
 from hnn_vi_ros.kernels.sources import identity
@@ -30,6 +29,10 @@ _EPSILON = np.finfo(np.float64).eps
 # A bag may ask for so many steps a sample: at 1 to 3 us each, as many as run in real time at a
 # sample a second; and for so many before another recorder's first sample.
 _MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
+# Stamps are rounded to nanoseconds, and so are their differences.
+_ROUNDING = 2
+# Fewer differences, or fewer of them alike, are no grid.
+_LEAST, _SHARE = 3, 0.5
 
 
 class Verdict(NamedTuple):
@@ -160,6 +163,59 @@ def _missing(run: RecordedRun, begin: int) -> str:
     if run.reader.damage:
         text += f'; BUT {run.reader.damage}'
     return text
+
+
+class Missing(NamedTuple):
+    """
+    A gap in an even grid.
+
+    Parameters
+    ----------
+    after, before : int
+        The stamps around it [ns].
+    count : int
+        How many stamps are missing in between.
+
+    """
+
+    after: int
+    before: int
+    count: int  # type: ignore[assignment]  # not tuple.count
+
+
+def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
+                   ) -> list[Missing]:
+    """
+    Return the gaps in a grid, whose spacing is the most frequent difference if none is given.
+
+    Stamps in between, as of single steps in a pause, are not asked for and no harm. Stamps of
+    which less than half are evenly spaced have no gaps.
+
+    Parameters
+    ----------
+    stamps : sequence of int
+        In any order [ns].
+    spacing : int, optional
+        What lies between two of them at most [ns].
+
+    """
+    t = np.unique(np.asarray(stamps, dtype=np.uint64))
+    differences = np.diff(t).astype(np.float64)
+    usual = spacing or _frequent(differences)
+    if usual is None:
+        return []
+    return [Missing(int(t[i]), int(t[i + 1]), round(differences[i] / usual) - 1)
+            for i in np.flatnonzero(differences > 1.5 * usual)]
+
+
+def _frequent(differences: np.ndarray) -> float | None:
+    """Return the most frequent difference; None where less than half are that."""
+    if len(differences) < _LEAST:
+        return None
+    values, counts = np.unique(differences, return_counts=True)
+    spacing = float(values[np.argmax(counts)])
+    even = np.abs(differences - spacing) <= _ROUNDING
+    return spacing if even.sum() >= max(_LEAST, _SHARE * len(differences)) else None
 
 
 def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:

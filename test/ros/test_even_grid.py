@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaps among stamps that come evenly, and none where they do not."""
 
-from hnn_vi_ros.bags.mcap_recovery import Missing, missing_in_all, missing_stamps
+from hnn_vi_ros.ros.replay.replay_check import Missing, missing_stamps
 import numpy as np
 import pytest
 
@@ -29,19 +29,3 @@ def test_stamps_that_are_rounded_to_nanoseconds_are_even():
 ], ids=['none', 'one', 'few', 'single steps in a pause', 'wall time'])
 def test_stamps_without_a_grid_or_with_more_have_no_gaps(stamps):
     assert missing_stamps(stamps) == []
-
-
-def test_topics_that_come_when_they_like_make_no_gap():
-    rng = np.random.default_rng(2)
-    commands = [stamp for stamp in GRID if rng.uniform() < 0.8]
-    alarms = [*GRID[3:8], GRID[60]]
-    diagnostics = (np.arange(3) * 10**9 + rng.integers(0, 10**8, 3)).tolist()
-    assert missing_stamps(commands) and missing_stamps(alarms)
-    assert missing_in_all([GRID, commands, alarms, diagnostics]) == []
-
-
-def test_gap_of_all_topics_is_told_once():
-    rest = GRID[:40] + GRID[60:]
-    assert missing_in_all([rest, rest, rest[1:], GRID[:3]]) == [
-        Missing(39 * TICK, 60 * TICK, 20)]
-    assert missing_in_all([]) == []
