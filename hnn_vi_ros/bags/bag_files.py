@@ -11,7 +11,7 @@ from typing import Any, final
 
 from hnn_vi_ros.bags.bag_metadata import read_bag_metadata
 from hnn_vi_ros.bags.mcap_file import LARGEST, McapFile, Piece
-from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files.regular_file import open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from mcap.records import Channel, Message, Schema
@@ -40,16 +40,15 @@ class ForeignBag:
     Raises
     ------
     RecordingError
-        It cannot be read, or rosbags is not installed.
+        It cannot be read.
+    MissingPackage
+        It needs rosbags, which is not installed.
 
     """
 
     def __init__(self, bag: Path, files: list[Path]):
-        try:
+        with optional('rosbags', f'{bag}: a bag in SQLite or with packed files'):
             from rosbags.rosbag2 import Reader
-        except ImportError as problem:
-            raise RecordingError(f'{bag}: SQLite files and packed ones are read by rosbags, which '
-                                 'is not installed: pip install rosbags') from problem
         self.name = bag
         self.unread: dict[int, int] = {}
         self.schemas: dict[int, Schema] = {}

@@ -15,7 +15,6 @@ import time
 from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.bags.mcap_sink import McapSink
-from hnn_vi_ros.bags.recover_bag import main
 from hnn_vi_ros.errors import RecordingError
 from hypothesis import example, given, settings, strategies
 from mcap.reader import make_reader
