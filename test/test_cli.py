@@ -150,7 +150,7 @@ def test_bags_of_a_sweep_take_ros_and_their_help_does_not(tmp_path):
     assert '-m pip install "ros-jazzy-rclpy[fastrtps]"' in result.stderr
     assert not (tmp_path / 'out').exists()
     result = run('sweep', 'rclpy', *arguments, '--help')
-    assert result.returncode == 0 and '--episodes {mcap,lerobot}' in result.stdout
+    assert result.returncode == 0 and '--episodes {mcap}' in result.stdout
 
 
 def test_missing_viewer_is_one_line_with_the_pip_command(tmp_path):

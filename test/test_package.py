@@ -53,7 +53,7 @@ HOMES = {
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
-    'pyarrow': r'sweeps/(parquet|lerobot)\.py',
+    'pyarrow': r'sweeps/parquet\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',

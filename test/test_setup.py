@@ -114,8 +114,8 @@ def test_setup_names_the_packages_of_the_requirements(run_setup):
 def test_constraints_pin_every_package_that_an_install_brings(python):
     pins = {canonicalize_name(pin.name): str(pin.specifier) for pin in requirements_of(
         'constraints', 'bench', 'ray', 'jazzy', 'jazzy_test')}
-    names = brought(requirements_of('build', 'runtime', 'bags', 'rerun', 'sweep', 'jazzy', 'train', 'test',
-                                    'jazzy_test', 'ray'), python)
+    names = brought(requirements_of('build', 'runtime', 'bags', 'rerun', 'sweep', 'jazzy', 'train',
+                                    'test', 'jazzy_test', 'ray'), python)
     assert not [name for name in names if not pins.get(name, '').startswith('==')]
 
 

@@ -44,9 +44,8 @@ def sweep() -> Parser:
         'take the steps in torch, thousands of trajectories together: on cuda, cuda:N or cpu; '
         'for models that are networks, without effects (default: compiled loops on the '
         'processor)'))
-    parser.add_argument('--episodes', choices=('mcap', 'lerobot'), help=(
-        'write trajectories one by one in place of shards: bags like those of the simulator, or a '
-        'LeRobot dataset (v3.0)'))
+    parser.add_argument('--episodes', choices=('mcap',), help=(
+        'write trajectories one by one in place of shards: bags like those of the simulator'))
     parser.add_argument('--select', metavar='INDICES', help=(
         'with --episodes: which, as N, FIRST:END or FIRST:END:STEP, with commas between several '
         '(default: all)'))

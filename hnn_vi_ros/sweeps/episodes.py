@@ -67,11 +67,6 @@ def without_ros(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> N
                     'writes, and write_bags of hnn_vi_ros.ros.replay.episode_bags')
 
 
-def rate_of(plan: SweepPlan) -> float:
-    """Return how many samples of an episode come in a second [Hz]: one each ``every`` steps."""
-    return 1.0 / ((plan.sweep.every or 1) * plan.scene.known_step_size)
-
-
 def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Iterator[Episode]:
     """
     Yield trajectories of a sweep, each before its first step.

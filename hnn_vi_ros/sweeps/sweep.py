@@ -21,7 +21,6 @@ from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros
 from hnn_vi_ros.sweeps.folder import shards_of, Survey, SweepFolder
-from hnn_vi_ros.sweeps.lerobot import write_lerobot
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
@@ -46,7 +45,7 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     if options.episodes:
         return _write_episodes(options, write_bags)
     if options.select is not None:
-        raise ParameterError('--select chooses among episodes: give --episodes mcap or lerobot')
+        raise ParameterError('--select chooses among episodes: give --episodes mcap')
     out = options.out or Path('sweeps') / Path(options.sweep).stem
     try:
         begin = time.monotonic()
@@ -80,8 +79,7 @@ def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
     out = options.out or Path('episodes') / Path(options.sweep).stem
     plan, failed = make_plan(options.sweep), dict[int, str]()
     indices = selected(options.select or '', plan.count)
-    write = write_lerobot if options.episodes == 'lerobot' else write_bags
-    write(plan, episodes(plan, indices, failed), out)
+    write_bags(plan, episodes(plan, indices, failed), out)
     why = ''.join(f'; {index} not: {reason}' for index, reason in list(failed.items())[:3])
     print(f'{out}: {len(indices) - len(failed)} of {len(indices)} episodes{why}')
     return int(len(failed) == len(indices))
