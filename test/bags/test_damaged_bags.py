@@ -15,8 +15,8 @@ import socket
 from bag_content import content_of
 from bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_file import MAGIC
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover, Recovery
 from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.bags.recover_bag import main

@@ -10,8 +10,8 @@ import shutil
 
 from bags.bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_file import MAGIC
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bag_motions, read_bags

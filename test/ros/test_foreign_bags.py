@@ -113,6 +113,7 @@ def test_foreign_bag_of_two_runs_is_one_line_that_says_where_to_cut_it(run, tmp_
     (tmp_path / 'bag').mkdir()
     bag = as_received(run, tmp_path / 'bag' / 'bag_0.mcap', jitter=0.0).parent
     as_received(again, bag / 'bag_1.mcap', jitter=0.0, epoch=second)
+    name_files(bag, ['bag_0.mcap', 'bag_1.mcap'])
     # From the last run of several of one scene a simulator may go on.
     for use in (check_replay, resume, show) if reset else (check_replay, show):
         with refused(RecordingError):
@@ -145,8 +146,7 @@ def with_attachments(bag: Path, target: Path, change=bytes) -> Path:
         rewritten(BagReader(bag), target / f'{target.name}_{i}.mcap',
                   lambda message, i=i: i * (10**9 + 1) <= message.time <= (i + 1) * 10**9,
                   change=lambda message: message._replace(data=change(message.data)))
-    (target / 'metadata.yaml').write_text(yaml.safe_dump({'rosbag2_bagfile_information': {
-        'relative_file_paths': [f'{target.name}_{i}.mcap' for i in range(2)]}}))
+    name_files(target, [f'{target.name}_{i}.mcap' for i in range(2)])
     return target
 
 
@@ -267,6 +267,10 @@ def test_file_that_is_named_twice_is_read_once(run, tmp_path):
 def describe(run: Path, folder: Path, named: list[str]) -> None:
     """Write a bag of one file whose description names others."""
     shutil.copy(run / 'bag_0.mcap', folder)
+    name_files(folder, named)
+
+
+def name_files(folder: Path, named: list[str]) -> None:
     (folder / 'metadata.yaml').write_text(yaml.safe_dump(
         {'rosbag2_bagfile_information': {'relative_file_paths': named}}))
 

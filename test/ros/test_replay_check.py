@@ -8,8 +8,8 @@ import re
 
 from bags.bag_mutations import records_of
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.bags.mcap_file import MAGIC
+from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.learning.data.bag_signals import SignalReader
