@@ -54,6 +54,7 @@ HOMES = {
     'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
+    'rosbags': r'bags/bag_files\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',

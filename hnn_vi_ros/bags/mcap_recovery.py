@@ -127,7 +127,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
 
 
 class _Content:
-    """How many messages of each channel a file holds, and their extent, by reading them all."""
+    """Counts of the messages of a file, by channel, and their extent; it reads them all."""
 
     def __init__(self, file: McapFile):
         self.counts = Counter[int]()
