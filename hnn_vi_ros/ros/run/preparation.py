@@ -174,18 +174,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     begin('selecting the integrator')
     scene, chosen, log_lines = select(scene, 1.0 / settings.publish_rate, factor, logger)
     begin('compiling the kernel')
-    with announced(tell):
-        parts = scene.parts()
-    # Outside of what is announced: the loop is looked for, and not compiled, here.
-    with compiled_beside(parts), announced(tell):
-        simulation = _compile(parts, logger)
-    with announced(tell):
-        with scene.placed('uncertainty'):
-            members = None if scene.uncertainty is None else Members(parts)
-        twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
-        # What looks into steps, or goes along with them, waits for nothing in the run.
-        alone = not (scene.events or settings.publish_accuracy or members or twin)
-        ready = compile_rest(simulation, kept_only if alone else nullcontext)
+    simulation, members, twin, ready = _build(scene, settings.publish_accuracy, logger, tell)
     if step:
         simulation.restart(scene.initial_state.q, scene.initial_state.p, step=step)
     sampler = Sampler(simulation, settings.publish_rate, origin)
@@ -201,15 +190,12 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         box = simulation.hamiltonian.box or look_ahead(
             simulation, min(seconds, settings.duration or seconds))
     if settings.explain:
-        begin('measuring what each effect adds to a step')
-        logger.info('measuring what each effect adds to a step')
+        tell('measuring what each effect adds to a step')
     report = scene_report(scene, simulation, origin, settings.explain, chosen)
     if topics.remapped:
         report[KEY] = dict(topics.remapped)
     if settings.autostart:
-        while not discovery.over:
-            begin('waiting for subscribers')
-            time.sleep(DISCOVERY_PERIOD)
+        _await_subscribers(discovery, begin)
     # Here, since it takes a while: from now on there are files, to hold all that follows.
     freeze_memory()
     begin(OPENING)
@@ -239,6 +225,37 @@ def check_pace(real_time_factor: float, tick: float) -> None:
     if real_time_factor * _LONGEST_WAIT < tick and real_time_factor > 0.0:
         raise ParameterError(f'parameter real_time_factor = {real_time_factor:g}: more than '
                              f'{_LONGEST_WAIT:.0e} s would pass between two samples')
+
+
+class _Built(NamedTuple):
+    simulation: Simulation
+    members: Members | None
+    twin: Twin | None
+    rescue_ready: bool
+
+
+def _build(scene: Scene, publish_accuracy: bool, logger: Logger, tell: Callable[[str], None]
+           ) -> _Built:
+    """Make the simulation and what goes along with it, compiled."""
+    with announced(tell):
+        parts = scene.parts()
+    # Outside of what is announced: the loop is looked for, and not compiled, here.
+    with compiled_beside(parts), announced(tell):
+        simulation = _compile(parts, logger)
+    with announced(tell):
+        with scene.placed('uncertainty'):
+            members = None if scene.uncertainty is None else Members(parts)
+        twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
+        # What looks into steps, or goes along with them, waits for nothing in the run.
+        alone = not (scene.events or publish_accuracy or members or twin)
+        ready = compile_rest(simulation, kept_only if alone else nullcontext)
+    return _Built(simulation, members, twin, ready)
+
+
+def _await_subscribers(discovery: Discovery, begin: Callable[[str], None]) -> None:
+    while not discovery.over:
+        begin('waiting for subscribers')
+        time.sleep(DISCOVERY_PERIOD)
 
 
 def _compile(parts: Parts, logger: Logger) -> Simulation:
