@@ -75,12 +75,10 @@ class Sum(Cost):
         self._parts = tuple(parts)
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         first, *others = (part.value(z, u) for part in self._parts)
         return sum(others, first)
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; see Cost."""
         first, *others = (part.expand(z, u) for part in self._parts)
         for other in others:
             first = Expansion(*(a + b for a, b in zip(first, other, strict=True)))
@@ -94,11 +92,9 @@ class Scaled(Cost):
         self._cost, self._weight = cost, weight
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         return self._weight * self._cost.value(z, u)
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; see Cost."""
         return Expansion(*(self._weight * part for part in self._cost.expand(z, u)))
 
 
@@ -109,12 +105,11 @@ class Saturating(Cost):
         self._cost, self._half = cost, half
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         value = self._cost.value(z, u)
         return value / (value + self._half)
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; its Hessian leaves out the negative part; see Cost."""
+        """Return the expansion; its Hessian leaves out the negative part."""
         value, *others = self._cost.expand(z, u)
         slope = self._half / (value + self._half)**2
         vectors, matrices = slope[:, None], slope[:, None, None]
@@ -154,7 +149,6 @@ class Quadratic(Cost):
         self._of_state = bool(self._q.any())
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         x, effort = self._away(z), u - self._u
         return ((x @ self._q) * x).sum(axis=-1) + ((effort @ self._r) * effort).sum(axis=-1)
 
@@ -163,7 +157,6 @@ class Quadratic(Cost):
         return deviation(self._hamiltonian, z, self._z) if self._of_state else z
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; see Cost."""
         x, effort = self._away(z), u - self._u
         by_x, by_u = x @ self._q, effort @ self._r
         return Expansion((by_x * x).sum(axis=-1) + (by_u * effort).sum(axis=-1), 2.0 * by_x,
@@ -195,7 +188,6 @@ class _OfState(Cost):
         """Return value, gradient by z and Hessian by z."""
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; see Cost."""
         value, by_z, by_zz = self._expand(*np.split(z, 2, axis=-1))
         n, c = u.shape
         return Expansion(value, by_z, np.zeros((n, c)), by_zz, np.zeros((n, c, c)))
@@ -220,7 +212,6 @@ class Energy(_OfState):
         self._energy = float(hamiltonian.energy(q, p))
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         return (self._hamiltonian.energy(*np.split(z, 2, axis=-1)) - self._energy)**2
 
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -245,7 +236,6 @@ class Kinetic(_OfState):
         self._hamiltonian = hamiltonian
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         moving, rest = self._hamiltonian.energy(*_and_at_rest(*np.split(z, 2, axis=-1)))
         return moving - rest
 
@@ -441,7 +431,6 @@ class Point(_OfState):
         return places.reshape(*q.shape[:-1], 3), slopes
 
     def value(self, z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the cost; see Cost."""
         away = (self.place(z[..., :z.shape[-1] // 2]) - self._goal) / self._length
         return (away**2).sum(axis=-1)
 

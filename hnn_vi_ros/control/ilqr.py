@@ -106,7 +106,7 @@ class Ilqr(Planner):
         self._others: list[Plan] = []
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
-        """Return the command from t on, shape (c,); see Planner."""
+        """Return the command from t on, shape (c,)."""
         end = self._clock() + self._budget
         z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
         regulated = self._regulated(z, t)

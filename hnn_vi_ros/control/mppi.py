@@ -55,7 +55,7 @@ class Mppi(Planner):
         self._knots = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(knots)))
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
-        """Return the command from t on, shape (c,); see Ilqr."""
+        """Return the command from t on, shape (c,)."""
         z = np.append(np.asarray(q, dtype=np.float64), momentum(self._steps, q, v))
         mean = self._shifted(self._last, t)
         noise = self._knots @ self._rng.normal(

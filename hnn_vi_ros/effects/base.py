@@ -281,7 +281,7 @@ class Potential(Joined):
     @cache
     def compose(cls, base_energy: Energy, base_gradient: Gradient,
                 base_hessian_vector: HessianVector) -> Functions:
-        """Return the functions of H(q, p) + V(q); see Joined."""
+        """Return the functions of H(q, p) + V(q)."""
         add_energy, add_gradient = cls.energy, cls.add_gradient
         add_hessian_vector = cls.add_hessian_vector
 

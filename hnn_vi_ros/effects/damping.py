@@ -88,7 +88,7 @@ class Damping(Force, StepEffect):
     @staticmethod
     @cache
     def wrap(step: Step, keeps_gradient: bool) -> Step:
-        """Return the step between two half flows; see StepEffect."""
+        """Return the step between two half flows."""
         return strang(_flow, step, keeps_gradient)
 
 

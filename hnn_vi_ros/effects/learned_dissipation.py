@@ -70,7 +70,7 @@ class LearnedDissipation(Force):
 
     @property
     def rounding(self) -> tuple[float, float]:
-        """Return the rounding errors of D_q and D_p; see Force."""
+        """Return the rounding errors of D_q and D_p."""
         return self.network.kernel.gradient_scale
 
     def resolve(self, coordinates: Sequence[Coordinate], state: EffectState) -> Dissipation:

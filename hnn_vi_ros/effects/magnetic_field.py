@@ -80,7 +80,7 @@ class MagneticField(Joined):
     @cache
     def compose(cls, base_energy: Energy, base_gradient: Gradient,
                 base_hessian_vector: HessianVector) -> Functions:
-        """Return the functions of H(q, p - c A(q)); see Joined."""
+        """Return the functions of H(q, p - c A(q))."""
         def energy(parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
             base, own, work = parameters
             _kinetic(own, q, p, work[0])

@@ -116,7 +116,7 @@ class Observer(StepEffect, Commanded):
 
     def prepare(self, command: Command, parameters: ObserverParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return a function that puts an observation into effect; see Commanded."""
+        """Return a function that puts an observation into effect."""
         assert isinstance(command, Observation)
         position, velocity = select(command, self.names)
         now, row = parameters.clock[0], parameters.knots[-1]
@@ -139,7 +139,7 @@ class Observer(StepEffect, Commanded):
     @staticmethod
     @cache
     def wrap(step: Step, keeps_gradient: bool) -> Step:
-        """Return the step between two half flows; see StepEffect."""
+        """Return the step between two half flows."""
         return strang(_flow, step, keeps_gradient)
 
 

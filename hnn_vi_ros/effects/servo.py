@@ -114,7 +114,7 @@ class Servo(Force, Commanded):
 
     def prepare(self, command: Command, parameters: ServoParameters, q: np.ndarray
                 ) -> Callable[[], None]:
-        """Return a function that sets positions, velocities or a path; see Commanded."""
+        """Return a function that sets positions, velocities or a path."""
         if isinstance(command, JointPath):
             return _prepare_path(command, parameters, self.names, q)
         assert isinstance(command, JointCommand)

@@ -194,13 +194,13 @@ class RigidContact(StepEffect):
 
     @staticmethod
     def workspace(n: int, settings: tuple[Any, ...]) -> StopsWork:
-        """Return the workspace of a step with the stops of the settings; see StepEffect."""
+        """Return the workspace of a step with the stops of the settings."""
         return StopsWork.empty(n, settings[0].columns.size)
 
     @staticmethod
     @cache
     def wrap(step: tuple[Step, bool], keeps_gradient: bool) -> Step:
-        """Return the step, cut into parts by impacts; see StepEffect."""
+        """Return the step, cut into parts by impacts."""
         return stop(*step)
 
 

@@ -123,7 +123,7 @@ class Thermostat(StepEffect):
     @staticmethod
     @cache
     def wrap(halves: tuple[Step, Step], keeps_gradient: bool) -> Step:
-        """Return the two halves with the bath between them; see StepEffect."""
+        """Return the two halves with the bath between them."""
         # Imported here, since it loads the compiler, which reading a scene does not need.
         from hnn_vi_ros.effects.noise import draw_uniform, fill_normals
         first_half, second_half = halves

@@ -93,7 +93,7 @@ class Wrapped(Integrator):
         return (self.inner.options(attempt, dimension), *self._settings)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[Any, ...]:
-        """Return the workspaces of the method and of the layer; see Integrator."""
+        """Return the workspaces of the method and of the layer."""
         return (*self.inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
     def substep(self) -> Integrator | None:

@@ -68,11 +68,9 @@ class BandGuard(BlockGuard):
         self._ends = np.repeat([[math.inf], [-math.inf]], len(weights), axis=1)
 
     def allow(self, band: float, change: float) -> None:
-        """See Guard."""
         self._share = band
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         values, limits = self._values(block), self._limits(block)
         alarms, taken = [], 0
         while taken < len(limits):
@@ -85,7 +83,6 @@ class BandGuard(BlockGuard):
         return alarms
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         return self._alarm(sample.step)
 
     def _values(self, block: Block) -> np.ndarray:
@@ -167,7 +164,6 @@ class ResolutionGuard(BandGuard):
         self._own = np.array([math.inf, -math.inf, -1.0, math.inf])
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         if not self._patient or self.raised:
             return super().take(block)
         i = _first_lasting(self._own, block.step, block.energy,
@@ -398,11 +394,9 @@ class EnergyGuard(BlockGuard):
         self._since, self._sign = math.inf, 0
 
     def allow(self, band: float, change: float) -> None:
-        """See Guard."""
         self._share = change
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         if self._start is None:
             self._start = float(block.accounted[0])
         scales = _turn_over(self._turned, block.work, self._scale_at(block))
@@ -431,7 +425,6 @@ class EnergyGuard(BlockGuard):
         return self._start - _JUMP * self._scale, self._start + _JUMP * self._scale
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         assert self._start is not None, 'an alarm was raised, by a sample'
         change = abs(accounted_energy(sample) - self._start)
         return self._alarm(sample.step, change, *self._how)

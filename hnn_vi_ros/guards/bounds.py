@@ -65,7 +65,6 @@ class BoxGuard(BlockGuard):
         return bool(self._excess(sample.q[None], sample.p[None], sample.dH_dp[None])[0] > 0.0)
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         excess = self._excess(block.q, block.p, block.dH_dp)
         if self.excess == 0.0 and not excess.any():
             self._samples += excess.size
@@ -102,7 +101,6 @@ class BoxGuard(BlockGuard):
         return self._outside / max(1, self._samples)
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         return self._alarm(sample.step)
 
     def _alarm(self, step: int) -> Alarm:
@@ -147,12 +145,10 @@ class SpreadGuard(StateGuard):
         self._half = 0.5 * np.ptp(np.concatenate(box), axis=1)
 
     def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         before, self.value = self.value, float((self._spread() / self._half).max())
         return self.renew(sample) if before <= self._limit < self.value else None
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         if self.value <= self._limit:
             return None
         what = (f'the members of the ensemble are {self.value:.2g} half-widths of the training '

@@ -58,7 +58,6 @@ class PathGuard(BlockGuard):
         self._before: tuple[int, np.ndarray, np.ndarray] | None = None
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         alarms, at = [], 0
         slopes = np.abs(np.hstack([block.dH_dq, block.dH_dp]))
         later = self._simulation.integrator.order > 1
@@ -75,7 +74,6 @@ class PathGuard(BlockGuard):
         return alarms
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         return self._alarm(sample.step)
 
     def _sample(self, block: Block, i: int) -> tuple[int, np.ndarray, np.ndarray]:

@@ -61,7 +61,6 @@ class PoleGuard(BlockGuard):
         self._last = np.empty((0, 2 * hamiltonian.dimension))
 
     def take(self, block: Block) -> list[Alarm]:
-        """See BlockGuard."""
         if self.raised:
             return []
         z = np.hstack([block.q, block.p])
@@ -82,7 +81,6 @@ class PoleGuard(BlockGuard):
         return alarms
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         return self._alarm(sample.step)
 
     def _sizes(self, z: np.ndarray) -> np.ndarray:

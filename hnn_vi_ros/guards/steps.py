@@ -37,14 +37,12 @@ class CostGuard(StateGuard):
         self._limit = _SLOW * self._usual
 
     def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         if self._raised or self._simulation.costliest[0] <= self._limit:
             return None
         self._raised = True
         return self.renew(sample)
 
     def renew(self, sample: Observed) -> Alarm:
-        """See Guard."""
         gradients, step = self._simulation.costliest
         return Alarm(self.kind, step, gradients, self._limit,
                      f'a step took {gradients} evaluations of the gradient, where '
@@ -77,12 +75,10 @@ class CountGuard(StateGuard):
         self._simulation, self._seen = simulation, 0
 
     def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         before, self._seen = self._seen, getattr(self._simulation, self.counted)
         return self.renew(sample) if before == 0 < self._seen else None
 
     def renew(self, sample: Observed) -> Alarm:
-        """See Guard."""
         count = getattr(self._simulation, self.counted)
         # Those who look at a path afterwards see the counts of its end.
         return Alarm(self.kind, self._simulation.steps, count, 0, self.message.format(count), '1')

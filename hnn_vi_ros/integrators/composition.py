@@ -65,7 +65,7 @@ class Composition(Integrator):
         self.equations = self.base.equations
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Refuse what the base does; see Integrator."""
+        """Refuse what the base does."""
         return self.base.refusal(hamiltonian)
 
     @property
@@ -79,7 +79,7 @@ class Composition(Integrator):
 
     @property
     def usual_gradients(self) -> int:
-        """Return what the steps of the base take; see Integrator."""
+        """Return what the steps of the base take."""
         return len(self.fractions) * self.base.usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> tuple:
@@ -92,12 +92,12 @@ class Composition(Integrator):
 
     @property
     def partitioned(self) -> PartitionedTableau | None:
-        """Return the stages of the base's steps, one step after another; see Integrator."""
+        """Return the stages of the base's steps, one step after another."""
         base = self.base.partitioned
         return None if base is None else in_sequence(base, self.fractions)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspaces of the base, and a point between two steps; see Integrator."""
+        """Return the workspaces of the base, and a point between two steps."""
         return (*self.base.memory(n, dtype), PointWork(Point.empty(n, dtype)))
 
 

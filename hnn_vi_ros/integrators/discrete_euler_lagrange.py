@@ -78,7 +78,7 @@ class DiscreteEulerLagrange(Integrator):
         self.order = order
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Refuse a Hamiltonian that is not that of the learned Lagrangian; see Integrator."""
+        """Refuse a Hamiltonian that is not that of the learned Lagrangian."""
         if self._model and hamiltonian.provenance.get('model_sha256') != self._model.sha256:
             return ('needs the Hamiltonian of its own model, since the momenta of others are '
                     'not the same: name the same model in both')

@@ -67,7 +67,7 @@ class EnergyConserving(ImplicitIntegrator):
     order, equations = 2, (2,)  # for the new q and p
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[DiscreteGradientWork]:
-        """Return the workspace of the equation; see Integrator."""
+        """Return the workspace of the equation."""
         return (DiscreteGradientWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
                                      *np.zeros((6, 2 * n), dtype)),)
 

@@ -356,7 +356,7 @@ class Collocation(ImplicitIntegrator):
 
     @property
     def usual_gradients(self) -> int:
-        """Return what its one equation takes, with a gradient for each stage; see Integrator."""
+        """Return what its one equation takes, with a gradient for each stage."""
         return self.stages * super().usual_gradients
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Tableau:  # type: ignore[override]
@@ -402,7 +402,7 @@ class Gauss(Collocation):
                                 direct=True)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[GaussWork]:
-        """Return the workspace of the equation; see Integrator."""
+        """Return the workspace of the equation."""
         (size,) = self.unknowns(n)
         kept = StageSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype))
         return (GaussWork(kept, SolverWork.empty(size, dtype),
@@ -410,7 +410,7 @@ class Gauss(Collocation):
 
     @property
     def partitioned(self) -> PartitionedTableau:
-        """Return its stages, the same for q and p; see Integrator."""
+        """Return its stages, the same for q and p."""
         matrix, weights, _ = gauss_tableau(self.stages)
         return PartitionedTableau(matrix, matrix, weights, weights)
 

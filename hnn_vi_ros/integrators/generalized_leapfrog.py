@@ -48,7 +48,7 @@ class GeneralizedLeapfrog(ImplicitIntegrator):
     partitioned = LEAPFROG
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork, HalfwayWork]:
-        """Return the workspaces of the two equations; see Integrator."""
+        """Return the workspaces of the two equations."""
         first, second = (EquationWork.empty(n, dtype) for _ in range(2))
         return first, HalfwayWork(*second, *np.zeros((2, n), dtype))
 

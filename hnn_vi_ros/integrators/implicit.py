@@ -73,7 +73,7 @@ class ImplicitIntegrator(Integrator):
 
     @property
     def usual_gradients(self) -> int:
-        """Return what its equations take, ten evaluations each; see Integrator."""
+        """Return what its equations take, ten evaluations each."""
         return _USUAL_ITERATIONS * len(self.unknowns(1))
 
     def options(self, attempt: int = 0, dimension: int = 1) -> SolverOptions:
@@ -106,5 +106,5 @@ class EulerIntegrator(ImplicitIntegrator):
     requirements = Requirements(symmetric=False, symplectic=True)
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[EquationWork]:
-        """Return the workspace of the equation; see Integrator."""
+        """Return the workspace of the equation."""
         return (EquationWork.empty(n, dtype),)

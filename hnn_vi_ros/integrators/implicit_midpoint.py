@@ -67,7 +67,7 @@ class ImplicitMidpoint(ImplicitIntegrator):
     partitioned = tableau([[0.5]], [[0.5]], [1], [1])  # its stage is the midpoint
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[MidpointWork]:
-        """Return the workspace of the equation; see Integrator."""
+        """Return the workspace of the equation."""
         return (MidpointWork(History.empty(2 * n, dtype), SolverWork.empty(2 * n, dtype),
                              *np.zeros((2, 2 * n), dtype)),)
 

@@ -82,7 +82,7 @@ class RK4(Baseline):
                           *2 * [np.array([1.0, 2.0, 2.0, 1.0]) / 6.0])
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple[StageWork]:
-        """Return space for a stage and the sum over stages; see Integrator."""
+        """Return space for a stage and the sum over stages."""
         return (StageWork(*np.zeros((4, n), dtype)),)
 
     @staticmethod

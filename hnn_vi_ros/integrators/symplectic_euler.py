@@ -50,7 +50,7 @@ class SymplecticEuler(EulerIntegrator):
     def modified_energy(hamiltonian: Hamiltonian, h: float, q: np.ndarray, p: np.ndarray,
                         energy: np.ndarray | float, dH_dq: np.ndarray, dH_dp: np.ndarray
                         ) -> np.ndarray:
-        """Return H - (h / 2) H_q . H_p [J], conserved up to O(h^2); see Integrator."""
+        """Return H - (h / 2) H_q . H_p [J], conserved up to O(h^2)."""
         return euler_energy(hamiltonian, -h, q, p, energy, dH_dq, dH_dp)
 
 

@@ -424,12 +424,12 @@ class Taylor(Integrator):
         return ''
 
     def own_times(self, kernel: Kernel) -> tuple[float, float]:
-        """Return the time of a step in Python, and of each series; see Integrator."""
+        """Return the time of a step in Python, and of each series."""
         nodes = len(_rates(_original(kernel))[0].nodes)
         return 2e-5, 7e-8 + 5e-11 * nodes * self.order ** 2
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the series, which are compiled in the first step; see Integrator."""
+        """Return the series, which are compiled in the first step."""
         return (TaylorWork(self._tolerance),)
 
     @staticmethod

@@ -134,7 +134,6 @@ class BagOutput(Sink):
         self._sink: McapSink
 
     def open(self, begin: Beginning) -> bool:  # noqa: A003
-        """See Sink."""
         self._begin, self._bags = begin, []
         self._begun_at = state_file(begin.simulation)
         if self.wanted:
@@ -162,23 +161,18 @@ class BagOutput(Sink):
         self.greeting = f'recording to {self.target}'
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
-        """See Sink."""
         self._sink.write(sample.stamp, payloads)
 
     def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        """See Sink."""
         self._sink.write_other(topic, stamp, payload)
 
     def flush(self) -> None:
-        """See Sink."""
         self._sink.flush()
 
     def close(self) -> None:
-        """See Sink."""
         self._sink.close()
 
     def files(self) -> list[str]:
-        """See Sink."""
         return [line for bag in self._bags for line in bag_lines(bag)]
 
 
@@ -219,7 +213,6 @@ class PictureOutput(Sink):
             self._make = RerunSink
 
     def open(self, begin: Beginning) -> bool:  # noqa: A003
-        """See Sink."""
         settings, (scene, simulation, _, sampler) = self._settings, begin
         if settings.rerun_sink == 'none':
             return False
@@ -243,24 +236,19 @@ class PictureOutput(Sink):
         return True
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
-        """See Sink."""
         self._sink.write(sample)
 
     def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
-        """See Sink."""
         self._sink.event(text, level, at)
 
     def timing(self, figures: Figures) -> None:
-        """See Sink."""
         self._sink.timing((figures.microseconds_per_step_median,
                            figures.microseconds_per_step_p99), figures.real_time_factor)
 
     def close(self) -> None:
-        """See Sink."""
         self._sink.close()
 
     def files(self) -> list[str]:
-        """See Sink."""
         return picture_lines(self._path) if self._path is not None else []
 
 

@@ -77,7 +77,6 @@ class SimulatorNode(Simulator):
 
     @property
     def ticking(self) -> bool:
-        """See ManagedNode."""
         return self.control is not None and self.control.ticking
 
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -148,7 +148,6 @@ class OverrunGuard(StateGuard):
         self._pacer, self._seen = pacer, pacer.overruns
 
     def update(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         overruns = self._pacer.overruns
         if overruns == self._seen:
             return None
@@ -161,7 +160,6 @@ class OverrunGuard(StateGuard):
                      f'clock, which is given up; {cause}', '1')
 
     def renew(self, sample: Observed) -> Alarm | None:
-        """See Guard."""
         return None
 
 

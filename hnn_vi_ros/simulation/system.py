@@ -190,7 +190,7 @@ class JoinedHamiltonian(Hamiltonian):
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
-        """Return that of the magnetic fields that are joined; see EffectState."""
+        """Return that of the magnetic fields that are joined."""
         gauge = np.zeros((self.dimension, self.dimension))
         for effect, parameters in self._joined:
             effect.add_gauge(parameters, gauge)

@@ -401,7 +401,7 @@ class LieIntegrator(ImplicitIntegrator):
         return LieOptions(super().options(attempt, dimension), RETRACTIONS[self.retraction])
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspace of the equation; see Integrator."""
+        """Return the workspace of the equation."""
         return (GroupWork.empty(n, dtype),)
 
     def leapfrog(self) -> Integrator:

@@ -120,7 +120,7 @@ class LieGauss(Collocation):
     kernel_name = 'LieGauss'
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspace of the equation, and the point of a stage; see Integrator."""
+        """Return the workspace of the equation, and the point of a stage."""
         (size,) = self.unknowns(n)
         kept = GaussSlopes(np.zeros(1, dtype=np.int64), np.zeros(size, dtype), np.zeros(n, dtype))
         return (LieGaussWork(

@@ -67,7 +67,7 @@ class LieStormerVerlet(Integrator):
                                 coordinates='group')
 
     def refusal(self, hamiltonian: Hamiltonian) -> str:
-        """Refuse bodies whose frames are not principal axes; see Integrator."""
+        """Refuse bodies whose frames are not principal axes."""
         if problem := super().refusal(hamiltonian):
             return problem
         start = 0
@@ -80,7 +80,7 @@ class LieStormerVerlet(Integrator):
         return ''
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
-        """Return the workspace of a step; see Integrator."""
+        """Return the workspace of a step."""
         return (FlightWork(np.zeros(n, dtype), np.zeros(n, dtype), np.zeros(n, dtype),
                            np.zeros(4, dtype)),)
 
