@@ -17,7 +17,7 @@ from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
-from hnn_vi_ros.trajectory.simulate import BLOCK
+from hnn_vi_ros.trajectory.record import BLOCK
 from mechanical_models import random_mechanical, saved, SHAPES
 from messages import refused
 import numpy as np

@@ -7,7 +7,7 @@ import warnings
 
 from hnn_vi_ros.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
-from hnn_vi_ros.errors import AlarmWarning, StoppedByEvent
+from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.guards.base import (
@@ -160,7 +160,7 @@ def suspects(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nda
 
 # Most samples of a path that the guards see, besides its extremes. They need half as many to
 # recognise a lasting change; see EnergyGuard.
-_SHOWN = 10_000
+SHOWN = 10_000
 # Coordinates of the looks that wait until guards look at them together.
 _WAITING = 4096
 # Trajectories that are screened at a time, which takes several times the memory of their states.
@@ -224,7 +224,7 @@ class Watch:
                 _ = self.alarms
 
     def show(self, simulation: Simulation, steps: np.ndarray, states: tuple[np.ndarray, ...],
-             energies: tuple[np.ndarray, np.ndarray], most: int = _SHOWN) -> None:
+             energies: tuple[np.ndarray, np.ndarray], most: int = SHOWN) -> None:
         """
         Show a path: states at equal distances, the extremes of energy, the first outside a box.
 
@@ -290,22 +290,6 @@ def look_at_rows(simulation: Simulation, rows: np.ndarray, q: np.ndarray, p: np.
                 float(energy.sum()), float(modified.sum()), simulation.work_in(rows))
 
 
-def record_watched(simulation: Simulation, samples: int, every: int, watch: Watch
-                   ) -> tuple[np.ndarray, np.ndarray]:
-    """Take samples times every steps, as ``Simulation.record``, and look on meanwhile."""
-    watch.update(look(simulation))
-    parts, most = [simulation.record(0, every)], max(1, samples // _SHOWN)
-    for first in range(0, samples, most):
-        try:
-            parts.append(simulation.record(min(most, samples - first), every))
-        except StoppedByEvent as stop:
-            q, p = zip(*parts, (stop.q, stop.p), strict=True)
-            raise stop.after(np.vstack(q), np.vstack(p)) from None
-        watch.update(look(simulation))
-    q, p = zip(*parts, strict=True)
-    return np.vstack(q), np.vstack(p)
-
-
 def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.ndarray,
               alarms: list[list[Alarm]]) -> np.ndarray:
     """
@@ -330,7 +314,7 @@ def show_many(simulation: Simulation, steps: np.ndarray, q: np.ndarray, p: np.nd
     if simulation.conservative or hamiltonian.box is not None or hamiltonian.invariants:
         found = np.ones(len(alarms), bool)
         # Guards see only a part of longer paths, which the screening does not know.
-        if len(steps) < 2 * _SHOWN:
+        if len(steps) < 2 * SHOWN:
             for first in range(0, len(found), _SCREENED):
                 block = np.s_[:, first:first + _SCREENED]
                 found[block[1]] = suspects(simulation, steps, q[block], p[block], energy[block],

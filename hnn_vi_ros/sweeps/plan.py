@@ -22,7 +22,7 @@ from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis, with_values
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
-from hnn_vi_ros.trajectory.simulate import BLOCK
+from hnn_vi_ros.trajectory.record import BLOCK
 from hnn_vi_ros.version import __version__
 import numpy as np
 

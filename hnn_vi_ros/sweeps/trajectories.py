@@ -22,7 +22,8 @@ from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
-from hnn_vi_ros.trajectory.simulate import record_block, record_one
+from hnn_vi_ros.trajectory.record import record_block, Schedule
+from hnn_vi_ros.trajectory.simulate import record_one
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
@@ -330,10 +331,12 @@ class _Made:
     def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> Trajectory:
         """Return trajectories in lockstep: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
-        t, q_all, p_all, told = record_block(
-            self._simulation('block', q, p), q, p, indices[0], self._plan.sweep.duration,
-            self._every)
-        return self._several(t, q_all, p_all, [[*told] for _ in rows])
+        schedule = Schedule.until(
+            self._plan.sweep.duration, self._every, self.parts.scene.known_step_size, q.size)
+        q_all, p_all, told = record_block(
+            self._simulation('block', q, p), q, p, indices[0], schedule)
+        return self._several(schedule.times(self.parts.scene.known_step_size), q_all, p_all,
+                             [[*told] for _ in rows])
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:

@@ -4,14 +4,15 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import itemgetter
 
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.lockstep.ensemble import Counts, LockstepEnsemble, open_device, Recorded
-from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.trajectory.record import in_blocks
 import numpy as np
 import torch
 
@@ -58,25 +59,25 @@ def record_on_device(one: Simulation, make: Callable[[], LockstepEnsemble], devi
 
     """
     size = min(_TOGETHER, len(q)) if open_device(device).type == 'cpu' else len(q)
-    blocks = range(0, len(q), size)
-    workers = min(threads or usable_processors(), len(blocks))
-    ensembles = [make() for _ in range(workers)]
+    found: dict[int, Recorded] = {}
 
-    def work(worker: int) -> list[tuple[int, Recorded]]:
-        return [(first, ensembles[worker].record(
-            q[first:first + size], p[first:first + size], samples))
-            for first in blocks[worker::workers]]
+    def start(first: slice) -> Callable[[slice], None]:
+        ensemble = make()
+
+        def take(block: slice) -> None:
+            found[block.start] = ensemble.record(q[block], p[block], samples)
+        return take
 
     with _one_thread_each(device):
-        found = sorted((part for parts in in_threads(work, workers) for part in parts),
-                       key=lambda part: part[0])
+        in_blocks(len(q), size, threads, start)
     failures: dict[int, StepFailure] = {}
-    for first, part in found:
+    blocks = sorted(found.items(), key=itemgetter(0))
+    for first, part in blocks:
         failures |= {first + k: failure for k, failure in part.failures.items()}
         for k in _noteworthy(one, part.counts):
             alarms[first + k] += _told(one, part.counts, k, samples[-1])
-    return (np.concatenate([part.q for _, part in found], axis=1),
-            np.concatenate([part.p for _, part in found], axis=1), failures)
+    return (np.concatenate([part.q for _, part in blocks], axis=1),
+            np.concatenate([part.p for _, part in blocks], axis=1), failures)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectories of a scene without ROS: one, or many in lock-step blocks on several threads."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 import math
@@ -12,179 +12,30 @@ import warnings
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
-from hnn_vi_ros.effects.commands import Command, LARGEST
-from hnn_vi_ros.errors import optional, StepFailure, StoppedByEvent
+from hnn_vi_ros.effects.commands import LARGEST
+from hnn_vi_ros.errors import optional, StepFailure
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import (
-    energies_of, look, look_at_block, look_at_rows, record_watched, show_many, tell, tell_many,
-    Watch, watch_of_block)
+from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Watch
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
-from hnn_vi_ros.processors import in_threads, usable_processors
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
-from hnn_vi_ros.simulation.dense_step import record_at, whole_steps
+from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.trajectory.record import (
+    BLOCK, check_commands, Commands, in_blocks, MOST_NUMBERS, record, record_block, record_rows,
+    Schedule)
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Coordinates that the samples of a run may have in all; with as many momenta: 4 GiB.
-MOST_NUMBERS = 2**28
-# Compiled code counts no further.
-_MOST_STEPS = 2**63 - 1
-
-# Commands over time: a function of time [s], or values at each sample.
-Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
 # Of m trajectories: to be held from sample to sample, or a function of the time [s].
 ManyCommands = ArrayLike | Callable[[float], ArrayLike]
-# What takes samples: q and p, shape (k, d) each.
-Recorder = Callable[[], tuple[np.ndarray, np.ndarray]]
-
-
-def recorders(simulation: Simulation, duration: float, every: int,
-              times: Sequence[float] | np.ndarray | None, commands: Commands | None, watch: Watch
-              ) -> tuple[np.ndarray, list[Recorder]]:
-    """
-    Return the times of the initial state and of all samples, and what takes those in turn.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        In its initial state.
-    duration, every, times, commands
-        See ``simulate``.
-    watch : Watch
-        The guards, which look on meanwhile where work is done.
-
-    Returns
-    -------
-    tuple of (np.ndarray, list of callable)
-        Times, shape (N + 1,) [s]; each callable returns q and p, shape (k, d), of the next ones.
-
-    Raises
-    ------
-    ValueError
-        Times or commands that cannot be used, or more samples than fit into memory.
-
-    """
-    if times is not None:
-        if commands is not None:
-            raise ValueError('times and commands cannot both be given: use every with commands')
-        t = _check_times(times, duration)
-        return np.append(0.0, t), [lambda: record_samples(simulation, t.size, t, watch)]
-    every = min(every, _MOST_STEPS)
-    check_memory(duration, simulation.step_size * every, simulation.q.size)
-    steps, part = whole_steps(duration, simulation.step_size)
-    every = min(every, steps + 1)
-    samples, rest = divmod(steps, every)
-    t = np.arange(samples + 1) * every * simulation.step_size
-    if commands is None:
-        takers = [lambda: record_samples(simulation, samples, every, watch)]
-    else:
-        commands = _check_commands(commands, samples + bool(rest or part))
-        takers = [lambda: _record_commanded(simulation, samples, every, commands, watch)]
-    if rest or part:
-        t = np.append(t, duration)
-        takers.append(lambda: _record_last(
-            simulation, samples, rest, duration, commands, watch))
-    return t, takers
-
-
-def record_samples(simulation: Simulation, samples: int, every: int | np.ndarray, watch: Watch
-                   ) -> tuple[np.ndarray, np.ndarray]:
-    """Take samples, every so many steps or at given times; look on where work is done."""
-    if isinstance(every, int):
-        return (simulation.record(samples, every) if simulation.conservative
-                else record_watched(simulation, samples, every, watch))
-    if simulation.conservative:
-        return record_at(simulation, every)
-    watch.update(look(simulation))
-    return record_at(simulation, every, lambda: watch.update(look(simulation)))
-
-
-def _check_times(times: Sequence[float] | np.ndarray, duration: float) -> np.ndarray:
-    """Return times of samples as an array, or raise."""
-    t = check_numbers('times', times)
-    if t.ndim != 1 or t.size == 0:
-        raise ValueError(f'times has shape {t.shape}, expected (N,): a list of at least one time')
-    if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
-            and t[-1] <= duration * (1.0 + 1e-12)):
-        raise ValueError(f'times must rise from 0 s at least to the duration, {duration:g} s, at '
-                         'most')
-    return t
-
-
-def check_memory(duration: float, interval: float, dimension: int) -> None:
-    """
-    Raise ValueError if the samples of a run do not fit into memory.
-
-    Parameters
-    ----------
-    duration, interval : float
-        Of the run, and from one sample to the next [s].
-    dimension : int
-        Coordinates of each, of all trajectories.
-
-    """
-    samples = duration / interval
-    if samples * dimension > MOST_NUMBERS:
-        raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
-                         f'{interval:g} s: more than memory holds; take a larger every')
-
-
-def _check_commands(commands: Commands, samples: int) -> Commands:
-    """Return rows of commands as an array, or raise if there are too few."""
-    if callable(commands):
-        return commands
-    rows = check_numbers('commands', commands)
-    if rows.ndim != 2 or len(rows) < samples:
-        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
-                         'for each sample but the last; or give a function of the time')
-    return rows
-
-
-def _record_commanded(simulation: Simulation, samples: int, every: int, commands: Commands,
-                      watch: Watch) -> tuple[np.ndarray, np.ndarray]:
-    """Take samples times every steps, with a command before each step."""
-    q, p = (np.empty((samples, part.size)) for part in (simulation.q, simulation.p))
-    watch.update(look(simulation))
-    for sample in range(samples):
-        try:
-            _advance_commanded(simulation, every, commands, sample)
-        except StoppedByEvent as stop:
-            raise stop.after(q[:sample], p[:sample]) from None
-        q[sample], p[sample] = simulation.q, simulation.p
-        watch.update(look(simulation))
-    return q, p
-
-
-def _record_last(simulation: Simulation, sample: int, steps: int, duration: float,
-                 commands: Commands | None, watch: Watch) -> tuple[np.ndarray, np.ndarray]:
-    """Take the sample at the end of a duration, after another: some steps, and a part of one."""
-    if commands is not None:
-        _advance_commanded(simulation, steps, commands, sample)
-        simulation.set_command(_command(commands, simulation.time, sample))
-    return record_samples(simulation, 1, np.array([duration]), watch)
-
-
-def _advance_commanded(simulation: Simulation, steps: int, commands: Commands, sample: int
-                       ) -> None:
-    """Take steps after a sample, with a command before each: none ends by the time-out."""
-    for _ in range(steps):
-        simulation.set_command(_command(commands, simulation.time, sample))
-        simulation.advance(1)
-
-
-def _command(commands: Commands, time: float, sample: int) -> Command:
-    """Return the command at a time, which lies after a sample."""
-    return commands(time) if callable(commands) else commands[sample]
-
-
+_FIRST = slice(0, 1)
 # Share of the gradients that a run of a calibration may take: tenths of a second.
 _SHARE = 0.1
 
@@ -240,11 +91,6 @@ def _resolving_step(simulation: Simulation, repeat: Callable[[float], Sequence[A
             except StepFailure:
                 continue
     return None
-
-
-# Trajectories that step together: a network's weights are read once for all of them. Larger
-# blocks gain no more, and each waits for its slowest trajectory.
-BLOCK = 32
 
 
 def simulate(scene: Scene | Parts | str | Path, duration: float, *, step_size: float | None = None,
@@ -354,17 +200,16 @@ def record_one(simulation: Simulation, duration: float, every: int,
 
     """
     watch = Watch(simulation, simulation.hamiltonian.barrier)
-    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
-    t, takers = recorders(simulation, duration, every, times, commands, watch)
-    try:
-        for take in takers:
-            parts.append(take())  # noqa: PERF401  what was taken before it stops is kept
-    except StoppedByEvent as stop:
-        parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
-        t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
-    # Times that were asked for need not begin with the initial state.
-    first = int(times is not None)
-    t, (q, p) = t[first:], (np.vstack(halves) for halves in zip(*parts[first:], strict=True))
+    if times is not None:
+        if commands is not None:
+            raise ValueError('times and commands cannot both be given: use every with commands')
+        # They need not begin with the initial state.
+        schedule, first = Schedule.at(times, duration), 1
+    else:
+        schedule, first = Schedule.until(
+            duration, every, simulation.step_size, simulation.q.size), 0
+        commands = None if commands is None else check_commands(commands, schedule)
+    t, q, p = (part[first:] for part in record(simulation, schedule, watch, commands))
     energies, work = energies_of(simulation, q, p), None
     if not simulation.conservative:
         steps = [whole_steps(time, simulation.step_size) for time in t.tolist()]
@@ -377,86 +222,6 @@ def record_one(simulation: Simulation, duration: float, every: int,
                       tuple(watch.alarms), tuple(
                           event for event in getattr(simulation, 'events', ())
                           if event.t <= t[-1]), work=work)
-
-
-def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
-                 duration: float, every: int, times: np.ndarray | None = None
-                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[Alarm]]:
-    """
-    Take the samples of trajectories that step together.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Of as many trajectories; it is restarted.
-    q, p : np.ndarray, shape (m, d)
-        Initial states.
-    stream : int
-        Of noise.
-    duration, every, times
-        See ``simulate``; the first of the times is 0.
-
-    Returns
-    -------
-    tuple of (np.ndarray, np.ndarray, np.ndarray, list of Alarm)
-        Times, shape (n,), q and p there, shape (n, m, d), and the alarms about the steps of all;
-        without work those about energies are left to ``show_many``.
-
-    Raises
-    ------
-    StepFailure, ValueError
-        See ``simulate``.
-
-    """
-    simulation.restart(q, p, stream=stream)
-    watch = watch_of_block(simulation)
-    t, takers = recorders(simulation, duration, every, None if times is None else times[1:],
-                          None, watch)
-    parts = [(q[None], p[None]), *(take() for take in takers)]
-    watch.update(look_at_block(simulation))
-    q_all, p_all = (np.vstack(halves) for halves in zip(*parts, strict=True))
-    return t, q_all, p_all, watch.alarms
-
-
-def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
-                commands: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
-    """
-    Take the samples of trajectories each of which has commands of its own.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Of one of them; it is restarted.
-    q, p : np.ndarray, shape (m, d)
-        Initial states.
-    stream : int
-        Of the noise of the first; the others have those that follow.
-    commands : iterable of np.ndarray, shape (m, every, c)
-        Before each step, from one sample to the next.
-
-    Returns
-    -------
-    tuple of (np.ndarray, np.ndarray, list of Alarm)
-        q and p, shape (n, m, d), and the alarms about the steps of all.
-
-    Raises
-    ------
-    StepFailure, ValueError
-        See ``simulate``.
-
-    """
-    begun = []
-    for k in range(len(q)):
-        simulation.restart(q[k:k + 1], p[k:k + 1], stream=stream + k)
-        begun.append(simulation.row)
-    rows, watch = np.array(begun), watch_of_block(simulation)
-    states, width = [np.hstack([q, p])], q.shape[1]
-    watch.update(look_at_rows(simulation, rows, q, p))
-    for held in commands:
-        states.append(simulation.follow_on(rows, held)[:, -1, :width + p.shape[1]])
-        watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))
-    path = np.array(states)
-    return path[..., :width], path[..., width:], watch.alarms
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -501,19 +266,6 @@ def _initial_states(q: ArrayLike, p: ArrayLike,
 def _listed(effects: Sequence[Mapping[str, Any]] | None) -> Any:
     """Return a sequence of effects as the list that a scene holds; leave anything else alone."""
     return list(effects) if isinstance(effects, tuple) else effects
-
-
-def _check_many(commands: ManyCommands, share: float, device: str | None, one: Simulation,
-                shape: tuple[int, int]) -> None:
-    """Raise ValueError for commands, of an array of shape (m, samples, c), that do not fit."""
-    if not one.takes_commands:
-        raise ValueError('no effect of the scene takes commands: add external_force, with its '
-                         'coordinates')
-    if share or device is not None:
-        raise ValueError('with commands samples lie whole steps apart, and no device takes the '
-                         'steps; take another duration or samples, and leave device out')
-    if not callable(commands):
-        _checked_numbers('commands', commands, [(*shape, one.command_size)])
 
 
 def _numbers(commands: Any, time: float, sample: int, shape: tuple[int, int]) -> np.ndarray:
@@ -602,64 +354,117 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     if scene.events:
         raise ValueError('simulate_many watches for no events: leave the events out of '
                          f'{scene.name}, or simulate one trajectory at a time')
-    parts = scene.parts()
-    _, hamiltonian, integrator, effects = parts
-    size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
-    q0, p0 = _initial_states(q, p, hamiltonian)
-    if q0.size * samples > MOST_NUMBERS:
-        raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
-                         'holds; take fewer at a time')
-    h, interval = scene.known_step_size, duration / samples
-    every, share = whole_steps(interval, h)
-    t = np.arange(samples + 1) * (interval if share else every * h)
-
-    def start(block: slice) -> Simulation:
-        return build_at(parts, q0[block], p0[block])
-
-    def work(firsts: range) -> None:
-        simulation = start(slice(firsts[0], firsts[0] + (size if commands is None else 1)))
-        for first in firsts:
-            block = slice(first, first + size)
-            if commands is None:
-                _, q_all[:, block], p_all[:, block], told = record_block(
-                    simulation, q0[block], p0[block], first, float(t[-1]), max(every, 1),
-                    t if share else None)
-            else:
-                q_all[:, block], p_all[:, block], told = record_rows(
-                    simulation, q0[block], p0[block], first,
-                    (part[block] for part in held(commands, simulation.command_size)))
-            for own in alarms[block]:
-                own += told
-
-    def held(commands: ManyCommands, c: int) -> Iterator[np.ndarray]:
-        """Yield the commands before each step from one sample to the next, (m, every, c)."""
-        for sample in range(samples):
-            yield np.stack([_numbers(commands, k * h, sample, (len(q0), c)) for k in range(
-                sample * every, sample * every + every)], axis=1)
-
+    run = _Many(scene.parts(), q, p, duration, samples)
     if commands is not None:
-        size = BLOCK
-        _check_many(commands, share, device, start(slice(0, 1)), (len(q0), samples))
-        commands, threads = (commands, 1) if callable(commands) else (
-            np.asarray(commands, dtype=np.float64), threads)
-    alarms: list[list[Alarm]] = [[] for _ in q0]
-    if device is None:
-        workers = min(threads or usable_processors(), -(-len(q0) // size))
-        q_all, p_all = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
-        in_threads(lambda k: work(range(k * size, len(q0), workers * size)), workers)
+        run.follow(commands, threads, device)
+    elif device is not None:
+        run.step_on(device, threads)
     else:
-        if share:
-            raise ValueError(f'device = {device}: samples lie {interval:g} s apart, '
-                             f'{interval / h:g} steps: on a device these are whole; take another '
-                             'duration or samples')
+        run.step(threads)
+    energies = show_many(run.simulation(), run.t / run.step_size, run.q, run.p, run.alarms)
+    tell_many(run.alarms, run.step_size)
+    return Trajectory(run.t, run.q, run.p, energies, run.parts.hamiltonian.coordinates,
+                      tuple(map(tuple, run.alarms)), scene=scene)
+
+
+class _Many:
+    """
+    Trajectories of one scene from many initial states.
+
+    Parameters
+    ----------
+    parts : Parts
+        Of the scene.
+    q, p, duration, samples
+        See ``simulate_many``.
+
+    Attributes
+    ----------
+    t : np.ndarray, shape (samples + 1,)
+        Times [s].
+    q, p : np.ndarray, shape (samples + 1, m, d)
+        The samples, once steps are taken by one of the methods below.
+    alarms : list of list of Alarm
+        About the steps of each.
+
+    """
+
+    def __init__(self, parts: Parts, q: ArrayLike, p: ArrayLike, duration: float, samples: int):
+        q0, p0 = _initial_states(q, p, parts.hamiltonian)
+        if q0.size * samples > MOST_NUMBERS:
+            raise ValueError(f'{samples} samples of {len(q0)} trajectories are more than memory '
+                             'holds; take fewer at a time')
+        self.parts, self.count = parts, len(q0)
+        self.step_size = h = parts.scene.known_step_size
+        self._interval = interval = duration / samples
+        self._every, self._share = whole_steps(interval, h)
+        self.t = np.arange(samples + 1) * (interval if self._share else self._every * h)
+        self.q, self.p = (np.empty((samples + 1, *part.shape)) for part in (q0, p0))
+        self.q[0], self.p[0] = q0, p0
+        self.alarms: list[list[Alarm]] = [[] for _ in q0]
+
+    def simulation(self, block: slice = _FIRST) -> Simulation:
+        """Return a simulation of some of the trajectories, in their initial states."""
+        return build_at(self.parts, self.q[0, block], self.p[0, block])
+
+    def step(self, threads: int | None) -> None:
+        """Take the steps in compiled loops; those of a block together where they can be."""
+        _, hamiltonian, integrator, effects = self.parts
+        size = BLOCK if System(hamiltonian, effects, integrator).lockstep else 1
+        schedule = Schedule(0, 1, self.t[1:]) if self._share or not self._every else \
+            Schedule(self.t.size - 1, self._every, np.empty(0))
+
+        def start(first: slice) -> Callable[[slice], None]:
+            simulation = self.simulation(first)
+            return lambda block: self._put(block, *record_block(
+                simulation, self.q[0, block], self.p[0, block], block.start, schedule))
+        in_blocks(self.count, size, threads, start)
+
+    def follow(self, commands: ManyCommands, threads: int | None, device: str | None) -> None:
+        """Take the steps of each with commands of its own, or raise ValueError."""
+        one = self.simulation()
+        if not one.takes_commands:
+            raise ValueError('no effect of the scene takes commands: add external_force, with its '
+                             'coordinates')
+        if self._share or device is not None:
+            raise ValueError('with commands samples lie whole steps apart, and no device takes '
+                             'the steps; take another duration or samples, and leave device out')
+        if callable(commands):
+            # It need not be one that several threads can call.
+            threads = 1
+        else:
+            commands = _checked_numbers(
+                'commands', commands, [(self.count, self.t.size - 1, one.command_size)])
+
+        def start(first: slice) -> Callable[[slice], None]:
+            simulation = self.simulation(slice(first.start, first.start + 1))
+            return lambda block: self._put(block, *record_rows(
+                simulation, self.q[0, block], self.p[0, block], block.start,
+                (part[block] for part in self._held(commands, one.command_size))))
+        in_blocks(self.count, BLOCK, threads, start)
+
+    def _held(self, commands: Any, c: int) -> Iterator[np.ndarray]:
+        """Yield the commands before each step from one sample to the next, (m, every, c)."""
+        for sample in range(self.t.size - 1):
+            yield np.stack([
+                _numbers(commands, k * self.step_size, sample, (self.count, c))
+                for k in range(sample * self._every, (sample + 1) * self._every)], axis=1)
+
+    def step_on(self, device: str, threads: int | None) -> None:
+        """Take the steps in torch, or raise ValueError, or the failure of the first that fails."""
+        if self._share:
+            raise ValueError(f'device = {device}: samples lie {self._interval:g} s apart, '
+                             f'{self._interval / self.step_size:g} steps: on a device these are '
+                             'whole; take another duration or samples')
         with optional('torch', f'device = {device}'):
             from hnn_vi_ros.trajectory.devices import ensemble_on, record_on_device
-        q_all, p_all, failures = record_on_device(
-            start(slice(0, 1)), partial(ensemble_on, device, parts), device, q0, p0,
-            [k * every for k in range(samples + 1)], threads, alarms)
+        self.q, self.p, failures = record_on_device(
+            self.simulation(), partial(ensemble_on, device, self.parts), device, self.q[0],
+            self.p[0], [k * self._every for k in range(self.t.size)], threads, self.alarms)
         if failures:
             raise failures[min(failures)]
-    energies = show_many(start(slice(0, 1)), t / h, q_all, p_all, alarms)
-    tell_many(alarms, h)
-    return Trajectory(t, q_all, p_all, energies, hamiltonian.coordinates,
-                      tuple(map(tuple, alarms)), scene=scene)
+
+    def _put(self, block: slice, q: np.ndarray, p: np.ndarray, alarms: list[Alarm]) -> None:
+        self.q[:, block], self.p[:, block] = q, p
+        for own in self.alarms[block]:
+            own += alarms

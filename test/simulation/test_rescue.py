@@ -5,7 +5,7 @@
 from helpers import effect, EPS, free, long, mostly_long, plain_run, Uncompiled
 from hnn_vi_ros.errors import SceneError, StepFailure, UnsupportedSystem
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard
-from hnn_vi_ros.guards.watch import look, record_watched, Watch
+from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS, time_transformed
 from hnn_vi_ros.scene import load_scene
@@ -213,7 +213,9 @@ def watch_of_cost(simulation: Simulation) -> Watch:
 def test_slow_steps_of_generalized_leapfrog_beyond_its_limit_are_an_alarm(h: float, kinds: list):
     simulation = tao(h)
     watch = watch_of_cost(simulation)
-    record_watched(simulation, 20, 1, watch)
+    for _ in range(20):
+        simulation.advance(1)
+        watch.update(look(simulation))
     assert [alarm.kind for alarm in watch.alarms] == kinds
     # Two equations, ten gradients each as a rule.
     assert simulation.usual_gradients == 20

@@ -1,0 +1,283 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Samples of simulations: of one trajectory, or of many in blocks that several threads take."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.errors import StoppedByEvent
+from hnn_vi_ros.guards.base import Alarm
+from hnn_vi_ros.guards.watch import (
+    look, look_at_block, look_at_rows, SHOWN, Watch, watch_of_block)
+from hnn_vi_ros.processors import in_threads, usable_processors
+from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.checks import check_numbers
+from hnn_vi_ros.simulation.dense_step import record_at, whole_steps
+import numpy as np
+
+# Trajectories that step together: a network's weights are read once for all of them. Larger
+# blocks gain no more, and each waits for its slowest trajectory.
+BLOCK = 32
+# Coordinates that the samples of a run may have in all; with as many momenta: 4 GiB.
+MOST_NUMBERS = 2**28
+# Compiled code counts no further.
+_MOST_STEPS = 2**63 - 1
+
+# Commands over time: a function of time [s], or values at each sample.
+Commands = Callable[[float], Command] | Sequence[Sequence[float]] | np.ndarray
+# Samples of q and of p, shape (n, d) or (n, m, d).
+Samples = tuple[np.ndarray, np.ndarray]
+
+
+class Schedule(NamedTuple):
+    """
+    Samples after the initial state: some whole steps apart, then others anywhere.
+
+    Parameters
+    ----------
+    samples, every : int
+        How many, each so many steps after the one before.
+    rest : np.ndarray, shape (k,)
+        Times of the others, rising [s].
+
+    """
+
+    samples: int
+    every: int
+    rest: np.ndarray
+
+    @classmethod
+    def until(cls, duration: float, every: int, step_size: float, width: int) -> 'Schedule':
+        """Return samples of so many coordinates, or raise ValueError; the last is at the end."""
+        every = min(every, _MOST_STEPS)
+        check_memory(duration, step_size * every, width)
+        steps, part = whole_steps(duration, step_size)
+        every = min(every, steps + 1)
+        samples, left = divmod(steps, every)
+        return cls(samples, every, np.full(int(left > 0 or part > 0.0), duration))
+
+    @classmethod
+    def at(cls, times: Sequence[float] | np.ndarray, duration: float) -> 'Schedule':
+        """Return samples at given times [s], or raise."""
+        t = check_numbers('times', times)
+        if t.ndim != 1 or t.size == 0:
+            raise ValueError(
+                f'times has shape {t.shape}, expected (N,): a list of at least one time')
+        if not (np.isfinite(t).all() and (np.diff(t) >= 0.0).all() and t[0] >= 0.0
+                and t[-1] <= duration * (1.0 + 1e-12)):
+            raise ValueError(f'times must rise from 0 s at least to the duration, {duration:g} s, '
+                             'at most')
+        return cls(0, 1, t)
+
+    def times(self, step_size: float) -> np.ndarray:
+        """Return the times of the initial state and of all samples, shape (n + 1,) [s]."""
+        return np.append(np.arange(self.samples + 1) * self.every * step_size, self.rest)
+
+
+def check_memory(duration: float, interval: float, dimension: int) -> None:
+    """
+    Raise ValueError if the samples of a run do not fit into memory.
+
+    Parameters
+    ----------
+    duration, interval : float
+        Of the run, and from one sample to the next [s].
+    dimension : int
+        Coordinates of each, of all trajectories.
+
+    """
+    samples = duration / interval
+    if samples * dimension > MOST_NUMBERS:
+        raise ValueError(f'duration = {duration:g} s would make {samples:.2g} samples, one every '
+                         f'{interval:g} s: more than memory holds; take a larger every')
+
+
+def record(simulation: Simulation, schedule: Schedule, watch: Watch,
+           commands: Commands | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Take samples of one trajectory, or of several that step together.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        In its initial state, of shape (d,) or (m, d).
+    schedule : Schedule
+        When.
+    watch : Watch
+        The guards, which look on meanwhile where work is done.
+    commands : callable or np.ndarray, shape (N, c), optional
+        See ``simulate``.
+
+    Returns
+    -------
+    tuple of np.ndarray, shape (n,), (n, ...), (n, ...)
+        Times [s], q and p, of the initial state as well; where an event ends the run it is the
+        last one.
+
+    Raises
+    ------
+    StepFailure
+        A step did not converge or is not finite.
+
+    """
+    t = schedule.times(simulation.step_size)
+    parts = [(simulation.q[None].copy(), simulation.p[None].copy())]
+    try:
+        for part in _parts(simulation, schedule, watch, commands):
+            parts.append(part)  # noqa: PERF402  what was taken before it stops is kept
+    except StoppedByEvent as stop:
+        parts += [(stop.q, stop.p), (stop.event.q[None], stop.event.p[None])]
+        t = np.append(t[:sum(len(q) for q, _ in parts) - 1], stop.event.t)
+    q, p = (np.concatenate(halves) for halves in zip(*parts, strict=True))
+    return t, q, p
+
+
+def _parts(simulation: Simulation, schedule: Schedule, watch: Watch, commands: Commands | None
+           ) -> Iterator[Samples]:
+    """Yield the samples, some at a time; look on between them where work is done."""
+    (samples, every, rest), looks = schedule, commands is not None or not simulation.conservative
+
+    def show() -> None:
+        if looks:
+            watch.update(look(simulation))
+
+    show()
+    most = 1 if commands is not None else max(1, samples // SHOWN if looks else samples)
+    for first in range(0, samples, most):
+        if commands is None:
+            yield simulation.record(min(most, samples - first), every)
+        else:
+            _advance(simulation, every, commands, first)
+            yield simulation.q[None].copy(), simulation.p[None].copy()
+        show()
+    if commands is not None and rest.size:
+        _advance(simulation, whole_steps(rest[0], simulation.step_size)[0] - simulation.steps,
+                 commands, samples)
+        simulation.set_command(_command(commands, simulation.time, samples))
+    yield record_at(simulation, rest, show)
+
+
+def check_commands(commands: Commands, schedule: Schedule) -> Commands:
+    """Return rows of commands as an array, or raise if there are too few."""
+    if callable(commands):
+        return commands
+    rows, samples = check_numbers('commands', commands), schedule.samples + schedule.rest.size
+    if rows.ndim != 2 or len(rows) < samples:
+        raise ValueError(f'commands has shape {rows.shape}, expected ({samples}, c): a row '
+                         'for each sample but the last; or give a function of the time')
+    return rows
+
+
+def _advance(simulation: Simulation, steps: int, commands: Commands, sample: int) -> None:
+    """Take steps after a sample, with a command before each: none ends by the time-out."""
+    for _ in range(steps):
+        simulation.set_command(_command(commands, simulation.time, sample))
+        simulation.advance(1)
+
+
+def _command(commands: Commands, time: float, sample: int) -> Command:
+    """Return the command at a time, which lies after a sample."""
+    return commands(time) if callable(commands) else commands[sample]
+
+
+def record_block(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
+                 schedule: Schedule) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
+    """
+    Take the samples of trajectories that step together.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of as many trajectories; it is restarted.
+    q, p : np.ndarray, shape (m, d)
+        Initial states.
+    stream : int
+        Of noise.
+    schedule : Schedule
+        When.
+
+    Returns
+    -------
+    tuple of (np.ndarray, np.ndarray, list of Alarm)
+        q and p, shape (n, m, d), and the alarms about the steps of all; without work those about
+        energies are left to ``show_many``.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
+    simulation.restart(q, p, stream=stream)
+    watch = watch_of_block(simulation)
+    _, q_all, p_all = record(simulation, schedule, watch)
+    watch.update(look_at_block(simulation))
+    return q_all, p_all, watch.alarms
+
+
+def record_rows(simulation: Simulation, q: np.ndarray, p: np.ndarray, stream: int,
+                commands: Iterable[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[Alarm]]:
+    """
+    Take the samples of trajectories each of which has commands of its own.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Of one of them; it is restarted.
+    q, p : np.ndarray, shape (m, d)
+        Initial states.
+    stream : int
+        Of the noise of the first; the others have those that follow.
+    commands : iterable of np.ndarray, shape (m, every, c)
+        Before each step, from one sample to the next.
+
+    Returns
+    -------
+    tuple of (np.ndarray, np.ndarray, list of Alarm)
+        q and p, shape (n, m, d), and the alarms about the steps of all.
+
+    Raises
+    ------
+    StepFailure, ValueError
+        See ``simulate``.
+
+    """
+    begun = []
+    for k in range(len(q)):
+        simulation.restart(q[k:k + 1], p[k:k + 1], stream=stream + k)
+        begun.append(simulation.row)
+    rows, watch = np.array(begun), watch_of_block(simulation)
+    states, width = [np.hstack([q, p])], q.shape[1]
+    watch.update(look_at_rows(simulation, rows, q, p))
+    for held in commands:
+        states.append(simulation.follow_on(rows, held)[:, -1, :width + p.shape[1]])
+        watch.update(look_at_rows(simulation, rows, states[-1][:, :width], states[-1][:, width:]))
+    path = np.array(states)
+    return path[..., :width], path[..., width:], watch.alarms
+
+
+def in_blocks(count: int, size: int, threads: int | None,
+              start: Callable[[slice], Callable[[slice], None]]) -> None:
+    """
+    Take trajectories, block by block, in several threads.
+
+    Parameters
+    ----------
+    count, size : int
+        How many there are, and how many make a block.
+    threads : int or None
+        By default as many as there are processors.
+    start : callable
+        Takes the first block of a thread, and returns what takes all blocks of it.
+
+    """
+    workers = min(threads or usable_processors(), -(-count // size))
+
+    def work(worker: int) -> None:
+        blocks = [slice(first, first + size)
+                  for first in range(worker * size, count, workers * size)]
+        take = start(blocks[0])
+        for block in blocks:
+            take(block)
+    in_threads(work, workers)
