@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 from hnn_vi_ros.errors import optional
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
-from hnn_vi_ros.trajectory.data import TrajectoryData
+from hnn_vi_ros.trajectory.trajectory import Trajectory
 from hnn_vi_ros.viewer.phase_portrait import contours as level_sets, Frame
 import numpy as np
 
@@ -91,7 +91,7 @@ class _Panel(NamedTuple):
     curves: list[tuple[str, np.ndarray, np.ndarray]]
 
 
-def draw_series(trajectory: TrajectoryData) -> 'Figure':
+def draw_series(trajectory: Trajectory) -> 'Figure':
     """Draw the figure of ``Trajectory.plot``."""
     panels = [*_panels(trajectory, 0), *_panels(trajectory, 1), *_energy_panels(trajectory)]
     figure = new_figure(_WIDTH, _HEIGHT * len(panels) + _AROUND)
@@ -118,7 +118,7 @@ def _write_title(figure: 'Figure', text: str) -> None:
     figure.suptitle(fill(', '.join(parts), int(9.0 * figure.get_figwidth())))
 
 
-def _panels(trajectory: TrajectoryData, half: int) -> list[_Panel]:
+def _panels(trajectory: Trajectory, half: int) -> list[_Panel]:
     """Return a panel for each unit of q (half 0) or p (half 1), of many for each column."""
     values, units = (trajectory.q, trajectory.p)[half], trajectory.units
     names = trajectory.names[half]
@@ -134,7 +134,7 @@ def _panels(trajectory: TrajectoryData, half: int) -> list[_Panel]:
     return panels
 
 
-def _energy_panels(trajectory: TrajectoryData) -> list[_Panel]:
+def _energy_panels(trajectory: Trajectory) -> list[_Panel]:
     """Return the change of H, whose digits H itself would hide, and less the work of effects."""
     t, change, work = trajectory.t, trajectory.energy - trajectory.energy[:1], trajectory.work
     if change.ndim == 2:
@@ -152,7 +152,7 @@ def _energy_panels(trajectory: TrajectoryData) -> list[_Panel]:
 _DASHES = (1, 2), (5, 2), (9, 2, 1, 2)
 
 
-def _draw_instants(rows: np.ndarray, trajectory: TrajectoryData) -> None:
+def _draw_instants(rows: np.ndarray, trajectory: Trajectory) -> None:
     """Draw a line at each event, in every panel, and at each alarm that tells its step."""
     for number, axes in enumerate(rows):
         named = set()
@@ -174,7 +174,7 @@ _SIDE, _MOST_IN_A_ROW = 3.6, 3
 _MARGIN = 0.08
 
 
-def portrayed(trajectory: TrajectoryData) -> list[tuple[Coordinate, int, int]]:
+def portrayed(trajectory: Trajectory) -> list[tuple[Coordinate, int, int]]:
     """
     Return the coordinates that have a plane with their momentum, with their columns of q and p.
 
@@ -194,7 +194,7 @@ def portrayed(trajectory: TrajectoryData) -> list[tuple[Coordinate, int, int]]:
     return found
 
 
-def draw_portrait(trajectory: TrajectoryData, contours: bool) -> 'Figure':
+def draw_portrait(trajectory: Trajectory, contours: bool) -> 'Figure':
     """Draw what ``Trajectory.phase_portrait`` tells; contours: level sets of H, too."""
     shown = portrayed(trajectory)
     across = min(len(shown), _MOST_IN_A_ROW)
@@ -233,7 +233,7 @@ def _draw_paths(axes: 'Axes', q: np.ndarray, p: np.ndarray) -> None:
                   zorder=3, label=name)
 
 
-def draw_contours(axes: 'Axes', trajectory: TrajectoryData) -> None:
+def draw_contours(axes: 'Axes', trajectory: Trajectory) -> None:
     """Draw level sets of H behind the path of a single coordinate, over what the axes show."""
     from matplotlib.collections import LineCollection
     q, p = trajectory.q.reshape(-1, 1), trajectory.p.reshape(-1, 1)
@@ -258,7 +258,7 @@ _AXES = ('x [m]', 'y [m]', 'z [m]')
 _Show = Callable[[int], None]
 
 
-def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnimation':
+def animate(trajectory: Trajectory, speed: float, rate: float) -> 'FuncAnimation':
     """Return what ``Trajectory.animate`` tells."""
     run = trajectory.single()
     for name, value in (('speed', speed), ('rate', rate)):
@@ -287,7 +287,7 @@ def animate(trajectory: TrajectoryData, speed: float, rate: float) -> 'FuncAnima
     return FuncAnimation(figure, update, frames=samples.tolist(), interval=1000.0 / rate)
 
 
-def _portrait(run: TrajectoryData) -> tuple['Figure', _Show]:
+def _portrait(run: Trajectory) -> tuple['Figure', _Show]:
     """Return a figure of the phase portraits, in which a point follows each path."""
     shown = portrayed(run)
     figure = draw_portrait(run, contours=len(run.coordinates) == 1)
@@ -300,7 +300,7 @@ def _portrait(run: TrajectoryData) -> tuple['Figure', _Show]:
     return figure, show
 
 
-def _mechanism(run: TrajectoryData, mechanism: Mechanism) -> tuple['Figure', _Show]:
+def _mechanism(run: Trajectory, mechanism: Mechanism) -> tuple['Figure', _Show]:
     """Return a figure of the mechanism, seen along the axis in which it extends least."""
     parts = mechanism(run.q, float(np.abs(run.q).max()) or 1.0)
     bounds = bounds_of(parts)
