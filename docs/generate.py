@@ -50,8 +50,8 @@ def write_pages(docs: Path) -> None:
 def parameter_page() -> str:
     """Return the page on the parameters of the nodes, from their declarations."""
     text = ['# Parameters', '', (
-        'Written from the declarations in `hnn_vi_ros/ros`. A parameter that can be set *always* '
-        'takes effect between two steps. Set them with `--ros-args -p NAME:=VALUE`, in a '
+        'Generated from the declarations in `hnn_vi_ros/ros`. A parameter that can be set '
+        '*always* takes effect between two steps. Set them with `--ros-args -p NAME:=VALUE`, in a '
         'parameter file, as an argument of a launch file, or with `ros2 param set`.'), '']
     for node, table in (('simulator', parameters.PARAMETERS),
                         ('controller', parameters.CONTROLLER_PARAMETERS),
@@ -78,9 +78,9 @@ def markdown_table(table: Sequence[parameters.Specification]) -> str:
 def command_page() -> str:
     """Return the page on the executables: what `--help` of each prints."""
     text = ['# Commands', '', (
-        'Each is `hnn NAME` where the package was installed by pip, and `ros2 run hnn_vi_ros '
-        'NAME` in a ROS workspace, where `hnn` is in `lib/hnn_vi_ros` as well; `run`, '
-        '`cost`, `doctor` and `completion` belong to `hnn` alone.'), '']
+        'If the package was installed with pip, run `hnn NAME`. In a ROS workspace run `ros2 run '
+        'hnn_vi_ros NAME`; `hnn` is in `lib/hnn_vi_ros`. `run`, `cost`, `doctor` and `completion` '
+        'are commands of `hnn` only.'), '']
     for name in COMMANDS:
         text += [f'## {name}', '', '```text', parser_of(name).format_help().strip(), '```', '']
     return '\n'.join(text)
@@ -89,11 +89,11 @@ def command_page() -> str:
 def scene_page(schema: dict[str, Any]) -> str:
     """Return the page on the keys of a scene, from the schema of its YAML."""
     text = ['# Keys of a scene', '', (
-        'Written from `config/scene.schema.json`, which editors complete and check scenes by. '
-        'Keys in **bold** must be given.'), '', '## The scene', '',
+        'Generated from `config/scene.schema.json`, with which editors complete and check scenes. '
+        'Keys in **bold** are required.'), '', '## The scene', '',
         *_key_table(schema), '']
     for key, title in _SCENE_PARTS.items():
-        text += [f'## {title}', '', f'What `{key}` can be, by its `kind`.', '']
+        text += [f'## {title}', '', f'Choices of `{key}`, listed by `kind`.', '']
         for name in dict.fromkeys(_references(schema['properties'][key])):
             one = schema['$defs'][name]
             kind = one['properties'].get('kind', {})
@@ -135,12 +135,12 @@ def error_table() -> str:
 
 
 def alarm_table() -> str:
-    """Return a row for each alarm: its name, what holds while it is silent, the remedy."""
+    """Return a row for each alarm: its name, the condition that it checks, the remedy."""
     names = {'not conserved': '`<name> not conserved`',
              'not resolved': '`<barrier> not resolved`'}
     rows = [f'| {names.get(guard.kind, f"`{guard.kind}`")} | {_first(guard)} | '
             f'{_sentence(guard.remedy)} |' for guard in guards()]
-    return '\n'.join(['| alarm | holds while it is silent | remedy |', '|---|---|---|', *rows, ''])
+    return '\n'.join(['| alarm | checked condition | remedy |', '|---|---|---|', *rows, ''])
 
 
 def further_pages(docs: Path) -> str:
@@ -199,7 +199,7 @@ def _key_table(schema: dict[str, Any]) -> list[str]:
         meaning = one.get('description', '').replace('|', r'\|').replace('\n', ' ')
         rows.append(f'| {shown} | {_type(one)} | {default} | {meaning} |')
     if not rows:
-        return ['No keys beside `kind`.']
+        return ['No keys except `kind`.']
     return ['| key | type | default | meaning |', '|---|---|---|---|', *rows]
 
 
