@@ -94,7 +94,7 @@ def test_bench_writes_the_ratios_and_says_which_rows_miss(tmp_path, capsys):
     assert abs(written[0]['ratio'] - 0.5) < 1e-12
     text = (tmp_path / 'out' / 'benchmarks.md').read_text()
     assert '| slow | 3 s | 1 s | **3.00 s more** | 2.5 |' in text
-    assert '- **slow**, 3.00 for 2.5: It sleeps.' in text and '**half**' not in text
+    assert '- **slow**, 3.00 (target 2.5): It sleeps.' in text and '**half**' not in text
     # Without a target it is in the JSON alone.
     assert '| told |' not in text
     assert 'left' in capsys.readouterr().out

@@ -29,7 +29,7 @@ def rows(settings: Settings) -> Iterator[Row]:
                 for method, h, cost in swept(
                     problem, Truth(problem, tolerance.horizon), tolerance)]
         yield race(
-            f'auto on {name}, {tolerance.kind} {tolerance.error:g}: time a simulated second',
+            f'auto on {name}, {tolerance.kind} {tolerance.error:g}: time per simulated second',
             {'auto': _run(problem, chosen, choice.step_size, tolerance.horizon)},
             cheapest(ways), settings, target=1.5, scale=1e6 / tolerance.horizon,
             note=f'auto chose {chosen}, h = {choice.step_size:.3g}; the peer is the fastest of '

@@ -43,21 +43,21 @@ _PAGE = """\
 # The automatic choice on systems that are not shipped
 
 `integrator: auto` met its tolerance at no more than 1.5 times the best cost in {good} of
-{measured} rows ({planned} planned). No system here shaped its rules.
+{measured} rows ({planned} planned). No system on this page was used to develop its rules.
 
-The best is the cheapest of a sweep over {methods} methods and steps up to half a period, a factor
-{ratio} apart. We measure the error of each choice again at every step, against an exact orbit or
-DOP853 of scipy at 3e-14. Energies are relative to the mean of abs(p . H_p). Each cell names the
-method that auto chose, and its work per simulated second over the best, in gradients. Energies are
-held for 30 periods and paths for 6. Ratios of times, the median of five runs each, are
-{least:.2g} to {most:.2g}, the median {median:.2g}.
-[automatic-choice.json](automatic-choice.json) holds steps, errors, times and the best of each
-sweep.
+The best row is the cheapest row of a sweep over {methods} methods, with steps up to half a period
+and a factor of {ratio} between steps. The error of each choice is measured again at every step,
+against an exact orbit or DOP853 of scipy at 3e-14. Energies are relative to the mean of abs(p .
+H_p). Each cell contains the method that auto chose, and its work per simulated second over that of
+the best row, in gradients. Energies are held for 30 periods and paths for 6. The ratios of times,
+the median of five runs each, are {least:.2g} to {most:.2g}, with the median {median:.2g}. The file
+[automatic-choice.json](automatic-choice.json) contains steps, errors, times and the best row of
+each sweep.
 
 {table}
 
 Machine: {machine}; commits {commits}.
-Run in `docs/`, this continues with missing rows:
+To measure missing rows, run in `docs/`:
 `python -m benchmarks.campaign --out automatic-choice.json --table automatic-choice.md`
 """
 
@@ -198,7 +198,7 @@ def sweep(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, leas
 
 
 def seconds(problem: InitialValueProblem, method: Method, h: float, horizon: float) -> float:
-    """Return the wall time of a simulated second [s/s], the median of five runs."""
+    """Return the wall time per simulated second [s/s], the median of five runs."""
     steps = max(1, round(min(horizon, 0.2 * horizon + 20.0 * h) / h))
     simulation = problem.simulation(method, h)
     times = interleave([path_run(problem, simulation, 1, steps)], 5, one_thread=False)

@@ -45,6 +45,6 @@ def _starts(**environment: str) -> list[float]:
 
 def _row(name: str, seconds: list[list[float]], miss: str) -> Row:
     ours, bare = np.array(seconds).T
-    return summarise(f'{name}: seconds more', f'{np.median(ours):.2f} s',
+    return summarise(f'{name}: additional time', f'{np.median(ours):.2f} s',
                      f'bare rclpy publisher {np.median(bare):.2f} s', ours - bare, _TARGET,
                      unit='s more', miss=miss)

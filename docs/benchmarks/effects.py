@@ -70,7 +70,7 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
     step_bare()
     assert_close(name, np.concatenate([simulation.q, simulation.p]), np.concatenate([z.q, z.p]),
                  0.0)
-    return race(f'{name}, no effect listed: time a step', {
+    return race(f'{name}, no effect listed: time per step', {
         'ours': lambda: lambda: simulation.advance(steps)}, {
         'the method alone': lambda: step_bare}, settings, target=1.02, scale=1e6 / steps,
         note='bit-identical steps; the peer is the loop over the method and H, without scene, '
@@ -106,6 +106,6 @@ def _added(kind: str, settings: Settings) -> Row:
         simulation.compile()
         return lambda: lambda: simulation.advance(_ADDED_STEPS)
 
-    return race(f'{method} on {name} with {kind}: time a step', {
+    return race(f'{method} on {name} with {kind}: time per step', {
         'with': contestant([EFFECTS[kind](**arguments)])}, {'without': contestant([])}, settings,
         target=None, scale=1e6 / _ADDED_STEPS)

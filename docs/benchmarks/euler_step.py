@@ -42,13 +42,13 @@ def _rows_of(name: str, settings: Settings) -> Iterator[Row]:
         assert_close(f'{name}: trajectory', end, z, _AGREEMENT)
         counts[label] = int(count) / _STEPS
     gradients = simulation.gradients / _STEPS
-    yield summarise(f'variational_euler on {name}: gradients a step', f'{gradients:.2f}',
+    yield summarise(f'variational_euler on {name}: gradients per step', f'{gradients:.2f}',
                     f'JAX {min(counts.values()):.2f}', gradients, 5.0, unit='gradients')
     yield race(
-        f'variational_euler on {name}: time a step', {'ours': prepare},
+        f'variational_euler on {name}: time per step', {'ours': prepare},
         {label: lambda peer=peer: peer for label, peer in peers.items()}, settings, target=0.7,
         scale=1e6 / _STEPS, note='; '.join(
-            f'{label}: {count:.2f} gradients a step' for label, count in counts.items()))
+            f'{label}: {count:.2f} gradients per step' for label, count in counts.items()))
 
 
 def jax_euler(hamiltonian: NeuralHamiltonian, q: np.ndarray, p: np.ndarray,

@@ -52,8 +52,8 @@ def _row(node: Node, folder: Path, settings: Settings) -> Row:
         note='what the node does for each sample, at one sample a step: the step, the sample, '
              'its figures, five messages published and recorded in the bag; no picture, no '
              'subscriber, and without the executor; the guards are timed inside of the tick',
-        miss='guards take two to three microseconds a sample, whatever a step costs: half for a '
-             'copy of it, half for a share of a look at 256 of them.')
+        miss='guards take two to three microseconds per sample, independent of the cost of a '
+             'step: half for the copy of the sample, half for its share of a check of 256.')
 
 
 def _watched(ticks: Ticks, watching: list[float]) -> Callable[[], None]:

@@ -21,9 +21,9 @@ SEED = 2
 _TRAJECTORIES = 10_000
 # Trajectories that run one by one, each as long as the many.
 _ALONE = 50
-_MISS = ('a matrix product of the same operations alone would be at {:.2f} of one trajectory. '
-         'Blocks only save reading weights from a slower cache, and add a gradient and an energy '
-         'at each end.')
+_MISS = ('a matrix product with the same operations alone takes {:.2f} of the time of one '
+         'trajectory. Blocks only save reading the weights from a slower cache, and need one '
+         'more gradient and energy at each end.')
 
 
 def rows(settings: Settings) -> Iterator[Row]:
@@ -69,15 +69,15 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
         alone,
         lambda: product], settings.repetitions, one_thread=False)
     single = times[:, 2] / (_ALONE * steps)
-    note = (f'{gradients / (m * steps):.2f} gradients a step; {steps} steps; "one" is the mean of '
-            f'the first {_ALONE}, one after another, without their set-up')
+    note = (f'{gradients / (m * steps):.2f} gradients per step; {steps} steps; "one" is the mean '
+            f'of the first {_ALONE}, one after another, without their set-up')
     peer, miss = 'one trajectory', _MISS.format(np.median(times[:, 3] / (m * steps) / single))
     yield compare(f'{m} trajectories of {name}, one thread', times[:, 0] / (m * steps), single,
-                  target=0.6, scale=1e6, unit='us a step', peer_name=peer, note=note,
+                  target=0.6, scale=1e6, unit='us per step', peer_name=peer, note=note,
                   miss=miss)
     yield compare(f'{m} trajectories of {name}, {cores} threads',
                   times[:, 1] * cores / (m * steps), single, target=0.6, scale=1e6,
-                  unit='us a step and core', peer_name=peer, miss=miss)
+                  unit='us per step and core', peer_name=peer, miss=miss)
     yield compare(
         f'{m} trajectories of {name}: share of a matrix product', times[:, 3], times[:, 0],
         target=None, scale=1.0, unit='s', peer_name='simulate_many, one thread',

@@ -16,7 +16,7 @@ _TURNS = 7
 
 
 def real_time_row(settings: Settings) -> Row:
-    """Measure the wall time of a simulated second, by the stamps of joint_states."""
+    """Measure the wall time per simulated second, by the stamps of joint_states."""
     command = simulator(scene=_SCENE, step_size=_STEP, publish_rate=_RATE, real_time_factor=0.0,
                         record='false', rerun_sink='none')
     watched = _QUICK if settings.quick else _WATCHED
@@ -31,11 +31,11 @@ def real_time_row(settings: Settings) -> Row:
     wall, processor, simulated = np.diff(np.array(seen), axis=0).T
     costs, busy = wall / simulated, processor / simulated
     return summarise(
-        f'{_SCENE} in the node at h = {_STEP:g} s: wall time of a simulated second',
+        f'{_SCENE} in the node at h = {_STEP:g} s: wall time per simulated second',
         f'{1e3 * np.median(costs):.3g} ms', 'real time 1000 ms', costs, 1.0 / _FACTOR,
         note=f'a real-time factor of {1.0 / np.median(costs):.3g}: the simulator with '
-             f'real_time_factor 0, its own method, {_RATE:g} samples a simulated second on all of '
-             'its topics, one subscriber of joint_states, no bag and no picture; the node had a '
-             f'processor for {1e3 * np.median(busy):.3g} ms of them, all that it takes on a '
+             f'real_time_factor 0, its own method, {_RATE:g} samples per simulated second on all '
+             'of its topics, one subscriber of joint_states, no bag and no picture; the node had '
+             f'a processor for {1e3 * np.median(busy):.3g} ms of them, all that it takes on a '
              'machine that does nothing else',
         miss=f'the goal is a real-time factor of {_FACTOR:g}.')

@@ -18,16 +18,17 @@ _PACKAGES = ('numpy', 'numba', 'llvmlite', 'scipy', 'jax', 'jaxlib', 'diffrax', 
 _HEADING = """\
 # Benchmarks
 
-Our speed against that of other tools, or of the same task without a feature. A ratio divides our
-figure by the peer's: below 1 we are faster. Ratios in **bold** exceed their target, and the
-[reasons](#rows-that-miss-their-target) follow the table.
+These benchmarks compare our speed with other tools, or with the same task without a feature. The
+ratio is our figure divided by the figure of the peer: below 1 we are faster. Ratios in **bold**
+exceed their target, and the [reasons](#rows-that-miss-their-target) follow the table.
 
-We and the peer take turns in one run, with one thread each unless the row says otherwise. The
-ratio is the median over the turns. [benchmarks.json](benchmarks.json) holds quartiles, settings,
-versions, and further rows without a target, such as the cost of each effect. `make bench` measures
-again and writes this page; `make bench ARGS='--rows robots'` measures one group of rows.
+We and the peer alternate in one run, with one thread each unless the row says otherwise. The
+ratio is the median over all repetitions. The file [benchmarks.json](benchmarks.json) also contains
+quartiles, settings, versions and rows without a target, such as the cost of each effect. To repeat
+the measurement and write this page, run `make bench`. To measure one group of rows, run
+`make bench ARGS='--rows robots'`.
 
-![Ratio of each row that has a target, by group](benchmarks.png)
+![Ratio of each row with a target, for each group](benchmarks.png)
 """
 
 
@@ -92,7 +93,7 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
     reasons: dict[str, list[str]] = {}
     for row in missed:
         reasons.setdefault(row.miss or 'not explained yet.', []).append(
-            f'**{row.name}**, {_number(row.ratio)} for {row.target:g}')
+            f'**{row.name}**, {_number(row.ratio)} (target {row.target:g})')
     misses = [f'- {"; ".join(names)}: {reason}' for reason, names in reasons.items()]
     # Groups that were measured on the same machine share a line, without Python and packages.
     wheres: dict[str, list[str]] = {}
@@ -100,7 +101,7 @@ def as_markdown(groups: Mapping[str, Group]) -> str:
         parts = group.where.split('; ')
         wheres.setdefault('; '.join(parts[:2] + parts[4:]), []).append(name)
     lines = [_HEADING, as_table(rows), '## Rows that miss their target\n',
-             '\n'.join(misses or ['None.']) + '\n', '## Where\n',
+             '\n'.join(misses or ['None.']) + '\n', '## Machines and commits\n',
              *(f'- {", ".join(names)}: {where}' for where, names in wheres.items())]
     return '\n'.join(lines) + '\n'
 

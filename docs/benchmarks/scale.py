@@ -93,7 +93,7 @@ def _efficiency(definition: dict[str, Any], folder: Path, settings: Settings) ->
         'inverse of the efficiency')
     yield compare(
         f'{name}: processor time of two processes over one', np.array(busy[2]),
-        np.array(busy[1]), target=1.0 / _EFFICIENCY, unit='us a trajectory',
+        np.array(busy[1]), target=1.0 / _EFFICIENCY, unit='us per trajectory',
         scale=1e6 / trajectories, peer_name='one process',
         note='of the same commands: what two processes do twice, whatever else the machine does')
 
@@ -157,7 +157,7 @@ def _against_diffrax(settings: Settings) -> Row:
                       ] = lambda run=run: run
     return race(
         f'{m} trajectories of the pendulum to an error of {_WANTED:g} at T = {_TIME:g}', found,
-        peers, settings, target=0.6, scale=1e6 / m, unit='us a trajectory', miss=_MISS)
+        peers, settings, target=0.6, scale=1e6 / m, unit='us per trajectory', miss=_MISS)
 
 
 def _ends(trajectory: Any) -> np.ndarray:
