@@ -93,7 +93,7 @@ def write_pages(docs: Path) -> list[Path]:
 def draw_pictures(folder: Path, scene: str, results: Results) -> list[Path]:
     """Draw the picture of each horizon that is shown of a scene; return the files."""
     return [draw(folder / picture_name(scene, horizon),
-                 f'{scene}: what accuracy costs over {horizon:g} s', results.of(horizon),
+                 f'{scene}: accuracy and cost over {horizon:g} s', results.of(horizon),
                  results.floors[horizon]) for horizon in results.shown]
 
 

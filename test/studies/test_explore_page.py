@@ -63,7 +63,7 @@ def test_page_in_a_browser_names_the_cheapest_row_for_an_error(tmp_path):
     url = f'{page.as_uri()}#scene=kepler&horizon=1000.0&x=gradients&y=path&tolerance=1e-6'
     dom = subprocess.run([str(BROWSER), *OPTIONS, f'--user-data-dir={tmp_path / "profile"}', url],
                          capture_output=True, text=True, check=True, timeout=150).stdout
-    assert 'asked for: ' in dom and 'accuracy of the reference' in dom
+    assert 'requested: ' in dom and 'accuracy of the reference' in dom
     good = [row for row in read_rows(tmp_path / 'kepler.csv') if row.horizon == 1000.0
             and row.finished and row.path_error <= 1e-6 and '@' not in row.method
             and row.gradients_per_simulated_second > 0.0]

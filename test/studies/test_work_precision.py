@@ -285,7 +285,7 @@ def test_peers_stand_in_the_same_table(tmp_path, monkeypatch):
     rows = study(tmp_path, 'exact_pendulum', '--methods', 'rk4', '--steps', '0.1', '--horizons',
                  '1', '--peers')
     assert len(rows) == 23 and len({row.key for row in rows}) == 23
-    assert '| peer | us a simulated second | ours / peer |' in (
+    assert '| peer | us per simulated second | ours / peer |' in (
         tmp_path / 'work_precision.md').read_text()
 
 
