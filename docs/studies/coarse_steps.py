@@ -215,7 +215,7 @@ def counts(hamiltonian: Hamiltonian, events: Sequence[str], z: np.ndarray) -> li
 def table(runs: Sequence[Run]) -> str:
     """Return a line for each system: wrong and right runs, alarmed and silent."""
     lines = ['| system | wrong, alarmed | wrong, silent | right, alarmed | right, silent | '
-             'between |', '|---|---|---|---|---|---|']
+             'not judged |', '|---|---|---|---|---|---|']
     found = Counter((run.system, run.judgement, bool(run.alarms)) for run in runs)
     for name in dict.fromkeys(run.system for run in runs):
         cells = [*(found[name, word, alarmed] for word in ('wrong', 'right')
