@@ -262,7 +262,7 @@ def _seeds(count: int | None) -> str:
 
 
 def _numbers(values: list[float]) -> str:
-    return ' '.join(f'{value:.3g}' for value in values)
+    return ', '.join(f'{value:.3g}' for value in values)
 
 
 def spread(values: np.ndarray) -> str:

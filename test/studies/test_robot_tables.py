@@ -33,7 +33,7 @@ def test_networks_are_chosen_by_data_that_the_table_does_not_show(tmp_path):
     (tmp_path / ROBOTS).write_text(json.dumps(rows))
     cells = list(robot_rows(tmp_path / ROBOTS))
     assert [row[2].startswith('**') for row in cells] == [False, True, False]
-    assert cells[1][-1] == '0.2 0.2 0.2 0.2 0.2 0.2'
+    assert cells[1][-1] == '0.2, 0.2, 0.2, 0.2, 0.2, 0.2'
 
 
 @pytest.mark.parametrize('text', ['[', '[{"robot": "no"}]', '[{"model": "rigid_body"}]', '3'])
