@@ -93,6 +93,7 @@ setup(
     ],
     python_requires='>=3.11',
     install_requires=[
+        'argcomplete>=3.0',
         'contourpy>=1.2',
         'matplotlib>=3.8',
         'mcap>=1.6,<2',

@@ -38,6 +38,9 @@ _INTERRUPTED = 128 + signal.SIGINT
 def main() -> NoReturn:
     """Run ``hnn``: one command for all executables, and for what needs no ROS."""
     call_by_hnn()
+    if '_ARGCOMPLETE' in os.environ:
+        # A shell asks for completions; nobody reads a word of other output.
+        import_module('hnn_vi_ros.commands.completion').complete()
     word, *argv = sys.argv[1:] or ['--help']
     if word == 'help':
         word, argv = argv[0] if argv else '--help', ['--help']

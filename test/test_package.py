@@ -52,6 +52,7 @@ HOMES = {
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'heyoka': r'integrators/taylor\.py',
+    'argcomplete': r'commands/completion\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
     'rosbags': r'bags/bag_files\.py',

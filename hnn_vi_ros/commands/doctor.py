@@ -24,7 +24,7 @@ _NEEDED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetenso
            'contourpy')
 _OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
              'pandas': 'to_dataframe', 'xarray': 'to_xarray', 'pyarrow': 'sweeps',
-             'ray': 'sweep --ray'}
+             'ray': 'sweep --ray', 'argcomplete': 'completion'}
 _ON_PYPI = {'rerun': 'rerun-sdk', 'yaml': 'PyYAML'}
 
 
