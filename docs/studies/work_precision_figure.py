@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.commands.cost_figure import FAINT, INK, Label, place_labels, STYLES
+from hnn_vi_ros.commands.cost_figure import FAINT, INK, Label, label_front, STYLES
 from hnn_vi_ros.models.energy_error import EnergyError
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -147,7 +147,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
     figure = Figure(figsize=(_WIDTH, _TOP + sum(heights) + _BOTTOM), dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     figure.suptitle(title, fontsize=13, color=INK, y=1.0 - 0.2 / figure.get_figheight())
-    drawn, panels = [], panels_of(rows)
+    panels = panels_of(rows)
     floors = [getattr(known.model, _FLOORS[panel.y]) if known.model else math.nan
               for panel in panels]
     for k, (group, handles) in enumerate(legends.items()):
@@ -155,16 +155,12 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
         for panel, floor, left in zip(panels, floors, (0.95, 5.35), strict=True):
             ax = _add_panel(figure, left, top)
             _begin_panel(ax, panel, _limits_of(panel, rows, floor), _GROUPS[group])
-            drawn.append((ax, _draw_lines(ax, panel, series, group)))
+            _draw_lines(ax, panel, series, group)
             _draw_levels(ax, panel, floor, known)
         figure.legend(handles=handles, loc='upper center', frameon=False, fontsize=8.5, ncols=2,
                       bbox_to_anchor=(0.5, (top - _PANEL - _TICKS + 0.1) / figure.get_figheight()))
     figure.legend(handles=_common_handles(known), loc='lower center', frameon=False,
                   fontsize=8.5, ncols=2)
-    # Last: the layout is final only now.
-    figure.draw_without_rendering()
-    for ax, labels in drawn:
-        place_labels(ax, *labels)
     figure.savefig(path, dpi=_DPI)
     # A third of the size: lines and flat areas have few colours.
     with Image.open(path) as picture:
@@ -237,7 +233,7 @@ def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
     if not points.size:
         return None
     x = points[:, 0]
-    return (x.min() / 1.7, x.max() * 1.7, *_limits(points[:, 1], floor))
+    return (x.min() / 2.5, x.max() * 1.7, *_limits(points[:, 1], floor))
 
 
 def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, float] | None,
@@ -263,12 +259,10 @@ def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
             10.0 ** math.ceil(math.log10(usual.max()) + 0.1))
 
 
-def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group: str
-                ) -> tuple[list[Label], list[np.ndarray]]:
-    """Draw the lines of a group, and pale the others; return labels, and what they avoid."""
+def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group: str) -> None:
+    """Draw the lines of a group with the steps that are the cheapest, and pale the others."""
     low, high = ax.get_ylim()
     labels: list[Label] = []
-    obstacles = []
     for name, rows in series.items():
         good, lost = _points(panel, rows, low, high)
         points = np.array([point[:2] for point in good]).reshape(-1, 2)
@@ -281,11 +275,9 @@ def _draw_lines(ax: Axes, panel: Panel, series: dict[str, list[StudyRow]], group
         ax.plot(np.clip(lost, *ax.get_xlim()), [high] * len(lost), color=style['color'],
                 marker='x', markersize=8.0, markeredgewidth=2.0, linestyle='', clip_on=False,
                 zorder=5)
-        if good:
-            obstacles.append(points)
-            labels.extend(Label(_step_text(good[k][2]), style['color'], points[k])
-                          for k in sorted({0, len(good) // 2, len(good) - 1}))
-    return labels, obstacles
+        labels += [Label(_step_text(row), style['color'], point)
+                   for point, (*_, row) in zip(points, good, strict=True)]
+    label_front(ax, labels)
 
 
 def _points(panel: Panel, rows: Sequence[StudyRow], low: float, high: float

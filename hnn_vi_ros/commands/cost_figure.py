@@ -3,8 +3,8 @@
 """The picture of what accuracy costs: error against time, a labelled line for each method."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from itertools import cycle, pairwise
+from collections.abc import Iterable
+from itertools import cycle
 import math
 from pathlib import Path
 from string import digits
@@ -19,17 +19,12 @@ from matplotlib.colors import hsv_to_rgb, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
-from matplotlib.transforms import Bbox
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.constants import golden
 
-_FONT = 7.5
-# Reluctance above which a label is left out: it lies on lines or marks.
-_MOST_COVERED = 6.0
-# Offsets from a point to the near corner of its label [points], the preferred ones first.
-_OFFSETS = ((6, 0), (6, 6), (6, -6), (-6, 0), (-6, 6), (-6, -6), (0, 9), (0, -9))
+# Height of a line of labels [points].
+_LINE = 9.0
 
 
 class Label(NamedTuple):
@@ -40,82 +35,27 @@ class Label(NamedTuple):
     point: np.ndarray
 
 
-def place_labels(ax: Axes, labels: Sequence[Label], lines: Sequence[np.ndarray]) -> int:
+def label_front(ax: Axes, labels: Iterable[Label]) -> None:
     """
-    Write texts next to their points.
+    Write texts at the points that none to the left is below, as far apart as their lines are high.
 
-    Of all places next to the point, the label takes the one where it covers the fewest points and
-    lines. A label that would overlap another one, cross lines, or leave the axes everywhere is
-    left out.
+    Nothing stands to the lower left of such a point, where its text is.
 
     Parameters
     ----------
     ax : Axes
-        Whose limits, scales and layout are final: drawn once.
-    labels : sequence of Label
-        The first ones find a place first.
-    lines : sequence of np.ndarray, shape (n, 2)
-        The lines of the figure.
-
-    Returns
-    -------
-    int
-        How many were written.
+        With costs to the right and errors upwards; its limits are final.
+    labels : iterable of Label
+        Of all points.
 
     """
-    figure = ax.figure
-    pixels = figure.dpi / 72.0
-    obstacles = np.vstack([_along(ax.transData.transform(points)) for points in lines]
-                          or [np.empty((0, 2))])
-    inside = ax.get_window_extent()
-    taken: list[Bbox] = []
-    for label in labels:
-        x, y = label.point
-        text = ax.annotate(label.text, (x, y), (0, 0), fontsize=_FONT, color=label.color,
-                           zorder=6, textcoords='offset points',
-                           path_effects=[withStroke(linewidth=1.5, foreground='white')])
-        box = text.get_window_extent()
-        places = [place for place in _candidates(ax.transData.transform(label.point), box, pixels)
-                  if _is_free(place[1], taken, inside)]
-        costs = [rank + 1.5 * _covered(box, obstacles) for _, box, rank in places]
-        if not costs or min(costs) > _MOST_COVERED:
-            text.remove()
-            continue
-        offset, place, _ = places[costs.index(min(costs))]
-        taken.append(place)
-        text.xyann = offset[:2]
-        text.set(ha=offset[2], va='center')
-    return len(taken)
-
-
-def _along(points: np.ndarray) -> np.ndarray:
-    """Return places along a line through points, in pixels."""
-    if len(points) < 2:
-        return points
-    shares = np.linspace(0.0, 1.0, 12)[:, None]
-    return np.vstack([a + shares * (b - a) for a, b in pairwise(points)])
-
-
-def _candidates(point: np.ndarray, box: Bbox, pixels: float
-                ) -> Iterator[tuple[tuple[int, int, str], Bbox, float]]:
-    """Yield offset with alignment, extent and reluctance of each place for a label."""
-    for rank, (dx, dy) in enumerate(_OFFSETS):
-        x, y = point + np.array([dx, dy]) * pixels
-        align = 'left' if dx > 0 else 'right' if dx < 0 else 'center'
-        left = x - {'left': 0.0, 'right': box.width, 'center': 0.5 * box.width}[align]
-        yield (dx, dy, align), Bbox.from_bounds(
-            left, y - 0.5 * box.height, box.width, box.height), 0.3 * rank
-
-
-def _is_free(place: Bbox, taken: list[Bbox], inside: Bbox) -> bool:
-    within = (place.x0 >= inside.x0 and place.x1 <= inside.x1
-              and place.y0 >= inside.y0 and place.y1 <= inside.y1)
-    return within and not any(place.overlaps(other) for other in taken)
-
-
-def _covered(place: Bbox, obstacles: np.ndarray) -> int:
-    low, high = np.array([place.min, place.max])
-    return int(((obstacles > low - 2.0) & (obstacles < high + 2.0)).all(axis=1).sum())
+    least = math.inf
+    for label in sorted(labels, key=lambda label: float(label.point[0])):
+        height = float(ax.transData.transform(label.point)[1]) * 72.0 / ax.figure.dpi
+        if height < least - _LINE:
+            least, (x, y) = height, label.point
+            ax.annotate(label.text, (x, y), (-5, -3), textcoords='offset points', ha='right',
+                        va='top', fontsize=7.5, color=label.color, zorder=6)
 
 
 def _styles() -> dict[str, tuple[str, str]]:
@@ -171,7 +111,7 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     # Left out: steps so long that solving their equations takes more time than shorter steps do.
     kinds = dict.fromkeys(cost.method.kind for cost in good)
     lines = [_draw_line(ax, study, _front(
-        study, [cost for cost in good if cost.method.kind == kind], 1.0)) for kind in kinds]
+        study, [cost for cost in good if cost.method.kind == kind])) for kind in kinds]
     _dress(ax, study, good)
     handles = [*lines, *_draw_levels(ax, study, error)]
     figure.text(0.08, 0.955, f'{name}: what accuracy costs over {study.reference.horizon:g} s',
@@ -180,11 +120,8 @@ def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     figure.text(0.08, 0.918, told[:120], fontsize=8.5, color=FAINT, va='center')
     figure.legend(handles=handles, loc='upper left', bbox_to_anchor=(0.735, 0.855), fontsize=8.5,
                   frameon=False, labelspacing=0.55, handlelength=2.2)
-    # The layout is final only now.
-    figure.draw_without_rendering()
-    front = _front(study, good, 0.5)
-    place_labels(ax, [Label(f'{cost.step_size:.2g} s', STYLES[cost.method.kind][0], _point(
-        study, cost)) for cost in front], [np.array(line.get_xydata()) for line in lines])
+    label_front(ax, [Label(f'{cost.step_size:.2g} s', STYLES[cost.method.kind][0], _point(
+        study, cost)) for cost in good])
     figure.savefig(path)
 
 
@@ -206,7 +143,7 @@ def _dress(ax: Axes, study: CostStudy, good: list[Cost]) -> None:
     if good:
         x, y = np.array([_point(study, cost) for cost in good]).T
         low = min([*y[y > 0.0], study.floor or 1.0])
-        ax.set(xlim=(x.min() / 1.6, x.max() * 1.6),
+        ax.set(xlim=(x.min() / 2.5, x.max() * 1.6),
                ylim=(10.0 ** math.floor(math.log10(low) - 0.1), 1.5 * study.lost))
     else:
         ax.text(0.5, 0.5, 'every run is lost', ha='center', transform=ax.transAxes, color=FAINT)
@@ -248,10 +185,10 @@ def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D
     return handles
 
 
-def _front(study: CostStudy, good: list[Cost], share: float) -> list[Cost]:
-    """Return what nothing cheaper comes near in error, to a share of it; the cheapest first."""
+def _front(study: CostStudy, good: list[Cost]) -> list[Cost]:
+    """Return the costs than which nothing cheaper errs less; the cheapest first."""
     front: list[Cost] = []
     for cost in sorted(good, key=lambda cost: cost.seconds):
-        if not front or study.error(cost) < share * study.error(front[-1]):
+        if not front or study.error(cost) < study.error(front[-1]):
             front.append(cost)
     return front
