@@ -5,8 +5,9 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import NoReturn, TYPE_CHECKING
 
+from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
@@ -26,16 +27,21 @@ class TorchHamiltonian(Hamiltonian):
     Parameters
     ----------
     module : torch.nn.Module
-        A copy of it in float64 is used. It maps a tensor of shape (1, 2 d), ordered (q, p), to
-        one number, H [J].
+        A copy of it in float64 and in evaluation mode is used. It maps a tensor of shape
+        (n, 2 d), with rows (q, p), to H of each row or to their sum [J].
     coordinates : sequence of Coordinate
         One for each of the d degrees of freedom.
+
+    Raises
+    ------
+    ModelError
+        When it is called: the module raises an error, or is no such function.
 
     """
 
     def __init__(self, module: 'torch.nn.Module', coordinates: Sequence[Coordinate]):
         # In float32 the steps' equations could not be solved to the state's precision.
-        self.module = deepcopy(module).double()
+        self.module = deepcopy(module).double().eval()
         self.coordinates = tuple(coordinates)
 
     @cached_property
@@ -52,6 +58,55 @@ class TorchHamiltonian(Hamiltonian):
         rows = np.hstack([part.reshape(-1, self.dimension) for part in (q, p)])
         return torch.tensor(rows, dtype=dtype, device=device)
 
+    def check_state(self, q: np.ndarray, p: np.ndarray) -> None:
+        """Raise ModelError unless the module is a function of each row that autograd takes."""
+        other = 1.25 * q + 0.125
+        rows = np.array([[q, p], [other, p], [q, p]])
+        one, same, another = (np.array(self._slopes(*row)) for row in rows[[0, 2, 1]])
+        both = np.array(self._slopes(rows[:2, 0], rows[:2, 1])).reshape(2, 2, -1)
+        if not np.array_equal(one, same, equal_nan=True):
+            self._refuse('has another gradient when it is called again: make it a function of its '
+                         'input alone')
+        # Matrix products of one row and of two are rounded differently.
+        if not np.allclose(both, np.stack([one, another], axis=1), 1e-6, 1e-9, equal_nan=True):
+            self._refuse('mixes the rows of its input, or takes the first alone: index columns as '
+                         'in x[:, 0], and let no layer use the others of a batch')
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise ModelError(f'{type(self.module).__name__} {why}')
+
+    def _values(self, x: 'torch.Tensor') -> 'torch.Tensor':
+        """Return H of rows, shape (n, 2 d), or their sum."""
+        import torch
+        try:
+            values = self.module(x)
+        except Exception as problem:  # noqa: B902  the user's code may raise any
+            self._refuse(f'raises {type(problem).__name__}: {" ".join(str(problem).split())}; it '
+                         f'is called in float64, with a tensor of shape {(*x.shape,)}')
+        if not isinstance(values, torch.Tensor) or values.dtype != x.dtype:
+            self._refuse(f'returns {getattr(values, "dtype", type(values).__name__)}, expected a '
+                         'tensor of float64, as its input is: cast nothing in it')
+        if values.numel() not in (1, len(x)):
+            self._refuse(f'returns a tensor of shape {(*values.shape,)} for an input of shape '
+                         f'{(*x.shape,)}, expected one number a row: select the column of H')
+        return values.sum()
+
+    def _slopes(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slopes = np.empty((2, q.size))
+        self._gradient((), q, p, *slopes)
+        return slopes[0], slopes[1]
+
+    def _derivative(self, value: 'torch.Tensor', x: 'torch.Tensor', more: bool = False
+                    ) -> 'torch.Tensor':
+        """Return the derivative of a number by rows; with ``more``, it is differentiated again."""
+        import torch
+        try:
+            (slopes,) = torch.autograd.grad(value, x, create_graph=more)
+        except RuntimeError as problem:
+            self._refuse(f'cannot be differentiated: {" ".join(str(problem).split())}; compute H '
+                         'from its input by operations of torch that have derivatives')
+        return slopes
+
     def _split(self, rows: 'torch.Tensor', q_out: np.ndarray, p_out: np.ndarray) -> None:
         both = rows.detach().double().cpu().numpy()
         q_out[:] = both[:, :self.dimension].ravel()
@@ -60,20 +115,19 @@ class TorchHamiltonian(Hamiltonian):
     def _energy(self, parameters: Parameters, q: np.ndarray, p: np.ndarray) -> float:
         import torch
         with torch.no_grad():
-            return float(self.module(self._input(q, p)).reshape(()))
+            return float(self._values(self._input(q, p)))
 
     def _gradient(self, parameters: Parameters, q: np.ndarray, p: np.ndarray,
                   dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
-        import torch
         x = self._input(q, p).requires_grad_(True)
-        (gradient,) = torch.autograd.grad(self.module(x).sum(), x)
-        self._split(gradient, dH_dq, dH_dp)
+        self._split(self._derivative(self._values(x), x), dH_dq, dH_dp)
 
     def _hessian_vector(self, parameters: Parameters, q: np.ndarray, p: np.ndarray,
                         v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                         product_p: np.ndarray) -> None:
-        import torch
         x = self._input(q, p).requires_grad_(True)
-        (gradient,) = torch.autograd.grad(self.module(x).sum(), x, create_graph=True)
-        (product,) = torch.autograd.grad((gradient * self._input(v_q, v_p)).sum(), x)
+        gradient = self._derivative(self._values(x), x, more=True)
+        # Of relu, and where H is linear, the gradient does not depend on x: its product is zero.
+        gradient = gradient + 0.0 * x
+        product = self._derivative((gradient * self._input(v_q, v_p)).sum(), x)
         self._split(product, product_q, product_p)
