@@ -195,12 +195,7 @@ class SinglePrecision(Hamiltonian):
     """
 
     def __init__(self, network: NeuralHamiltonian):
-        self.network, self.coordinates = network, network.coordinates
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the box of the network."""
-        return self.network.box
+        self.network, self.coordinates, self.box = network, network.coordinates, network.box
 
     @cached_property
     def kernel(self) -> Kernel:

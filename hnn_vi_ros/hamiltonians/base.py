@@ -60,35 +60,20 @@ class Hamiltonian(ABC):
     invariants: Mapping[str, Invariant] = MappingProxyType({})
     # Those that motions conserve besides H, where nothing else acts.
     known_invariants: Mapping[str, Invariant] = MappingProxyType({})
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return bounds of q and p, each (d, 2), in which H was learned; None if all."""
-        return None
+    # Bounds of q and p, each (d, 2), in which H was learned; None if all.
+    box: tuple[np.ndarray, np.ndarray] | None = None
+    # Whether the gradient of H is continuous, as the order of every method supposes.
+    smooth: bool = True
+    # The name and the energy [J] of what confines low motions; None if unknown.
+    barrier: tuple[str, float] | None = None
+    # The data behind H, for recordings; may be empty.
+    provenance: dict[str, str] = {}
+    # The method and the step size [s] that H was learned through and is right for.
+    scheme: tuple[str, float] | None = None
 
     @property
     def gauge(self) -> np.ndarray | None:
         """Return G, shape (d, d), of magnetic fields: M v = p - G q; None without such fields."""
-        return None
-
-    @property
-    def smooth(self) -> bool:
-        """Return whether the gradient of H is continuous, as every method's order supposes."""
-        return True
-
-    @property
-    def barrier(self) -> tuple[str, float] | None:
-        """Return the name and the energy [J] of what confines low motions; None if unknown."""
-        return None
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return what identifies the data behind H, for recordings; may be empty."""
-        return {}
-
-    @property
-    def scheme(self) -> tuple[str, float] | None:
-        """Return the method and step size [s] that H was learned through and is right for."""
         return None
 
     def outside(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -51,11 +51,7 @@ class Pendulum(AnalyticHamiltonian):
         check_positive(inertia=mass * length * length, torque=mass * gravity * length)
         self.mass, self.length, self.gravity = float(mass), float(length), float(gravity)
         self.constants = {'m': self.mass, 'l': self.length, 'g': self.gravity}
-
-    @property
-    def barrier(self) -> tuple[str, float]:
-        """Return the separatrix and its energy [J]."""
-        return 'separatrix', 2.0 * self.mass * self.gravity * self.length
+        self.barrier = 'separatrix', 2.0 * self.mass * self.gravity * self.length
 
     def exact_motion(self, q: np.ndarray, p: np.ndarray, t: np.ndarray) -> ExactMotion | None:
         """

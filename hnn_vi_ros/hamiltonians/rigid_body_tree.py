@@ -61,6 +61,7 @@ class RigidBodyTree(Hamiltonian):
                  gravity: Sequence[float] = (0.0, 0.0, -9.81), base: str | None = None,
                  rotor_inertia: dict[str, float] | None = None):
         self.robot = replace(read_urdf(Path(file)), locked=locked or {})
+        self.provenance = {'robot': self.robot.name}
         self._arguments = (joints, self.robot.locked, gravity, base or self.robot.root,
                            rotor_inertia or {})
         self.bodies, self.joints = tree_of(self.robot, *self._arguments)
@@ -73,11 +74,6 @@ class RigidBodyTree(Hamiltonian):
         other.robot = self.robot.with_numbers(numbers)
         other.bodies, other.joints = tree_of(other.robot, *self._arguments)
         return other
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return the name that the file gives the robot."""
-        return {'robot': self.robot.name}
 
     def masses(self, q: np.ndarray) -> np.ndarray:
         """Return M(q), shape (m, d, d), for q of shape (m, d)."""

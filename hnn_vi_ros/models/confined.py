@@ -78,6 +78,8 @@ class ConfinedHamiltonian(Hamiltonian):
 
     """
 
+    box: tuple[np.ndarray, np.ndarray]
+
     def __init__(self, base: Hamiltonian):
         if base.box is None:
             raise ValueError(f'{type(base).__name__} has no training box to hold states in')
@@ -88,28 +90,9 @@ class ConfinedHamiltonian(Hamiltonian):
             raise ModelError('confine: a wall holds numbers, and an attitude is none; leave '
                              'confine out')
         self.base, self.coordinates, self.separable = base, base.coordinates, base.separable
-        self._box = base.box
+        self.box, self.smooth, self.scheme = base.box, base.smooth, base.scheme
+        self.provenance = base.provenance | {'confined': 'to its training box'}
         self.energies = self._wall_energies()
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the box of the base."""
-        return self._box
-
-    @property
-    def smooth(self) -> bool:
-        """Return whether the gradient of the base is continuous."""
-        return self.base.smooth
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return what identifies the data behind the base, and that it is confined."""
-        return self.base.provenance | {'confined': 'to its training box'}
-
-    @property
-    def scheme(self) -> tuple[str, float] | None:
-        """Return the method and step size [s] of the base."""
-        return self.base.scheme
 
     def copy(self) -> Self:
         """Return the same function with working memory of its own."""

@@ -36,32 +36,17 @@ class LearnedHamiltonian(Hamiltonian):
 
     """
 
+    box: tuple[np.ndarray, np.ndarray]
+
     def __init__(self, checkpoint: Checkpoint):
+        card = checkpoint.card
         self.checkpoint = checkpoint
-        self.coordinates = tuple(
-            Coordinate(c.name, c.q_unit, c.p_unit) for c in checkpoint.card.coordinates)
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of q and of p, each (d, 2), of the data that H was learned from."""
-        box = self.checkpoint.card.box
-        return np.array(box.q), np.array(box.p)
-
-    @property
-    def smooth(self) -> bool:
-        """Return whether the gradient of H is continuous."""
-        return SMOOTH[self.checkpoint.card.activation]
-
-    @property
-    def provenance(self) -> dict[str, str]:
-        """Return the digest of the model file."""
-        return {'model_sha256': self.checkpoint.sha256}
-
-    @property
-    def scheme(self) -> tuple[str, float] | None:
-        """Return the method and the step size [s] that the model was trained through, if any."""
-        scheme = self.checkpoint.card.scheme
-        return None if scheme is None else (scheme.integrator, scheme.step_size)
+        self.coordinates = tuple(Coordinate(c.name, c.q_unit, c.p_unit) for c in card.coordinates)
+        self.box = np.array(card.box.q), np.array(card.box.p)
+        self.smooth = SMOOTH[card.activation]
+        self.provenance = {'model_sha256': checkpoint.sha256}
+        if card.scheme is not None:
+            self.scheme = card.scheme.integrator, card.scheme.step_size
 
     @cached_property
     def kernel(self) -> Kernel:

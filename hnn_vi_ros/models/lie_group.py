@@ -47,16 +47,12 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         super().__init__(checkpoint)
         (own,) = self.coordinates
         self.coordinates = (Coordinate(own.name, own.q_unit, own.p_unit, self._group.kind),)
+        q, p = self.box
+        self.box = q, p[:-1]
 
     @property
     def _group(self) -> LieGroupCard:
         return group_of(self.checkpoint)
-
-    @property
-    def box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the bounds of the columns of q and of p, of the data that H was learned from."""
-        q, p = super().box
-        return q, p[:-1]
 
     def _kernel(self) -> Kernel:
         card = self._group

@@ -180,13 +180,13 @@ class JoinedHamiltonian(Hamiltonian):
     def __init__(self, base: Hamiltonian, joined: Sequence[tuple[Joined, tuple]]):
         self.base, self._joined = base, joined
         self.coordinates, self.robot = base.coordinates, base.robot
+        self.box, self.smooth = base.box, base.smooth
+        self.provenance, self.scheme = base.provenance, base.scheme
         self.separable = base.separable and all(
             effect.keeps_separable for effect, _ in joined)
 
     # Those of the base, also where a scene sets them later.
-    invariants, box, smooth, provenance, scheme = (
-        property(attrgetter(f'base.{name}'))
-        for name in ('invariants', 'box', 'smooth', 'provenance', 'scheme'))
+    invariants = property(attrgetter('base.invariants'))
 
     @cached_property
     def gauge(self) -> np.ndarray | None:
