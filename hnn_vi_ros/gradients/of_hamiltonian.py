@@ -5,10 +5,10 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, MIDDLE, States
+from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy as base_energy, gradient as base_gradient,
     hessian_vector as base_hessian_vector, original, Target)
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 import numpy as np
 
@@ -77,8 +77,8 @@ class OnHamiltonian:
         """Return the derivatives of both halves of G by each velocity, shape (d, 2, N, d)."""
         total = original(self._kernel)
         shifted = _Shifted(total.parameters[0], np.zeros(self._d))
-        base = by_address(Kernel(_energy, _gradient, _hessian_vector, shifted, self._d,
-                                 (0.0, 0.0), compiled=True))
+        base = by_address(compiled_kernel(
+            (_energy, _gradient, _hessian_vector), shifted, self._d))
         kernel = by_address(total._replace(
             parameters=(base.parameters, *total.parameters[1:])))
         fastest = np.abs(_cut(at.gradient(kernel), self._kernel)[1]).max(initial=0.0)
@@ -199,12 +199,10 @@ class _Shifted(NamedTuple):
     shift: np.ndarray
 
 
-@kept(error_model='numpy')
 def _energy(parameters: _Shifted, q: np.ndarray, p: np.ndarray) -> float:
     return base_energy(parameters.base, q, p) + np.dot(parameters.shift, p)
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: _Shifted, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
               dH_dp: np.ndarray) -> None:
     base_gradient(parameters.base, q, p, dH_dq, dH_dp)
@@ -212,7 +210,6 @@ def _gradient(parameters: _Shifted, q: np.ndarray, p: np.ndarray, dH_dq: np.ndar
         dH_dp[i] += parameters.shift[i]
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: _Shifted, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     base_hessian_vector(parameters.base, q, p, v_q, v_p, product_q, product_p)

@@ -70,7 +70,7 @@ def compiled(function: Callable[..., Any], name: str) -> Part:
 @cache
 def dispatcher(function: _Function) -> _Function:
     """Return a function of a Hamiltonian's kernel compiled, for Python and for other code."""
-    return kept(error_model='numpy')(function)
+    return function if isinstance(function, Dispatcher) else kept(error_model='numpy')(function)
 
 
 def entry_point(function: Callable[..., Any], *arguments: object) -> Callable[..., Any]:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import pack_outputs
@@ -42,14 +41,12 @@ class ControlAffineHamiltonian(LearnedHamiltonian):
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
 
-@kept(error_model='numpy')
 def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
     z, d = parameters.work.z, q.size
     z[:d], z[d:] = q, p
     return energy(parameters)
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
@@ -60,7 +57,6 @@ def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
         dH_dq[a:a + d], dH_dp[a:a + d] = c[:d], v
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:

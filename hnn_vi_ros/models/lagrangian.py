@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
@@ -184,7 +183,6 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
     return action
 
 
-@kept(error_model='numpy')
 def _energy(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> float:
     mass, v = parameters.mass, parameters.v
     _solve(parameters, q, p)
@@ -196,7 +194,6 @@ def _energy(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray) -> f
     return energy
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     v, L_q = parameters.v, parameters.L_q
@@ -207,7 +204,6 @@ def _gradient(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray,
             dH_dq[a + i], dH_dp[a + i] = -L_q[i], v[i]
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: LagrangianParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import cached_property, partial
 import warnings
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Energy, Gradient, HessianVector, Kernel, Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
@@ -75,9 +75,9 @@ class LearnedHamiltonian(Hamiltonian):
 
     def _kernel_of(self, energy: Energy, gradient: Gradient, hessian_vector: HessianVector,
                    parameters: Parameters) -> Kernel:
-        """Return a kernel of functions that are marked to be compiled."""
-        return Kernel(energy, gradient, hessian_vector, parameters, self.dimension, (0.0, 0.0),
-                      compiled=True, rotations=self.rotations)
+        """Return a kernel of these functions, compiled."""
+        return compiled_kernel((energy, gradient, hessian_vector), parameters, self.dimension,
+                               rotations=self.rotations)
 
     def _samples(self, count: int = SAMPLES) -> np.ndarray:
         """Return states of the box, shape (count, 2 d)."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a body that turns: its mass and its potential on SO(3) or SE(3)."""
 
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.attitude_features import (
@@ -73,13 +72,11 @@ class LieGroupHamiltonian(LearnedHamiltonian):
         return np.hstack([q, p, np.zeros((count, 1))])
 
 
-@kept(error_model='numpy')
 def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
     see(q, p, parameters.work.z)
     return energy(parameters)
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     z, c, v = parameters.work.z, parameters.work.c, parameters.work.v
@@ -99,7 +96,6 @@ def _gradient(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     dH_dp[a + i] += z[3 + 3 * i + j] * v[j]
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:

@@ -9,7 +9,6 @@ A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), M and V bein
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
@@ -162,7 +161,6 @@ class MechanicalHamiltonian(LearnedHamiltonian):
             MechanicalWork.empty(len(mechanical.entries), self.dimension))
 
 
-@kept(error_model='numpy')
 def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H; see Kernel."""
     potential, prior, v = parameters.potential, parameters.prior, parameters.work.v
@@ -178,7 +176,6 @@ def energy(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> fl
     return energy
 
 
-@kept(error_model='numpy')
 def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
              dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     """Fill the gradient; see Kernel."""
@@ -191,7 +188,6 @@ def gradient(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
             dH_dp[a + i] = v[i]
 
 
-@kept(error_model='numpy')
 def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray,
                    v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                    product_p: np.ndarray) -> None:
@@ -213,7 +209,6 @@ def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarra
         _change_slope(parameters, q[a:b], v_q[a:b], product_p[a:b], product_q[a:b])
 
 
-@kept(error_model='numpy')
 def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -> float:
     """
     Fill M(q) on and below its diagonal, row by row, shape (d d,); q is padded to that size.
@@ -230,7 +225,6 @@ def inertia(parameters: MechanicalParameters, q: np.ndarray, mass: np.ndarray) -
     return 0.0
 
 
-@kept(error_model='numpy')
 def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq: np.ndarray,
           unused: np.ndarray) -> None:
     """Fill V' - (v . M v)_q / 2 at held v: H_q where p is M v."""
@@ -238,7 +232,6 @@ def slope(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray, dH_dq:
     _fill_slope(parameters, q, dH_dq)
 
 
-@kept(error_model='numpy')
 def slope_change(parameters: MechanicalParameters, q: np.ndarray, v: np.ndarray,
                  v_q: np.ndarray, v_change: np.ndarray, change: np.ndarray,
                  turned: np.ndarray) -> None:

@@ -7,7 +7,6 @@ from typing import NamedTuple
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy as member_energy, gradient as member_slope,
     hessian_vector as member_change, Target)
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
 from hnn_vi_ros.kernels.linking import part
@@ -84,7 +83,6 @@ class MeanMechanism(MeanHamiltonian):
         return self._kernel_of(energy, gradient, hessian_vector, parameters)
 
 
-@kept(error_model='numpy')
 def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
     """Return H; see Kernel."""
     _solve(parameters, q, p)
@@ -97,7 +95,6 @@ def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
     return total
 
 
-@kept(error_model='numpy')
 def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
              dH_dp: np.ndarray) -> None:
     """Fill the gradient; see Kernel."""
@@ -115,7 +112,6 @@ def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np
             dH_dp[a + i] = v[i]
 
 
-@kept(error_model='numpy')
 def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the change of the gradient along (v_q, v_p), where M v' = p' - M' v."""

@@ -4,7 +4,6 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import part_gradient
@@ -45,13 +44,11 @@ class SeparableHamiltonian(LearnedHamiltonian):
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
 
-@kept(error_model='numpy')
 def _energy(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray) -> float:
     return (perceptron.energy(parameters.kinetic, q, p)
             + perceptron.energy(parameters.potential, q, p))
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     kinetic, potential, space = parameters.kinetic, parameters.potential, parameters.zero
@@ -62,7 +59,6 @@ def _gradient(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray,
         part_gradient(potential, q[a:b], p[a:b], dH_dq[a:b], zero)
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: SeparableParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     kinetic, potential, space = parameters.kinetic, parameters.potential, parameters.zero

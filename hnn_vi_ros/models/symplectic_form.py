@@ -9,6 +9,7 @@ from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import solve_linear
 from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels.marks import called
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, rounding
 from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
@@ -25,8 +26,6 @@ REMEDY = ('give linearity (0.01, then more), a weight that keeps the field plain
           'it open; or take data from more motions, or from a smaller box')
 _EPS = float(np.finfo(np.float64).eps)
 _SPACING = _EPS ** (1.0 / 3.0)
-
-_compiled = kept(error_model='numpy')
 
 
 class SymplecticFormHamiltonian(LearnedHamiltonian):
@@ -171,7 +170,6 @@ class FormParameters(NamedTuple):
     inverse_norm: float
 
 
-@_compiled
 def _energy(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> float:
     return perceptron.energy(parameters.energy, q, p)
 
@@ -200,7 +198,7 @@ def _fill_form(parameters: FormParameters, q: np.ndarray, p: np.ndarray) -> None
             two_form[i, j] = rows[j, i] - rows[i, j]
 
 
-@_compiled
+@kept(error_model='numpy')
 def _fill_forms(parameters: FormParameters, z: np.ndarray, two_forms: np.ndarray) -> None:
     d = parameters.mass.shape[0]
     for k in range(z.shape[0]):
@@ -217,7 +215,7 @@ def raise_index(parameters: FormParameters, q: np.ndarray, p: np.ndarray, covect
         covector[:] = np.nan
 
 
-@_compiled
+@called
 def _gradient(parameters: FormParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     d = parameters.mass.shape[0]
@@ -229,7 +227,6 @@ def _gradient(parameters: FormParameters, q: np.ndarray, p: np.ndarray,
             dH_dp[a + i], dH_dq[a + i] = rates[i], -rates[d + i]
 
 
-@_compiled
 def _hessian_vector(parameters: FormParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
                     v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
     """Fill the derivative of (-p', q'), by a central difference."""

@@ -4,7 +4,6 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -52,7 +51,6 @@ class VariationalHamiltonian(LearnedHamiltonian):
         return self._kernel_of(_energy, _gradient, _hessian_vector, parameters)
 
 
-@kept(error_model='numpy')
 def _energy(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray) -> float:
     inverse, potential = parameters.mass_inverse, parameters.potential
     energy = perceptron.energy(potential, q, p)
@@ -62,7 +60,6 @@ def _energy(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray) -> 
     return energy
 
 
-@kept(error_model='numpy')
 def _gradient(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
               dH_dq: np.ndarray, dH_dp: np.ndarray) -> None:
     inverse, potential = parameters.mass_inverse, parameters.potential
@@ -71,7 +68,6 @@ def _gradient(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
     _add_velocity(inverse, p, dH_dp)
 
 
-@kept(error_model='numpy')
 def _hessian_vector(parameters: VariationalParameters, q: np.ndarray, p: np.ndarray,
                     v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
                     product_p: np.ndarray) -> None:
