@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The mean of several learned Hamiltonians, and its members."""
 
-from functools import cache
 from typing import Any, NamedTuple, Self
 
-from hnn_vi_ros.kernels.addresses import by_address, Target
-from hnn_vi_ros.kernels.compilation import composed, functions_of
-from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Kernel
+from hnn_vi_ros.kernels.addresses import (
+    by_address, energy as member_energy, gradient as member_gradient,
+    hessian_vector as member_hessian_vector, Target)
+from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.learned import LearnedHamiltonian
@@ -85,11 +85,10 @@ class EnsembleHamiltonian(MeanHamiltonian):
     """
 
     def _kernel(self) -> Kernel:
-        kernels = [by_address(member.kernel) for member in self.members]
-        first, *others = (Target(*kernel.parameters) for kernel in kernels)
-        parameters = MeanParameters(first, tuple(others), *np.zeros((2, self.dimension)))
-        return composed(kernels[0], _mean(*functions_of(kernels[0])), (EnsembleHamiltonian,),
-                        parameters)
+        first, *others = (
+            Target(*by_address(member.kernel).parameters) for member in self.members)
+        return self._kernel_of(_energy, _gradient, _hessian_vector, MeanParameters(
+            first, tuple(others), *np.zeros((2, self.dimension))))
 
 
 def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonian:
@@ -109,44 +108,41 @@ def load_member(checkpoint: Checkpoint, member: int | None) -> LearnedHamiltonia
     return hamiltonian
 
 
-@cache
-def _mean(member_energy: Energy, member_gradient: Gradient,
-          member_hessian_vector: HessianVector) -> Functions:
-    def energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
-        total = member_energy(parameters.first, q, p)
-        for other in parameters.others:
-            total += member_energy(other, q, p)
-        return total / (1 + len(parameters.others))
+def _energy(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> float:
+    total = member_energy(parameters.first, q, p)
+    for other in parameters.others:
+        total += member_energy(other, q, p)
+    return total / (1 + len(parameters.others))
 
-    def gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
-                 dH_dp: np.ndarray) -> None:
-        part_q, part_p = parameters.part_q, parameters.part_p
-        d, share = part_q.size, 1.0 / (1 + len(parameters.others))
-        member_gradient(parameters.first, q, p, dH_dq, dH_dp)
-        for other in parameters.others:
-            for a in range(0, q.size, d):
-                member_gradient(other, q[a:a + d], p[a:a + d], part_q, part_p)
-                for i in range(d):
-                    dH_dq[a + i] += part_q[i]
-                    dH_dp[a + i] += part_p[i]
-        for i in range(q.size):
-            dH_dq[i] *= share
-            dH_dp[i] *= share
 
-    def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray,
-                       v_q: np.ndarray, v_p: np.ndarray, product_q: np.ndarray,
-                       product_p: np.ndarray) -> None:
-        part_q, part_p = parameters.part_q, parameters.part_p
-        d, share = part_q.size, 1.0 / (1 + len(parameters.others))
-        member_hessian_vector(parameters.first, q, p, v_q, v_p, product_q, product_p)
-        for other in parameters.others:
-            for a in range(0, q.size, d):
-                b = a + d
-                member_hessian_vector(other, q[a:b], p[a:b], v_q[a:b], v_p[a:b], part_q, part_p)
-                for i in range(d):
-                    product_q[a + i] += part_q[i]
-                    product_p[a + i] += part_p[i]
-        for i in range(q.size):
-            product_q[i] *= share
-            product_p[i] *= share
-    return energy, gradient, hessian_vector
+def _gradient(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
+              dH_dp: np.ndarray) -> None:
+    part_q, part_p = parameters.part_q, parameters.part_p
+    d, share = part_q.size, 1.0 / (1 + len(parameters.others))
+    member_gradient(parameters.first, q, p, dH_dq, dH_dp)
+    for other in parameters.others:
+        for a in range(0, q.size, d):
+            member_gradient(other, q[a:a + d], p[a:a + d], part_q, part_p)
+            for i in range(d):
+                dH_dq[a + i] += part_q[i]
+                dH_dp[a + i] += part_p[i]
+    for i in range(q.size):
+        dH_dq[i] *= share
+        dH_dp[i] *= share
+
+
+def _hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q: np.ndarray,
+                    v_p: np.ndarray, product_q: np.ndarray, product_p: np.ndarray) -> None:
+    part_q, part_p = parameters.part_q, parameters.part_p
+    d, share = part_q.size, 1.0 / (1 + len(parameters.others))
+    member_hessian_vector(parameters.first, q, p, v_q, v_p, product_q, product_p)
+    for other in parameters.others:
+        for a in range(0, q.size, d):
+            b = a + d
+            member_hessian_vector(other, q[a:b], p[a:b], v_q[a:b], v_p[a:b], part_q, part_p)
+            for i in range(d):
+                product_q[a + i] += part_q[i]
+                product_p[a + i] += part_p[i]
+    for i in range(q.size):
+        product_q[i] *= share
+        product_p[i] *= share
