@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from hnn_vi_ros.kernels.blocks import kind_of, type_of
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
-from hnn_vi_ros.kernels.linking import aside, keep, keep_loop, Part, set_identity, Whole
+from hnn_vi_ros.kernels.linking import aside, keep, Part, set_identity, Whole
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.kernels.sources import digest_of, reached
 import numba
@@ -25,6 +25,7 @@ from numba.core.event import Event, install_listener, Listener
 _Function = TypeVar('_Function', bound=Callable[..., Any])
 _LOOP: dict[str, Any] = {'nogil': True, 'no_cfunc_wrapper': True, 'pipeline_class': Whole}
 _naming = Lock()
+_identities: dict[Dispatcher, str] = {}
 # Keyed by the function and the kinds of its arguments.
 _entries: dict[Any, Callable[..., Any]] = {}
 
@@ -63,7 +64,7 @@ def compiled(function: Callable[..., Any], name: str) -> Part:
 
     """
     dispatcher = Part(function, targetoptions={'forceinline': True})
-    _give_identity(dispatcher, name)
+    identify(dispatcher, name)
     return dispatcher
 
 
@@ -142,20 +143,22 @@ def _cached(loop: Callable[..., Any], *names: str) -> Callable[..., Any]:
     copy = FunctionType(loop.__code__, loop.__globals__, loop.__name__)
     digest = sha256('/'.join(names).encode()).hexdigest()
     copy.__qualname__ = f'{loop.__name__}_{digest[:16]}'
-    return keep_loop(numba.njit(copy, **_LOOP))
+    return keep(numba.njit(copy, **_LOOP))
 
 
-def identify(dispatcher: Dispatcher) -> str:
+def identify(dispatcher: Dispatcher, name: str = '') -> str:
     """Give a compiled function the name that it has in every process, and return it."""
+    # A function that is passed to a compiled one is part of its signature, by which numba looks
+    # up its cache on disk. Numba knows such a function by a random number, new in each process;
+    # a name that changes with our sources makes the look-up succeed.
+    function = dispatcher.py_func
     # A name is given once, also where threads ask for it at the same time.
     with _naming:
-        return _identify(dispatcher)
-
-
-@cache
-def _identify(dispatcher: Dispatcher) -> str:
-    function = dispatcher.py_func
-    return _give_identity(dispatcher, f'{function.__module__}.{function.__qualname__}')
+        if dispatcher not in _identities:
+            name = name or f'{function.__module__}.{function.__qualname__}'
+            _identities[dispatcher] = f'{name}-{_digest(dispatcher)}'
+            set_identity(dispatcher, _identities[dispatcher])
+        return _identities[dispatcher]
 
 
 def functions_of(kernel: Kernel) -> tuple[Dispatcher, Dispatcher, Dispatcher]:
@@ -206,15 +209,6 @@ def _compile(function: Callable[..., Any], base: Dispatcher, kinds: tuple[type, 
     # Inlined like what it calls; see the network's gradient.
     inline = base.targetoptions.get('forceinline', False)
     return numba.njit(function, error_model='numpy', forceinline=inline, no_cfunc_wrapper=True)
-
-
-def _give_identity(dispatcher: Dispatcher, name: str) -> str:
-    # A function that is passed to a compiled one is part of its signature, by which numba looks
-    # up its cache on disk. Numba knows such a function by a random number, new in each process;
-    # a name that changes with our sources makes the look-up succeed.
-    identity = f'{name}-{_digest(dispatcher)}'
-    set_identity(dispatcher, identity)
-    return identity
 
 
 def _digest(*values: object) -> str:

@@ -313,8 +313,12 @@ def _warn_once(what: str, reason: str, then: str) -> None:
         warnings.warn(f'{what} ({reason}): {then}', stacklevel=2)
 
 
-class _LoopCache(FunctionCache):
-    """Numba's cache on disk, without which, as on a full disk, compiled code runs as well."""
+class _Cache(FunctionCache):
+    """
+    Numba's cache on disk, which looks at all sources that a function comes from.
+
+    Without it, as on a full disk, compiled code runs as well.
+    """
 
     _cache_file: Any
 
@@ -329,6 +333,10 @@ class _LoopCache(FunctionCache):
         if not numba.config.CACHE_DIR and beside != Path(self._cache_path):
             self._cache_file.beside = _Files(str(beside), *described)
 
+    def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
+        digest = digest_of(frozenset([self._py_func.__module__]))
+        return (*super()._index_key(signature, codegen), digest)
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled function; warn, once for all, that it cannot be kept."""
         try:
@@ -341,14 +349,6 @@ def _warn_of_lost(folder: str, reason: str) -> None:
     _warn_once(f'compiled code cannot be kept in {folder}', reason,
                'the next start compiles again; free space, or set NUMBA_CACHE_DIR to another '
                'folder')
-
-
-class _Cache(_LoopCache):
-    """A cache that looks at all sources which a function comes from."""
-
-    def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
-        digest = digest_of(frozenset([self._py_func.__module__]))
-        return (*super()._index_key(signature, codegen), digest)
 
 
 def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
@@ -434,16 +434,11 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     return dispatcher
 
 
-def keep(dispatcher: CPUDispatcher, kind: type[_LoopCache] = _Cache) -> CPUDispatcher:
+def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """Cache a function of this package on disk for as long as its sources stay unchanged."""
     try:
-        dispatcher._cache = kind(dispatcher.py_func)
+        dispatcher._cache = _Cache(dispatcher.py_func)
     except RuntimeError:
         _warn_of_lost('the package or a folder of caches', 'neither can be written')
         return aside(dispatcher)
     return aside(_once(dispatcher))
-
-
-def keep_loop(dispatcher: CPUDispatcher) -> CPUDispatcher:
-    """Cache a loop on disk; its name identifies the parts that it is compiled from."""
-    return keep(dispatcher, _LoopCache)

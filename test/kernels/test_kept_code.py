@@ -12,7 +12,7 @@ import shutil
 import warnings
 
 from hnn_vi_ros.kernels import linking
-from hnn_vi_ros.kernels.linking import keep_loop
+from hnn_vi_ros.kernels.linking import keep
 import numba
 import pytest
 
@@ -41,7 +41,7 @@ def test_code_runs_where_it_cannot_be_kept_and_that_is_told_once(folder, monkeyp
     def full(self, path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), path)
     monkeypatch.setattr(linking._Files, '_open_for_write', full)
-    function = keep_loop(numba.njit(double))
+    function = keep(numba.njit(double))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
         assert (function(2), function(2.0)) == (4, 4.0)
@@ -52,7 +52,7 @@ def test_code_runs_where_it_cannot_be_kept_and_that_is_told_once(folder, monkeyp
 
 def code(function):
     """Return a function compiled and kept under the name of the function, as a start has it."""
-    return keep_loop(numba.njit(function))
+    return keep(numba.njit(function))
 
 
 def assert_made_anew(folder: Path, reason: str) -> None:
