@@ -216,8 +216,7 @@ class BatchStep:
     def field(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """Return z' of one state, shape (2 d,), under a command, shape (c,)."""
         q, p, d = *self._enter(z, u, time), self.dimension
-        dH_dq, dH_dp = np.empty((2, q.size))
-        self._system.kernel.gradient(self._system.kernel.parameters, q, p, dH_dq, dH_dp)
+        dH_dq, dH_dp = self._system.kernel.slopes(q, p)
         return np.concatenate([dH_dp[:d], -dH_dq[:d] - self._acting.rates * p[:d]])
 
     @_alone
@@ -225,11 +224,10 @@ class BatchStep:
                           ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of z' by z, (2 d, 2 d), and by u, (2 d, c)."""
         q, p, d = *self._enter(z, u, time), self.dimension
-        by_z, kernel = np.empty((2 * d, 2 * d)), self._system.kernel
+        by_z = np.empty((2 * d, 2 * d))
         for column, unit in enumerate(np.eye(2 * d)):
             v_q, v_p = (np.append(half, np.zeros(q.size - d)) for half in np.split(unit, 2))
-            along_q, along_p = np.empty((2, q.size))
-            kernel.hessian_vector(kernel.parameters, q, p, v_q, v_p, along_q, along_p)
+            along_q, along_p = self._system.kernel.products(q, p, v_q, v_p)
             by_z[:, column] = np.concatenate(
                 [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
         if not self._acting.feels:

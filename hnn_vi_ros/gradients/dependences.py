@@ -48,7 +48,7 @@ class States(NamedTuple):
     @classmethod
     def at(cls, q: np.ndarray, p: np.ndarray) -> 'States':
         """Return states where no command is felt."""
-        return cls(q, p, lambda kernel: gradient_of(kernel, q, p))
+        return cls(q, p, lambda kernel: kernel.slopes(q, p))
 
 
 class Dependence(Protocol):
@@ -206,13 +206,6 @@ def sum_of(kernels: Sequence[tuple[float, Kernel]], at: States) -> np.ndarray:
     for weight, kernel in kernels:
         total += weight * at.gradient(kernel)
     return total
-
-
-def gradient_of(kernel: Kernel, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Return (H_q, H_p), shape (2, N)."""
-    both = np.empty((2, q.size))
-    kernel.gradient(kernel.parameters, q, p, *both)
-    return both
 
 
 def difference(value: float, spacing: float, low: float, high: float

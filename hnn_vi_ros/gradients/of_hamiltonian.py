@@ -4,7 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.gradients.dependences import Dependence, gradient_of, MIDDLE, States
+from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, States
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy as base_energy, gradient as base_gradient,
@@ -121,7 +121,7 @@ class OnForce:
 
     def _moving(self, at: States) -> States:
         q, p = (_cut(part, self._kernel).ravel() for part in (at.q, at.p))
-        return States.at(q, gradient_of(self._base, q, p)[1])
+        return States.at(q, self._base.slopes(q, p)[1])
 
 
 class Sum:
@@ -168,28 +168,19 @@ class OnLagrangian:
 
     def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient; see Dependence."""
-        changed = self._product(at.q, at.p, *weights)[1]
+        changed = self._kernel.products(at.q, at.p, *weights)[1]
         return self._own.contracted(self._moving(at), np.stack([weights[0], changed]))
 
     def changed(self, at: States, change: np.ndarray) -> np.ndarray:
         """Return the change; see Dependence."""
         by_q, by_v = self._own.changed(self._moving(at), change)
-        found = self._product(at.q, at.p, np.zeros_like(by_v), by_v)
+        found = self._kernel.products(at.q, at.p, np.zeros_like(by_v), by_v)
         found[0] += by_q
         return found
 
     def _moving(self, at: States) -> States:
         """Return the coordinates with velocities in place of momenta."""
-        return States.at(at.q, gradient_of(self._kernel, at.q, at.p)[1])
-
-    def _product(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
-                 ) -> np.ndarray:
-        """Return H'' (v_q, v_p), shape (2, N)."""
-        product = np.empty((2, q.size))
-        self._kernel.hessian_vector(
-            self._kernel.parameters, q, p, np.ascontiguousarray(v_q), np.ascontiguousarray(v_p),
-            *product)
-        return product
+        return States.at(at.q, self._kernel.slopes(at.q, at.p)[1])
 
 
 class _Shifted(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
 from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
@@ -146,16 +146,7 @@ class Hamiltonian(ABC):
 
         """
         flat_q, flat_p = self._flat(q, self._padded(p))
-        energies, kernel = np.empty(flat_q.size // self.dimension), self._called
-        if kernel.compiled:
-            from hnn_vi_ros.kernels.addresses import fill_energies
-            target: Any = kernel.parameters
-            fill_energies(target, flat_q, flat_p, energies)
-        else:
-            states = (x.reshape(-1, self.dimension) for x in (flat_q, flat_p))
-            for i, (one_q, one_p) in enumerate(zip(*states, strict=True)):
-                energies[i] = kernel.energy(kernel.parameters, one_q, one_p)
-        return energies.reshape(np.shape(q)[:-1])
+        return self._called.energies(flat_q, flat_p).reshape(np.shape(q)[:-1])
 
     def gradient(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -167,9 +158,7 @@ class Hamiltonian(ABC):
             The last axis is not d long.
 
         """
-        flat_q, flat_p = self._flat(q, self._padded(p))
-        dH_dq, dH_dp = np.empty_like(flat_q), np.empty_like(flat_p)
-        self._called.gradient(self._called.parameters, flat_q, flat_p, dH_dq, dH_dp)
+        dH_dq, dH_dp = self._called.slopes(*self._flat(q, self._padded(p)))
         return dH_dq.reshape(np.shape(q)), self._unpadded(dH_dp.reshape(np.shape(q)))
 
     def hessian_vector(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
@@ -183,9 +172,8 @@ class Hamiltonian(ABC):
             The last axis is not d long.
 
         """
-        flat = (*self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p)))
-        product_q, product_p = np.empty_like(flat[0]), np.empty_like(flat[0])
-        self._called.hessian_vector(self._called.parameters, *flat, product_q, product_p)
+        product_q, product_p = self._called.products(
+            *self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p)))
         return product_q.reshape(np.shape(q)), self._unpadded(product_p.reshape(np.shape(q)))
 
     def _padded(self, p: np.ndarray) -> np.ndarray:

@@ -68,3 +68,31 @@ class Kernel(NamedTuple):
     energy_scale: float = 0.0
     rotations: tuple[int, ...] = ()
     quadratic: bool = False
+
+    def energies(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return H [J] at m states one after another, shape (m,), for q and p of shape (m d,)."""
+        d = self.dimension
+        found = np.empty(q.size // d)
+        if self.compiled and found.size != 1:
+            # Imported here: who only reads a scene compiles nothing.
+            from hnn_vi_ros.kernels.addresses import fill_energies, Target
+            if isinstance(self.parameters, Target):
+                fill_energies(self.parameters, q, p, found)
+                return found
+        for i in range(found.size):
+            a, b = i * d, (i + 1) * d
+            found[i] = self.energy(self.parameters, q[a:b], p[a:b])
+        return found
+
+    def slopes(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Return (H_q, H_p), shape (2, m d), for q and p of shape (m d,)."""
+        both = np.empty((2, q.size))
+        self.gradient(self.parameters, q, p, *both)
+        return both
+
+    def products(self, q: np.ndarray, p: np.ndarray, v_q: np.ndarray, v_p: np.ndarray
+                 ) -> np.ndarray:
+        """Return H''(q, p) (v_q, v_p), shape (2, m d), for arrays of shape (m d,)."""
+        both = np.empty((2, q.size))
+        self.hessian_vector(self.parameters, q, p, v_q, v_p, *both)
+        return both

@@ -4,7 +4,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 import warnings
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
@@ -55,8 +55,9 @@ class LearnedHamiltonian(Hamiltonian):
         if self._scales is None:
             # Simulations call by address too, so that they share the functions compiled here.
             called, z, d = by_address(kernel), self._samples(), self.dimension
-            slopes = rounding(partial(_gradient, called), z)
-            (values,) = rounding(partial(_energies, called), z)
+            slopes = rounding(lambda z: np.hstack(
+                [*called.slopes(*_flat(z)).reshape(2, -1, d)]), z)
+            (values,) = rounding(lambda z: called.energies(*_flat(z))[:, None], z)
             self._scales = (float(slopes[:d].max()), float(slopes[d:].max())), float(values)
         gradient, energy = self._scales
         return kernel._replace(gradient_scale=gradient, energy_scale=energy)
@@ -114,18 +115,9 @@ def rounding(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray) -> np.
     return found
 
 
-def _energies(kernel: Kernel, z: np.ndarray) -> np.ndarray:
-    """Return H, shape (m, 1), at states of shape (m, 2 d)."""
-    d = z.shape[1] // 2
-    return np.array([[kernel.energy(kernel.parameters, one[:d], one[d:])] for one in z])
-
-
-def _gradient(kernel: Kernel, z: np.ndarray) -> np.ndarray:
-    """Return (H_q, H_p) at states of shape (m, 2 d)."""
-    parts = [np.ascontiguousarray(part) for part in np.split(z, 2, axis=1)]
-    slopes = [np.empty_like(part) for part in parts]
-    kernel.gradient(kernel.parameters, *(part.ravel() for part in (*parts, *slopes)))
-    return np.hstack(slopes)
+def _flat(z: np.ndarray) -> list[np.ndarray]:
+    """Return q and p, each of shape (m d,), of states of shape (m, 2 d)."""
+    return [part.ravel() for part in np.split(z, 2, axis=1)]
 
 
 def warn_of_scheme(hamiltonian: Hamiltonian, integrator: str, step_size: float) -> None:

@@ -22,7 +22,7 @@ from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS, REDUNDANT
-from hnn_vi_ros.kernels.addresses import by_address, fill_energies, original, provide, Target
+from hnn_vi_ros.kernels.addresses import by_address, original, provide, Target
 from hnn_vi_ros.kernels.blocks import Block, flat, kind_of
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import angle_columns, check_state
@@ -390,13 +390,7 @@ class System:
 
     def energies(self, z: Point) -> list[float]:
         """Return H of each of the trajectories of a point [J]."""
-        kernel, d = self.kernel, self.kernel.dimension
-        if z.q.size > d and kernel.compiled and isinstance(kernel.parameters, Target):
-            found = np.empty(z.q.size // d)
-            fill_energies(kernel.parameters, z.q, z.p, found)
-            return found.tolist()
-        return [float(kernel.energy(kernel.parameters, z.q[a:a + d], z.p[a:a + d]))
-                for a in range(0, z.q.size, d)]
+        return self.kernel.energies(z.q, z.p).tolist()
 
     def reason(self, outcome: int) -> str:
         """Return why a step failed."""
