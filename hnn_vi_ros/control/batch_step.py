@@ -2,11 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps of many states with held commands, by the method and the effects of a scene."""
 
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from threading import RLock
-from typing import Concatenate, ParamSpec, TypeVar
 
 from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.commands import NUMBERS
@@ -20,21 +17,6 @@ from hnn_vi_ros.simulation.checks import check_count, check_numbers
 from hnn_vi_ros.simulation.following import Law
 import numpy as np
 from numpy.typing import ArrayLike
-
-
-_Arguments = ParamSpec('_Arguments')
-_Result = TypeVar('_Result')
-
-
-def _alone(method: Callable[Concatenate['BatchStep', _Arguments], _Result]
-           ) -> Callable[Concatenate['BatchStep', _Arguments], _Result]:
-    """Return a method that one thread runs at a time: all share the state of one simulation."""
-    @wraps(method)
-    def alone(self: 'BatchStep', /, *arguments: _Arguments.args, **more: _Arguments.kwargs
-              ) -> _Result:
-        with self._lock:
-            return method(self, *arguments, **more)
-    return alone
 
 
 class BatchStep:
@@ -94,9 +76,9 @@ class BatchStep:
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
         self._run: DifferentiableRun | None = None
+        # All calls share the state of one simulation: threads wait for each other.
         self._lock = RLock()
 
-    @_alone
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """
         Return states after the steps, NaN where a step failed.
@@ -114,7 +96,6 @@ class BatchStep:
         states, commands = self._checked(z, u)
         return self._advanced(states, commands, time, 1, self.hold)[:, 1].reshape(np.shape(z))
 
-    @_alone
     def rollout(self, z: ArrayLike, u: ArrayLike, gains: ArrayLike | None = None,
                 about: ArrayLike | None = None, limits: tuple[ArrayLike, ArrayLike] | None = None,
                 time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -156,11 +137,11 @@ class BatchStep:
                 raise ValueError(f'limits {low.tolist()} and {high.tolist()}: the least commands '
                                  'must not be above the largest')
             law = law._replace(low=low, high=high)
-        path, _ = self._simulation.follow(
-            self._simulation.rows(states, time), commands, self.hold, law)
+        with self._lock:
+            path, _ = self._simulation.follow(
+                self._simulation.rows(states, time), commands, self.hold, law)
         return path, commands
 
-    @_alone
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
@@ -185,12 +166,13 @@ class BatchStep:
 
         """
         states, commands = self._checked(z, u)
-        path = self._advanced(states, commands, time, self.hold, 1)
-        if self._run is None:
-            self._run = DifferentiableRun(self._parts.hamiltonian, self._parts.integrator,
-                                          self._h, self._parts.effects)
         times = np.broadcast_to(time, len(states)) + np.arange(self.hold)[:, None] * self._h
-        by = self._run.jacobians(np.ascontiguousarray(path.swapaxes(0, 1)), times, commands)
+        with self._lock:
+            path = self._advanced(states, commands, time, self.hold, 1)
+            if self._run is None:
+                self._run = DifferentiableRun(self._parts.hamiltonian, self._parts.integrator,
+                                              self._h, self._parts.effects)
+            by = self._run.jacobians(np.ascontiguousarray(path.swapaxes(0, 1)), times, commands)
         shape, n = np.shape(z), 2 * self.dimension
         return (path[:, -1].reshape(shape), by[..., :n].reshape(*shape, n),
                 by[..., n:].reshape(*shape, self.commands))
@@ -212,26 +194,26 @@ class BatchStep:
                 'friction under load; take field_derivatives(z, u)[1] in place of places')
         return self._system.places if self.commands else np.zeros((0, self.dimension))
 
-    @_alone
     def field(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """Return z' of one state, shape (2 d,), under a command, shape (c,)."""
-        q, p, d = *self._enter(z, u, time), self.dimension
-        dH_dq, dH_dp = self._system.kernel.slopes(q, p)
+        with self._lock:
+            q, p, d = *self._enter(z, u, time), self.dimension
+            dH_dq, dH_dp = self._system.kernel.slopes(q, p)
         return np.concatenate([dH_dp[:d], -dH_dq[:d] - self._acting.rates * p[:d]])
 
-    @_alone
     def field_derivatives(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0
                           ) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives of z' by z, (2 d, 2 d), and by u, (2 d, c)."""
-        q, p, d = *self._enter(z, u, time), self.dimension
-        by_z = np.empty((2 * d, 2 * d))
-        for column, unit in enumerate(np.eye(2 * d)):
-            v_q, v_p = (np.append(half, np.zeros(q.size - d)) for half in np.split(unit, 2))
-            along_q, along_p = self._system.kernel.products(q, p, v_q, v_p)
-            by_z[:, column] = np.concatenate(
-                [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
-        if not self._acting.feels:
-            return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
+        with self._lock:
+            q, p, d = *self._enter(z, u, time), self.dimension
+            by_z = np.empty((2 * d, 2 * d))
+            for column, unit in enumerate(np.eye(2 * d)):
+                v_q, v_p = (np.append(half, np.zeros(q.size - d)) for half in np.split(unit, 2))
+                along_q, along_p = self._system.kernel.products(q, p, v_q, v_p)
+                by_z[:, column] = np.concatenate(
+                    [along_p[:d], -along_q[:d] - self._acting.rates * unit[d:]])
+            if not self._acting.feels:
+                return by_z, np.vstack([np.zeros((d, self.commands)), self.places.T])
         command = np.asarray(u, dtype=np.float64)
         sizes = np.where(command, np.abs(command), np.abs(command).max() or 1.0)
 
@@ -262,8 +244,9 @@ class BatchStep:
     def _advanced(self, states: np.ndarray, commands: np.ndarray, time: ArrayLike, count: int,
                   hold: int) -> np.ndarray:
         """Return the states around so many holds of a command, shape (m, count + 1, 2 d)."""
-        path, _ = self._simulation.follow(self._simulation.rows(states, time), np.repeat(
-            commands[:, None], count, axis=1), hold)
+        with self._lock:
+            path, _ = self._simulation.follow(self._simulation.rows(states, time), np.repeat(
+                commands[:, None], count, axis=1), hold)
         return path
 
 
