@@ -11,11 +11,12 @@ from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, OnNumber, States
 from hnn_vi_ros.gradients.stages import (
-    Acting, entry_of, fill_gradients, find_stages, pull_back, push_forward, StageWork)
+    Acting, fill_gradients, find_stages, pull_back, push_forward, StageWork)
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import method_name, methods_that
 from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
 from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
+from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
@@ -476,7 +477,9 @@ class DifferentiableRun:
              kernel: Kernel | None = None) -> int:
         arguments = self._h, self._tableau, acting, *arrays, self._work
         if loop not in self._entries:
-            self._entries[loop] = entry_of(loop, self.kernel, *arguments)
+            self._entries[loop] = entry_point(
+                compiled_loop(loop, self.kernel, ''), self.kernel, *arguments) \
+                if self.kernel.compiled else loop
         return self._entries[loop](kernel or self.kernel, *arguments)
 
     @staticmethod

@@ -13,8 +13,7 @@ Steps are taken from a trajectory that is known. States are (q, p), 2 d numbers;
 the s stages one after another, then p.
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau
 from hnn_vi_ros.integrators.equations import set_scale
@@ -22,7 +21,6 @@ from hnn_vi_ros.integrators.newton import newton
 from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.blocks import bare
-from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear
 from hnn_vi_ros.kernels.marks import inlined
@@ -116,15 +114,6 @@ class _Problem(NamedTuple):
     z: np.ndarray
     dH_dq: np.ndarray
     dH_dp: np.ndarray
-
-
-Loop = Callable[..., int]
-
-
-def entry_of(loop: Loop, kernel: Kernel, *arguments: Any) -> Loop:
-    """Return what runs a loop of this module with arguments like these, compiled where H is."""
-    return entry_point(compiled_loop(loop, kernel, ''), kernel, *arguments) \
-        if kernel.compiled else loop
 
 
 def find_stages(kernel: Kernel, h: float, tableau: PartitionedTableau, acting: Acting,
