@@ -5,7 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 
@@ -151,7 +151,7 @@ def _feed_back(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray
     for b in range(n):
         for a in range(c):
             work.step[a] = -work.q_uz[a, b]
-        _solve(work.factor, work.step)
+        solve_cholesky(work.factor, work.step)
         for a in range(c):
             k_z[a, b] = 0.0 if _held(low, high, k, a, work) else work.step[a]
 
@@ -204,13 +204,6 @@ def _factorise(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) ->
 
 
 @inlined
-def _solve(factor: np.ndarray, x: np.ndarray) -> None:
-    """Solve equations whose matrix has this Cholesky factor."""
-    solve_lower(factor, x)
-    solve_upper(factor, x)
-
-
-@inlined
 def _value(k: np.ndarray, work: _Work) -> float:
     """Return what a change of the command does to the cost."""
     total = 0.0
@@ -236,7 +229,7 @@ def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
                 step[a] = -work.q_u[a]
                 for b in range(k.size):
                     step[a] -= work.damped[a, b] * k[b]
-        _solve(work.factor, step)
+        solve_cholesky(work.factor, step)
         value, length, settled = _value(k, work), 1.0, True
         for _ in range(_MOST):
             for a in range(k.size):

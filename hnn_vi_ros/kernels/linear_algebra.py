@@ -196,6 +196,13 @@ def factorise(matrix: np.ndarray) -> bool:
 
 
 @inlined
+def solve_cholesky(factor: np.ndarray, right: np.ndarray) -> None:
+    """Solve C C^T x = right in place, with C in the lower triangle of ``factor``."""
+    solve_lower(factor, right)
+    solve_upper(factor, right)
+
+
+@inlined
 def solve_lower(factor: np.ndarray, right: np.ndarray) -> None:
     """Solve C x = right in place, with C in the lower triangle of ``factor``."""
     for i in range(right.size):

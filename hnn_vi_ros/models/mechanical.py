@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, even_layers, Features, pack_features, see, see_change)
@@ -202,8 +202,7 @@ def hessian_vector(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarra
         for i in range(d):
             u_v[i] = v_p[a + i] / scale[i]
         _turn_mass(parameters, q[a:b], v_q[a:b], product_q[a:b])
-        solve_lower(factor, u_v)
-        solve_upper(factor, u_v)
+        solve_cholesky(factor, u_v)
         for i in range(d):
             product_p[a + i] = u_v[i] / scale[i]
         _change_slope(parameters, q[a:b], v_q[a:b], product_p[a:b], product_q[a:b])
@@ -336,8 +335,7 @@ def _solve(parameters: MechanicalParameters, q: np.ndarray, p: np.ndarray) -> No
         u[i] = p[i] / scale[i]
     if not factorise(factor):
         u[:] = np.nan
-    solve_lower(factor, u)
-    solve_upper(factor, u)
+    solve_cholesky(factor, u)
     for i in range(u.size):
         v[i] = u[i] / scale[i]
     transposed_product(work.L, u, work.w)

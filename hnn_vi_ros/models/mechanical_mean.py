@@ -8,7 +8,7 @@ from hnn_vi_ros.kernels.addresses import (
     by_address, energy as member_energy, gradient as member_slope,
     hessian_vector as member_change, Target)
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.ensemble import MeanHamiltonian
 from hnn_vi_ros.models.mechanical import inertia, slope, slope_change
@@ -127,8 +127,7 @@ def hessian_vector(parameters: MeanParameters, q: np.ndarray, p: np.ndarray, v_q
             member_change(member, q[a:b], v, v_q[a:b], parameters.zero, own, turned)
             for i in range(d):
                 v_change[i] -= share * turned[i]
-        solve_lower(parameters.factor, v_change)
-        solve_upper(parameters.factor, v_change)
+        solve_cholesky(parameters.factor, v_change)
         product_q[a:b] = 0.0
         for member in parameters.members:
             member_change(member, q[a:b], v, v_q[a:b], v_change, own, turned)
@@ -154,5 +153,4 @@ def _solve(parameters: MeanParameters, q: np.ndarray, p: np.ndarray) -> None:
                 factor[i, j] += share * mass[i * d + j]
     if not factorise(factor):
         v[:] = np.nan
-    solve_lower(factor, v)
-    solve_upper(factor, v)
+    solve_cholesky(factor, v)

@@ -8,7 +8,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy, gradient, hessian_vector, Target)
 from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.mechanical_card import MechanicalCard, PriorCard
@@ -80,8 +80,7 @@ def add_mass(prior: Prior, q: np.ndarray, scale: np.ndarray, gram: np.ndarray) -
     for j in range(d):
         unit[:] = 0.0
         unit[j] = 1.0
-        solve_lower(inverse, unit)
-        solve_upper(inverse, unit)
+        solve_cholesky(inverse, unit)
         for i in range(d):
             mass[i, j] = unit[i]
     for i in range(d):

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
     add_cross_force, cross_motion, hand_down, inherit, join, momentum, power, weight_power)
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
+from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.marks import inlined
 import numpy as np
 from numpy.typing import DTypeLike
@@ -197,8 +197,7 @@ def solve_rates(bodies: Bodies, work: Work, p: np.ndarray, start: int) -> None:
     regular = factorise(work.mass)
     for i in range(work.rates.size):
         work.rates[i] = p[start + bodies.coordinate[i + 1]] if regular else np.nan
-    solve_lower(work.mass, work.rates)
-    solve_upper(work.mass, work.rates)
+    solve_cholesky(work.mass, work.rates)
 
 
 @inlined
@@ -269,8 +268,7 @@ def solve_rate_changes(bodies: Bodies, work: Work, v_p: np.ndarray, start: int) 
         work.rates_v[i - 1] = (v_p[start + bodies.coordinate[i]]
                                - power(work.axis_v, work.momentum, i)
                                - power(axis, momentum_v, i))
-    solve_lower(work.mass, work.rates_v)
-    solve_upper(work.mass, work.rates_v)
+    solve_cholesky(work.mass, work.rates_v)
     for k in range(6):
         impulse[0, k] = 0.0
     for i in range(1, bodies.parent.size):
