@@ -46,7 +46,7 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
-    'torch': r'learning/(\w+/)?\w+\.py|models/torch_module\.py|torch\.py'
+    'torch': r'learning/(\w+/)?\w+\.py|models/torch_\w+\.py|torch\.py'
              r'|lockstep/\w+\.py|trajectory/devices\.py',
     'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',

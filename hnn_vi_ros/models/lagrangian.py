@@ -165,21 +165,16 @@ def midpoint_action(checkpoint: Checkpoint) -> Callable[..., Any]:
     if family != 'lagrangian':
         raise ModelError(f'{checkpoint.card.name}: a model of the family {family} has no '
                          'Lagrangian, as the family lagrangian has; take another integrator')
-    import torch  # where it is needed: shipped scenes run without it
-    activate: Callable[[torch.Tensor], torch.Tensor] = {
-        'tanh': torch.tanh, 'sine': torch.sin,
-        'softplus': torch.nn.functional.softplus}[checkpoint.card.activation]
+    # Where it is needed: shipped scenes run without torch.
+    from hnn_vi_ros.models.torch_network import Network
+    import torch
     mass = torch.tensor(checkpoint.card.mass, dtype=torch.float64)
-    layers = [tuple(torch.tensor(part) for part in parts)
-              for parts in zip(*checkpoint.networks['lagrangian'], strict=True)]
+    network = Network(checkpoint.networks['lagrangian'], checkpoint.card.activation)
 
     def action(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Tensor:
         velocity = (q1 - q0) / h
-        a = torch.cat([0.5 * (q0 + q1), velocity])
-        for weight, bias in layers[:-1]:
-            a = activate(weight @ a + bias)
-        weight, bias = layers[-1]
-        return h * (0.5 * velocity @ mass @ velocity + (weight @ a + bias)[0])
+        rest: torch.Tensor = network(torch.cat([0.5 * (q0 + q1), velocity]))[0]
+        return h * (0.5 * velocity @ mass @ velocity + rest)
     return action
 
 
