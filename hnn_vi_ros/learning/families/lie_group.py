@@ -134,7 +134,9 @@ class LieGroupNetwork(torch.nn.Module):
         y = self.outputs(name, z)
         entries = y
         if name == 'mass' and self.card.diagonal == 'softplus':
-            entries = torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
+            # By default torch cuts off what is below 2e-9.
+            entries = torch.where(
+                self.on_diagonal, torch.nn.functional.softplus(y, threshold=40.0), y)
         return y, (entries @ self.place).reshape(-1, self.k, self.k)
 
     def momenta(self, x: torch.Tensor, R: torch.Tensor, v: torch.Tensor) -> torch.Tensor:

@@ -467,7 +467,8 @@ class MechanicalNetwork(torch.nn.Module):
 
     def positive(self, y: torch.Tensor) -> torch.Tensor:
         """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
-        return torch.where(self.on_diagonal, torch.nn.functional.softplus(y), y)
+        # By default torch cuts off what is below 2e-9.
+        return torch.where(self.on_diagonal, torch.nn.functional.softplus(y, threshold=40.0), y)
 
     def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
         """Return the derivatives by q of the network's part of V, both of shape (N, d)."""
