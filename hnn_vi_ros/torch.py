@@ -6,7 +6,7 @@ Simulations that torch can differentiate: exact derivatives of the compiled step
 Takes the extra ``train``. See docs/gradients.md.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,13 +18,13 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence, States
 from hnn_vi_ros.gradients.derivatives import Change, Recorded
-from hnn_vi_ros.gradients.of_hamiltonian import (
-    base_of, OnForce, OnHamiltonian, OnLagrangian, Sum)
+from hnn_vi_ros.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
 from hnn_vi_ros.gradients.scene_run import check_in_files, Numbers, SceneRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
+from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
-from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
+from hnn_vi_ros.models.torch_network import Network
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
@@ -34,14 +34,11 @@ import numpy as np
 import torch
 
 # The inputs of each network of H, in families whose H, or Lagrangian, is known from networks and
-# from terms without weights.
+# from terms without weights; in a mechanism, features of them.
 _SEES = {
     'hnn': {'energy': 'both'}, 'dissipative_hnn': {'energy': 'both'}, 'dgnet': {'energy': 'both'},
     'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'},
-    'mechanical': {'mass': 'q', 'potential': 'q'}}
-_ACTIVATIONS = {
-    'tanh': torch.tanh, 'sine': torch.sin, 'relu': torch.relu,
-    'softplus': lambda z: torch.logaddexp(z, torch.zeros_like(z))}
+    'mechanical': {'mass': 'q', 'potential': 'q', 'friction': 'q'}}
 # States that are differentiated together.
 _ROWS = 4096
 
@@ -72,9 +69,7 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]) ->
     for name, value in weights.items():
         if value.shape != known[name].shape:
             raise ValueError(f'{name} has shape {value.shape}, expected {known[name].shape}')
-    checkpoint = hamiltonian.checkpoint
-    networks = dict(checkpoint.networks) | _layers(checkpoint, known | dict(weights))
-    return replace(checkpoint, networks=networks)
+    return hamiltonian.checkpoint.with_tensors(weights)
 
 
 def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -90,18 +85,63 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
     if checkpoint.members:
         raise UnsupportedSystem('weights of an ensemble are not differentiable yet: take one of '
                                 'its members, with member: K in hamiltonian')
-    known = dict(_tensors(checkpoint))
+    known = _of_H(checkpoint).tensors
     for name in names:
         if name not in known:
             raise ValueError(f'the model has no tensor {name!r}; it has: {listed(known)}')
     return known
 
 
+def _of_H(checkpoint: Checkpoint) -> Checkpoint:
+    """Return a model without networks that are no part of H, nor of the friction of a machine."""
+    sees = _SEES[checkpoint.card.family]
+    return replace(checkpoint, networks={
+        network: layers for network, layers in checkpoint.networks.items() if network in sees})
+
+
+class _Slopes(torch.nn.Module):
+    """
+    The networks' part of H', shape (N, 2 d), at states of that shape.
+
+    Of a machine it is (-L_q + D(q) v, -L_v) with the friction D v of a network, at (q, v).
+    """
+
+    def __init__(self, checkpoint: Checkpoint):
+        super().__init__()
+        card = checkpoint.card
+        self._sees, self._lagrangian = _SEES[card.family], None
+        self.networks = torch.nn.ModuleDict({
+            name: Network(layers, card.activation)
+            for name, layers in checkpoint.networks.items()})
+        if card.mechanical is not None:
+            machine = FAMILIES[card.family].trainer.of_model(card.mechanical, self.networks)
+            # Not the machine itself: its networks would be registered twice.
+            self._lagrangian, self._friction = machine.lagrangian, machine.friction.forward
+
+    def forward(self, states: torch.Tensor) -> torch.Tensor:
+        """Return the slopes."""
+        z = states.detach().requires_grad_()
+        q, p = z.chunk(2, dim=1)
+        if self._lagrangian is not None:
+            slopes = _gradient(-self._lagrangian(q, p), z)
+            return slopes + torch.cat([self._friction(q, p), 0.0 * p], dim=1)
+        seen = {'q': q, 'p': p, 'both': z}
+        return _gradient(torch.cat([
+            network(seen[self._sees[name]]) for name, network in self.networks.items()]), z)
+
+
+def _gradient(values: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+    """Return the derivative of the sum of values, which can be differentiated again."""
+    (slopes,) = torch.autograd.grad(values.sum(), z, create_graph=True)
+    return slopes
+
+
 class OnWeights:
     """
     The dependence of a trained H on some of its weights, one after another; see Dependence.
 
-    Of a mechanism it is that of -L(q, v), at velocities in place of momenta; see OnLagrangian.
+    Of a machine it is that of -L(q, v), and of its friction, at velocities in place of momenta;
+    see OnLagrangian.
 
     Parameters
     ----------
@@ -109,17 +149,15 @@ class OnWeights:
         From ``with_weights``.
     names : sequence of str
         Of the tensors.
-    of_friction : bool
-        Whether it is that of the friction D(q) v of a mechanism, in place of its -L_q; see
-        OnForce.
 
     """
 
-    def __init__(self, checkpoint: Checkpoint, names: Sequence[str], of_friction: bool = False):
-        self._checkpoint, self._names, self._of_friction, self._d = (
-            checkpoint, names, of_friction, len(checkpoint.card.coordinates))
-        self._tensors = {name: torch.tensor(values)
-                         for name, values in _tensors(self._checkpoint)}
+    def __init__(self, checkpoint: Checkpoint, names: Sequence[str]):
+        card = checkpoint.card
+        first, *others = card.layout
+        prefix = 'networks.' if others else f'networks.{first}.'
+        self._names, self._d = [prefix + name for name in names], len(card.coordinates)
+        self._module = _Slopes(_of_H(checkpoint))
 
     def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
         """Return the gradient, shape (W,); see Dependence."""
@@ -154,91 +192,12 @@ class OnWeights:
     def _slopes(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the weights, (W,), and what H' of the networks is by them, shape (N, 2 d)."""
         with torch.enable_grad():
-            own = [self._tensors[name] for name in self._names]
+            own = [self._module.get_parameter(name) for name in self._names]
             flat = torch.cat([tensor.reshape(-1) for tensor in own]).requires_grad_()
             parts = flat.split([tensor.numel() for tensor in own])
-            followed = {name: part.reshape(tensor.shape) for name, part, tensor in zip(
-                self._names, parts, own, strict=True)}
-            layers = _layers(self._checkpoint, self._tensors | followed)
-            if self._of_friction:
-                return flat, self._friction(layers['friction'], *states.chunk(2, dim=1))
-            z = states.detach().requires_grad_()
-            return flat, *torch.autograd.grad(
-                self._energy(layers, z).sum(), z, create_graph=True)
-
-    def _friction(self, layers: Layers, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return D(q) v = B B^T v with zeros, shape (N, 2 d); see LearnedFriction."""
-        card = self._checkpoint.card
-        assert card.mechanical is not None and card.mechanical.friction_features is not None
-        seen = _seen(card.mechanical, card.mechanical.friction_features, q)
-        B = torch.zeros(len(q), self._d, self._d, dtype=q.dtype)
-        B[:, *np.tril_indices(self._d)] = _outputs(layers, seen, card.activation)
-        return torch.cat([(B @ (B.transpose(1, 2) @ v[:, :, None]))[:, :, 0], 0.0 * v], dim=1)
-
-    def _energy(self, layers: Mapping[str, Layers], z: torch.Tensor) -> torch.Tensor:
-        """Return the networks' part of H, shape (N,), at states z, shape (N, 2 d)."""
-        q, p = z.chunk(2, dim=1)
-        seen, card = {'q': q, 'p': p, 'both': z}, self._checkpoint.card
-        if card.mechanical is not None:
-            return _lagrangian(card.mechanical, lambda name, x: _outputs(
-                layers[name], x, card.activation), q, p)
-        total = torch.zeros(len(z), dtype=z.dtype)
-        for network, own in layers.items():
-            total = total + _outputs(own, seen[_SEES[card.family][network]], card.activation)[:, 0]
-        return total
-
-
-def _outputs(layers: Layers, a: torch.Tensor, activation: str) -> torch.Tensor:
-    """Return the outputs of a network, shape (N, k), at inputs of shape (N, n)."""
-    weights, biases = layers
-    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        a = _ACTIVATIONS[activation](a @ weight.T + bias)
-    return a @ weights[-1].T + biases[-1]
-
-
-def _seen(card: MechanicalCard, rows: Sequence[Sequence[float]], q: torch.Tensor) -> torch.Tensor:
-    """Return the inputs of a network that sees these combinations of q, shape (N, n)."""
-    found = []
-    for row in rows:
-        y = q @ torch.tensor(row, dtype=q.dtype)
-        found += [y.sin(), y.cos()] if is_periodic(card.kinds, row) else [y]
-    return torch.stack(found, dim=1) if found else torch.zeros_like(q[:, :1])
-
-
-def _lagrangian(card: MechanicalCard, outputs: Callable[[str, torch.Tensor], torch.Tensor],
-                q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    """Return the networks' part of V - v . M v / 2, shape (N,); see MechanicalHamiltonian."""
-    potential, mass = (_seen(card, rows, q) for rows in (card.features, card.mass_features))
-    entries, (rows, columns) = outputs('mass', mass), np.array(card.entries).T
-    rises = torch.logaddexp(entries, torch.zeros_like(entries))
-    L = torch.zeros(len(q), *2 * [q.shape[1]], dtype=q.dtype)
-    L[:, rows, columns] = torch.where(torch.from_numpy(rows == columns), rises, entries)
-    u = (v * torch.tensor(card.mass_scale, dtype=v.dtype))[:, :, None]
-    twice = (L.transpose(1, 2) @ u).square() + card.floor * u.square()
-    return outputs('potential', potential)[:, 0] - 0.5 * twice.sum(dim=(1, 2))
-
-
-def _names(checkpoint: Checkpoint) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Yield each network of H, with the names of weight and bias of each of its layers."""
-    of_forces = checkpoint.networks.keys() & {'friction'}
-    for network in (*_SEES[checkpoint.card.family], *of_forces):
-        prefix = '' if checkpoint.card.networks is None else f'{network}.'
-        yield network, [(f'{prefix}linear{k}.weight', f'{prefix}linear{k}.bias')
-                        for k in range(1, len(checkpoint.networks[network].weights) + 1)]
-
-
-def _tensors(checkpoint: Checkpoint) -> Iterator[tuple[str, np.ndarray]]:
-    for network, names in _names(checkpoint):
-        for layer, values in zip(names, zip(*checkpoint.networks[network], strict=True),
-                                 strict=True):
-            yield from zip(layer, values, strict=True)
-
-
-def _layers(checkpoint: Checkpoint, tensors: Mapping[str, Any]) -> dict[str, Layers]:
-    """Return the networks of H, of arrays or tensors by name."""
-    return {network: Layers(*zip(*((tensors[weight], tensors[bias]) for weight, bias in names),
-                                 strict=True))
-            for network, names in _names(checkpoint)}
+            return flat, torch.func.functional_call(self._module, {
+                name: part.view_as(tensor) for name, part, tensor in zip(
+                    self._names, parts, own, strict=True)}, (states,))
 
 
 __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
@@ -620,14 +579,10 @@ class DifferentiableSimulation:
             return held.run.on_step_size
         if name == _WEIGHTS:
             assert numbers.model is not None
-            names, kernel = list(map(_in_file, self._weights)), held.run.kernel
-            own: Dependence = OnWeights(numbers.model, names)
+            own: Dependence = OnWeights(numbers.model, [*map(_in_file, self._weights)])
             if numbers.model.card.mechanical is not None:
-                own = OnLagrangian(own, base_of(kernel))
-            own = OnHamiltonian(own, kernel)
-            rubs = any(name.startswith('friction.') for name in names)
-            return Sum(own, OnForce(OnWeights(numbers.model, names, True), kernel)) \
-                if rubs else own
+                own = OnLagrangian(own, base_of(held.run.kernel))
+            return OnHamiltonian(own, held.run.kernel)
         return held.on_number(name)
 
 

@@ -12,11 +12,12 @@ import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
+from hnn_vi_ros.gradients.dependences import States
 from hnn_vi_ros.gradients.scene_run import model_of, numbers_of_model
 from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.torch import DifferentiableSimulation, Motion, simulate
+from hnn_vi_ros.torch import DifferentiableSimulation, Motion, OnWeights, simulate
 from hnn_vi_ros.trajectory.record import BLOCK
 from mechanical_models import random_mechanical, saved, SHAPES
 from messages import refused
@@ -214,6 +215,21 @@ def test_gradient_by_weights_of_a_mechanism_is_that_of_differences(tmp_path, sha
         effects=[{'kind': 'learned_friction', 'model': model}] * rubs)
     check_weights(scene, {f'{network}.': network for network in (
         'mass', 'potential', *['friction'] * rubs)}, d * [0.4])
+
+
+@pytest.mark.parametrize('shape', ['double pendulum', 'worn'])
+def test_changes_and_gradients_by_weights_are_transposed_each_time(shape):
+    model, rng = random_mechanical(shape), np.random.default_rng(0)
+    names, d = [*model.tensors], len(model.card.coordinates)
+    on = OnWeights(model, names)
+    q, p, *weights = rng.normal(size=(4, 5 * d))
+    change = rng.normal(size=sum(part.size for part in model.tensors.values()))
+    for _ in range(2):
+        gradient = on.contracted(States.at(q, p), np.stack(weights))
+        changed = on.changed(States.at(q, p), change)
+        # Sums of some hundred products, of the size of their terms.
+        assert abs(gradient @ change - np.sum(weights * changed)) <= 1e-13 * np.sum(
+            abs(gradient * change))
 
 
 def machine(folder: Path) -> Scene:

@@ -92,72 +92,18 @@ class OnHamiltonian:
         return slopes
 
 
-class OnForce:
-    """
-    The dependence of a run on something that a force f(q, v) alone depends on.
-
-    Parameters
-    ----------
-    own : Dependence
-        Of (-f, 0), at q and v.
-    kernel : Kernel
-        Of H with forces, by address.
-
-    """
-
-    def __init__(self, own: Dependence, kernel: Kernel):
-        self._own, self._kernel, self._base = own, kernel, base_of(kernel)
-
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient; see Dependence."""
-        return self._own.contracted(self._moving(at), _cut(weights, self._kernel).reshape(2, -1))
-
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
-        """Return the change; see Dependence."""
-        found = np.zeros((2, at.q.size))
-        cut = _cut(found, self._kernel)
-        cut[...] = self._own.changed(self._moving(at), change).reshape(cut.shape)
-        return found
-
-    def _moving(self, at: States) -> States:
-        q, p = (_cut(part, self._kernel).ravel() for part in (at.q, at.p))
-        return States.at(q, self._base.slopes(q, p)[1])
-
-
-class Sum:
-    """
-    The sum of dependences on one and the same thing.
-
-    Parameters
-    ----------
-    *parts : Dependence
-        What adds up.
-
-    """
-
-    def __init__(self, *parts: Dependence):
-        self._parts = parts
-
-    def contracted(self, at: States, weights: np.ndarray) -> np.ndarray:
-        """Return the gradient; see Dependence."""
-        return sum((part.contracted(at, weights) for part in self._parts), np.zeros(()))
-
-    def changed(self, at: States, change: np.ndarray) -> np.ndarray:
-        """Return the change; see Dependence."""
-        return sum((part.changed(at, change) for part in self._parts), np.zeros(()))
-
-
 class OnLagrangian:
     """
     The dependence of H' on something, of that of -L(q, v), the negative Lagrangian.
 
     As both depend on it, H_w(q, p) = -L_w(q, v) at the velocity v = H_p of p. No prior and no
-    mass matrix has to be inverted for it: a change of v is a product with H''.
+    mass matrix has to be inverted for it: a change of v is a product with H''. A force -f(q, v)
+    that depends on it joins -L_q.
 
     Parameters
     ----------
     own : Dependence
-        Of (-L_q, -L_v), at q and v.
+        Of (-L_q + f, -L_v), at q and v.
     kernel : Kernel
         Of H without forces.
 

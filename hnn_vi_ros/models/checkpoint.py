@@ -13,7 +13,7 @@ ModelCard as JSON. Nothing in it is ever executed.
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import hashlib
 from io import BufferedReader
 from itertools import pairwise
@@ -98,6 +98,18 @@ class Checkpoint:
     networks: Mapping[str, Layers]
     sha256: str = ''
     members: 'tuple[Checkpoint, ...]' = ()
+
+    @property
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Return the weights and biases of all networks by their names in a file."""
+        return {name: part for network, layers in self.networks.items()
+                for names, parts in zip(
+                    _names(self.card, network), zip(*layers, strict=True), strict=True)
+                for name, part in zip(names, parts, strict=True)}
+
+    def with_tensors(self, tensors: Mapping[str, np.ndarray]) -> 'Checkpoint':
+        """Return the model with other tensors in place of those of these names."""
+        return replace(self, networks=_layers(self.card, self.tensors | dict(tensors)))
 
     def member(self, number: int | None) -> 'Checkpoint':
         """
@@ -192,12 +204,9 @@ def _plain(path: str | Path, begin: bytes) -> Iterator[None]:
 def _networks(path: str | Path, card: ModelCard, tensors: dict[str, Any], prefix: str = ''
               ) -> dict[str, Layers]:
     """Take the networks of one model out of the tensors of a file."""
-    networks = {}
-    for network in card.layout:
-        layers = [[_tensor(path, name, shape, tensors.pop(name, None)) for name, shape in layer]
-                  for layer in _expected_layers(card, network, prefix)]
-        networks[network] = Layers(*zip(*layers, strict=True))
-    return networks
+    return _layers(card, {
+        name: _tensor(path, prefix + name, shape, tensors.pop(prefix + name, None))
+        for name, shape in _shapes(card).items()})
 
 
 def file_digest(path: Path) -> str:
@@ -266,16 +275,13 @@ def _serialized(path: Path, checkpoint: Checkpoint) -> bytes:
 
 def _tensors(path: Path, checkpoint: Checkpoint, prefix: str) -> dict[str, np.ndarray]:
     """Return the tensors of one model, checked against its card."""
-    tensors = {}
-    for network in checkpoint.card.layout:
-        layers = zip(*checkpoint.networks[network], strict=True)
-        for layer, parts in zip(
-                _expected_layers(checkpoint.card, network, prefix), layers, strict=True):
-            for (name, shape), part in zip(layer, parts, strict=True):
-                if part.shape != shape or not np.isfinite(part).all():
-                    raise ModelError(f'{path}: {name} has shape {part.shape}, expected {shape}, '
-                                     'all values finite')
-                tensors[name] = np.ascontiguousarray(part, dtype='<f8')
+    tensors, parts = {}, checkpoint.tensors
+    for name, shape in _shapes(checkpoint.card).items():
+        part = parts[name]
+        if part.shape != shape or not np.isfinite(part).all():
+            raise ModelError(f'{path}: {prefix}{name} has shape {part.shape}, expected {shape}, '
+                             'all values finite')
+        tensors[prefix + name] = np.ascontiguousarray(part, dtype='<f8')
     return tensors
 
 
@@ -314,14 +320,25 @@ def _card(path: str | Path, metadata: dict[str, Any]) -> ModelCard:
                          'version of hnn_vi_ros that wrote it') from problem
 
 
-def _expected_layers(card: ModelCard, network: str, prefix: str
-                     ) -> Iterator[tuple[tuple[str, tuple[int, ...]], ...]]:
-    """Yield for each layer of a network the names and shapes of its weight and its bias."""
-    widths = card.layout[network]
-    prefix += '' if card.networks is None else f'{network}.'
-    for layer, (inputs, outputs) in enumerate(pairwise(widths), start=1):
-        name = f'{prefix}linear{layer}'
-        yield (f'{name}.weight', (outputs, inputs)), (f'{name}.bias', (outputs,))
+def _names(card: ModelCard, network: str) -> list[tuple[str, str]]:
+    """Return the names of weight and bias of each layer of a network."""
+    prefix = '' if card.networks is None else f'{network}.'
+    return [(f'{prefix}linear{k}.weight', f'{prefix}linear{k}.bias')
+            for k in range(1, len(card.layout[network]))]
+
+
+def _shapes(card: ModelCard) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of all weights and biases by name."""
+    return {name: shape for network, widths in card.layout.items()
+            for names, (a, b) in zip(_names(card, network), pairwise(widths), strict=True)
+            for name, shape in zip(names, ((b, a), (b,)), strict=True)}
+
+
+def _layers(card: ModelCard, tensors: Mapping[str, np.ndarray]) -> dict[str, Layers]:
+    """Return the networks of these weights and biases."""
+    return {network: Layers(*zip(*(
+        (tensors[weight], tensors[bias]) for weight, bias in _names(card, network)), strict=True))
+        for network in card.layout}
 
 
 def _tensor(path: str | Path, name: str, shape: tuple[int, ...], found: dict[str, Any] | None

@@ -77,7 +77,7 @@ class Family:
         return _class(self.averaged)
 
     @property
-    def trainer(self) -> type:
+    def trainer(self) -> Any:
         """Return the torch module, which takes choice, hidden widths, scales and seed."""
         return _class(self.trained)
 

@@ -125,7 +125,8 @@ class Perceptron(torch.nn.Module):
         self.widths = [len(centre), *hidden, len(output_scale)]
         keep(self, centre=centre, scale=scale, output_scale=output_scale)
         self.linears = torch.nn.ModuleList(
-            torch.nn.Linear(inputs, outputs, dtype=torch.float64)
+            # Without first values, which would be drawn from the generator that all share.
+            torch.nn.utils.skip_init(torch.nn.Linear, inputs, outputs, dtype=torch.float64)
             for inputs, outputs in pairwise(self.widths))
         generator = torch.Generator().manual_seed(seed)
         for linear in self.linears:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks of machines, learned from (q, v, tau): mass, potential, friction; and a plain one."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from typing import Any, NamedTuple
 
@@ -409,6 +409,19 @@ class MechanicalNetwork(torch.nn.Module):
                                     np.array([energy]), seed + 1)
         self._leave_out_networks(structure.left_out if structure.residual else _NETWORKS)
 
+    @classmethod
+    def of_model(cls, card: MechanicalCard, networks: Mapping[str, torch.nn.Module]
+                 ) -> 'MechanicalNetwork':
+        """Return the networks of a model file as a machine, without prior and joint friction."""
+        zero, one = np.zeros(len(card.kinds)), np.ones(len(card.kinds))
+        own = cls(Structure(card.kinds, card.features, card.mass_features, card.diagonal_mass,
+                            friction_features=card.friction_features), (),
+                  MotionScales(zero, zero, one, one, np.square(card.mass_scale), one), 0)
+        own.floor, own.mass, own.potential = card.floor, networks['mass'], networks['potential']
+        if card.friction_features is not None:
+            own.friction.network = networks['friction']
+        return own
+
     def _leave_out_networks(self, names: Sequence[str]) -> None:
         with torch.no_grad():
             for name in names:
@@ -474,6 +487,11 @@ class MechanicalNetwork(torch.nn.Module):
         """Return the derivatives by q of the network's part of V, both of shape (N, d)."""
         x, slope = self.potential_features(q)
         return (slope * self.potential.gradient(x)) @ self.potential_features.rows
+
+    def lagrangian(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return v . M v / 2 - V without a prior, shape (N,)."""
+        kinetic = 0.5 * (v * (self.masses(q) @ v[:, :, None])[:, :, 0]).sum(dim=1)
+        return kinetic - self.potential(self.potential_features(q)[0])[:, 0]
 
     def masses(self, q: torch.Tensor) -> torch.Tensor:
         """Return M, shape (N, d, d)."""
