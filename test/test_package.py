@@ -34,10 +34,6 @@ INNER_FLOORS = {
             'controller_node', 'listener_node', 'launching', 'simulator_node')}
 # Imports that would close a circle, by importing and imported module, and why they are there.
 DELIBERATE = {
-    ('integrators.implicit', 'integrators.generalized_leapfrog'):
-        'the method that takes the sub-steps of others is one of those that have such',
-    ('integrators.lie.equations', 'integrators.lie.lie_leapfrog'):
-        'the same, on a group',
     ('simulation.dense_step', 'simulation'):
         'a dense step is one of a simulation, and is returned by it',
 }
@@ -52,11 +48,11 @@ HOMES = {
     'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
     'heyoka': r'integrators/taylor\.py',
-    'argcomplete': r'commands/completion\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
     'rosbags': r'bags/bag_files\.py',
     'ray': r'sweeps/ray_cluster\.py',
+    'argcomplete': r'commands/completion\.py',
     'rerun': r'viewer/rerun_\w+\.py',
     'contourpy': r'viewer/phase_portrait\.py',
     'matplotlib': r'learning/(\w+/)?\w+\.py|trajectory/\w+\.py'

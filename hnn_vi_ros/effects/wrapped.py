@@ -96,10 +96,9 @@ class Wrapped(Integrator):
         """Return the workspaces of the method and of the layer."""
         return (*self.inner.memory(n, dtype), self._kind.workspace(n, self._settings))
 
-    def substep(self) -> Integrator | None:
-        """Return the method that takes a failed step in parts, with the layer."""
-        inner = self.inner.substep()
-        return None if inner is None else Wrapped(inner, self._kind, self._settings)
+    def with_method(self, inner: Integrator) -> 'Wrapped':
+        """Return another method with the layer around its step."""
+        return Wrapped(inner, self._kind, self._settings)
 
 
 class Account(Layer):

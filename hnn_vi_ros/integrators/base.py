@@ -266,6 +266,9 @@ class Integrator(ABC):
     no_solution : str
         Meaning of a step's equation without a solution connected to h = 0; '' where the
         one that solvers find is taken.
+    fallback : str
+        Name of the method whose sub-steps redo a failed step, where this one is not symmetric
+        and does so itself; '' for none.
     compiled : bool
         False if a step calls what numba cannot compile.
     step : callable
@@ -281,6 +284,7 @@ class Integrator(ABC):
     keeps_gradient: ClassVar[bool] = False
     compiled: bool = True
     no_solution: str = ''
+    fallback: str = ''
     halves: 'tuple[Callable, Callable] | None' = None
     equations: tuple[int, ...] = ()
     step: Callable
@@ -342,10 +346,6 @@ class Integrator(ABC):
     @property
     def partitioned(self) -> PartitionedTableau | None:
         """Return the step as a partitioned Runge-Kutta method, for derivatives; None if none."""
-        return None
-
-    def substep(self) -> 'Integrator | None':
-        """Return the symmetric method that redoes a failed step in sub-steps, None for no such."""
         return None
 
     @staticmethod

@@ -86,10 +86,6 @@ class Composition(Integrator):
         """Return the options of the base."""
         return self.base.options(attempt, dimension)
 
-    def substep(self) -> Integrator | None:
-        """Return the method with which the base redoes a failed step."""
-        return self.base.substep()
-
     @property
     def partitioned(self) -> PartitionedTableau | None:
         """Return the stages of the base's steps, one step after another."""

@@ -46,7 +46,7 @@ class ImplicitIntegrator(Integrator):
 
     """
 
-    explicit = False
+    explicit, fallback = False, 'generalized_leapfrog'
     # Whether the equation of each trajectory of one coordinate has one unknown.
     scalar = False
     equations: tuple[int, ...] = (1,)
@@ -59,8 +59,8 @@ class ImplicitIntegrator(Integrator):
                 f'max_iterations = {max_iterations} must be from 1 to {_MOST_ITERATIONS}')
         self.solver, self.max_iterations = solver, max_iterations
         if solver == 'fixed_point':
-            # From the state it goes to the same solution each time.
-            self.no_solution = ''
+            # From the state it goes to the same solution each time, or to none.
+            self.no_solution = self.fallback = ''
 
     def attempts(self, n: int) -> tuple[int, ...]:
         """Return the attempts of the chain: 0 quickly, 1 and 2 by Newton, 3 by continuation."""
@@ -85,18 +85,6 @@ class ImplicitIntegrator(Integrator):
             return SolverOptions(solve, attempt < 3, _NEWTON_ITERATIONS)
         solve = secant if self.scalar and dimension == 1 else anderson
         return SolverOptions(solve, True, self.max_iterations, bool(self.no_solution))
-
-    def substep(self) -> Integrator | None:
-        """Return this method where it is symmetric, else a leapfrog."""
-        if self.solver == 'fixed_point':
-            return None
-        # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
-        return self if self.requirements.symmetric else self.leapfrog()
-
-    def leapfrog(self) -> Integrator:
-        """Return the symmetric method of order 2 that takes the same systems."""
-        from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
-        return GeneralizedLeapfrog()
 
 
 class EulerIntegrator(ImplicitIntegrator):

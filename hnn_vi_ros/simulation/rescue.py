@@ -11,10 +11,13 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects.base import Layer
 from hnn_vi_ros.effects.wrapped import Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
+from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.arithmetic import copy_point, largest
 from hnn_vi_ros.integrators.base import (
     BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
+from hnn_vi_ros.integrators.composition import Composition
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.integrators.lie.equations import LieIntegrator
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget, separate
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import inlined
@@ -174,7 +177,7 @@ class Rescue:
         """Return the fallbacks in their order: method, attempt, and number of parts."""
         if self._on_failure == 'implicit' and active == 0:
             return [(self._implicit, attempt, 1) for attempt in self._implicit.attempts(n)]
-        substep = self.methods[active].substep() if self._on_failure == 'substep' else None
+        substep = _substep(self.methods[active]) if self._on_failure == 'substep' else None
         return [] if substep is None else [
             (substep, 0, 2 ** k) for k in range(1, _HALVINGS + 1)]
 
@@ -192,6 +195,20 @@ class Rescue:
         for array, value in zip(state, before, strict=True):
             array[...] = value
         return False, gradients
+
+
+def _substep(method: Integrator) -> Integrator | None:
+    """Return the symmetric method that redoes a failed step in sub-steps, None for no such."""
+    if isinstance(method, Wrapped):
+        inner = _substep(method.inner)
+        return None if inner is None else method.with_method(inner)
+    if isinstance(method, Composition):
+        return _substep(method.base)
+    if not method.fallback or method.requirements.symmetric:
+        return method if method.fallback else None
+    # Sub-steps of a method that is not symmetric would each conserve a 2-form of their own.
+    return INTEGRATORS[method.fallback](
+        *[method.retraction] if isinstance(method, LieIntegrator) else ())
 
 
 class Taken(NamedTuple):

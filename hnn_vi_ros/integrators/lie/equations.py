@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
+from hnn_vi_ros.integrators.base import OK, Point, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivialised, turn
@@ -386,7 +386,7 @@ class LieIntegrator(ImplicitIntegrator):
 
     """
 
-    order = 1
+    order, fallback = 1, 'lie_leapfrog'
     requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
 
     def __init__(self, retraction: str = 'cayley', solver: str = 'chain',
@@ -403,8 +403,3 @@ class LieIntegrator(ImplicitIntegrator):
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
         """Return the workspace of the equation."""
         return (GroupWork.empty(n, dtype),)
-
-    def leapfrog(self) -> Integrator:
-        """Return the leapfrog on the group."""
-        from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
-        return LieLeapfrog(self.retraction)

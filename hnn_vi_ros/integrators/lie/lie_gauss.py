@@ -5,12 +5,11 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import Integrator, OK, Point, PointWork, Requirements, TURNED
+from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.gauss import Collocation, orders_of, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, fill_forces, FURTHEST, FURTHEST_CAYLEY, move, set_turn_scale, turns_beyond)
-from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
 from hnn_vi_ros.integrators.newton import by_differences
 from hnn_vi_ros.integrators.workspaces import SolverWork
@@ -116,7 +115,7 @@ class LieGauss(Collocation):
     """
 
     requirements = Requirements(symmetric=False, symplectic=True, coordinates='group')
-    keeps_gradient = True
+    keeps_gradient, fallback = True, 'lie_leapfrog'
     kernel_name = 'LieGauss'
 
     def memory(self, n: int, dtype: type = np.float64) -> tuple:
@@ -127,10 +126,6 @@ class LieGauss(Collocation):
             kept, SolverWork.empty(size, dtype), np.zeros(size, dtype),
             *np.zeros((4, size // 2), dtype), *np.zeros((4, n), dtype),
             *np.zeros((2, size), dtype)), PointWork(Point.empty(n, dtype)))
-
-    def leapfrog(self) -> Integrator:
-        """Return the leapfrog on the group."""
-        return LieLeapfrog()
 
     @staticmethod
     @inlined

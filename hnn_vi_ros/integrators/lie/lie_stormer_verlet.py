@@ -62,7 +62,7 @@ class LieStormerVerlet(Integrator):
 
     """
 
-    order, explicit = 2, True
+    order, explicit, fallback = 2, True, 'lie_stormer_verlet'
     requirements = Requirements(symmetric=True, symplectic=True, separable=True,
                                 coordinates='group')
 
@@ -83,10 +83,6 @@ class LieStormerVerlet(Integrator):
         """Return the workspace of a step."""
         return (FlightWork(np.zeros(n, dtype), np.zeros(n, dtype), np.zeros(n, dtype),
                            np.zeros(4, dtype)),)
-
-    def substep(self) -> Integrator | None:
-        """Return this method: it is symmetric."""
-        return self
 
     @staticmethod
     @inlined
