@@ -98,6 +98,12 @@ def test_stormer_verlet_and_compositions_of_it_refuse_a_hamiltonian_that_does_no
         check_method(method, SYSTEMS['separable'])
 
 
+def test_failed_steps_are_redone_by_methods_that_are_symmetric():
+    for method in INTEGRATORS.values():
+        if method.fallback:
+            assert INTEGRATORS[method.fallback].requirements.symmetric
+
+
 @pytest.mark.parametrize('needs, takes', [
     ({}, (True, True)), ({'separable': True}, (True, False)), ({'forces': False}, (False, False)),
     ({'hamiltonian': False}, (False, False)), ({'forces': 'held'}, (False, False))])
