@@ -45,6 +45,8 @@ FUNCTIONS = tuple(name for name in _SLOPES if name not in ('sign', 'versine'))
 _NUMPY: dict[str, Callable[..., Any]] = {
     'acos': np.arccos, 'asin': np.arcsin, 'atan': np.arctan,
     'versine': lambda x: 2.0 * np.sin(0.5 * x) ** 2}
+# 1 - sin(x)^2 is the square of the other one: its root, as of acos(cos x), has a kink that shows.
+_COMPLEMENTS = {'sin': 'cos', 'cos': 'sin'}
 _CALLS = {name: _NUMPY.get(name) or getattr(np, name) for name in _SLOPES}
 
 
@@ -117,8 +119,15 @@ class Graph:
         if rest == other:
             return self.scaled(c + d, rest)
         for value, factor, part in ((x, d, other), (y, c, rest)):
-            if value == -factor and self.nodes[part][0] == 'cos':
-                return self.scaled(value, self._node('versine', self.nodes[part][1]))
+            kind, *inside = self.nodes[part]
+            if value == -factor and kind == 'cos':
+                return self.scaled(value, self._node('versine', *inside))
+            if kind == 'power' and inside[1] == 2:
+                own, base = self._factor(inside[0])
+                kind, *inside = self.nodes[base]
+                if value == -factor * own * own and kind in _COMPLEMENTS:
+                    return self.scaled(value, self.power(
+                        self.apply(_COMPLEMENTS[kind], *inside), 2))
         return self._node('sum', a, b)
 
     def product(self, a: int, b: int) -> int:

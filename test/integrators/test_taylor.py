@@ -179,6 +179,9 @@ def test_taylor_gives_states_between_the_ends_of_a_step_at_a_wall():
     (Formula(['x'], 'p_x^2/2 + abs(x)'), ()), (Formula(['x'], 'p_x^2/2 + (x^2)^1.5'), ()),
     (Formula(['x', 'y'], 'p_x^2/2 + p_y^2/2 + sqrt(x^2*y^4) + y^2'), ()),
     (Formula(['x'], 'p_x^2/2 + sqrt(1 - cos(x))'), ()),
+    (Formula(['x'], 'p_x^2/2 + acos(cos(x))'), ()),
+    (Formula(['x'], 'p_x^2/2 + asin(-sin(2*x))'), ()),
+    (Formula(['x'], 'p_x^2/2 + sqrt(4 - 4*cos(x)^2)'), ()),
     (Formula(['x'], 'p_x^2/2 + x^2'), (FormulaPotential('(sin(x)^2)^0.7'),)),
     (HAMILTONIANS['fput_chain'](), ()),
     (HAMILTONIANS['heavy_top'](), ()), (HAMILTONIANS['pendulum'](), (Damping(0.1),))])
@@ -189,7 +192,8 @@ def test_taylor_refuses_by_name(hamiltonian, effects):
 
 
 @pytest.mark.parametrize('H', ['p_x^2/2 + x^4', 'p_x^2/2 + (1 + x^2)^1.5 + x^3',
-                               'p_x^2/2 + sqrt((x - 3)^2 + 0.01)'])
+                               'p_x^2/2 + sqrt((x - 3)^2 + 0.01)',
+                               'p_x^2/2 + acos(0.9*cos(x))'])
 def test_taylor_takes_powers_and_roots_that_have_no_kink(H):
     simulation = Simulation(Formula(['x'], H), Taylor(1e-14), 1.0, [0.0], [1.0])
     energy = simulation.energy
