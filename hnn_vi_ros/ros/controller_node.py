@@ -29,12 +29,14 @@ from hnn_vi_ros.ros.settings import CONTROLLER_PARAMETERS, ControllerSettings
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, OK, Status, WARN
 from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import Input, NEWEST, read_observation
+from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from rclpy.time import Time
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
@@ -52,8 +54,6 @@ _EARLY = 0.01
 # Most calls that compile a controller, the time of one that does [s], and how many that do not
 # show that all is compiled.
 _WARM_CALLS, _COMPILING, _FAST_CALLS = 20, 0.5, 4
-# As sensors are heard, but only the newest: a plan begins at no older state.
-_STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray, np.ndarray]:
@@ -144,12 +144,14 @@ class ControllerNode(ManagedNode):
         turning = assignment.hamiltonian.rotations
         self._states = f'{self._simulator}/state' if turning else 'joint_states'
         self._answered = math.inf
-        self._stamp, self._stamps = 0, Stamps(lambda: self.get_clock().now().nanoseconds)
+        self._stamp, self._stamps = 0, Stamps(self._now)
+        # Why joints stay missing is known before their silence is told.
+        self._joiner = ObservationJoiner(
+            columns(assignment.hamiltonian.coordinates)[0], 0.5 * self._silence, self._now)
         # A simulator that was reset publishes its scene: its stamps may be older from now on.
         self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
                            lambda message: self._stamps.reset())
-        self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
-                           self._on_state)
+        self._joins, self._subscription = False, self._hear_states(1)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
                         steady_timer(self, _REPORT, self._report)]
         self._times: deque[float] = deque(maxlen=_RECENT)
@@ -199,6 +201,15 @@ class ControllerNode(ManagedNode):
         assert self._assignment is not None, 'the node is configured'
         return self._assignment
 
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _hear_states(self, depth: int) -> Subscription:
+        """Hear states as sensors are heard, but only the newest: a plan begins at no older one."""
+        qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return self._hearing.hear(Input(self._states, JointState, frozenset(), None, qos),
+                                  self._on_state)
+
     def _forget(self) -> None:
         """Answer the next state, whatever was before."""
         self._assigned.prediction.forget()
@@ -211,8 +222,10 @@ class ControllerNode(ManagedNode):
         if not self._active:
             return
         self._heard, self._refused = begin, True
-        q, v = state_of(message, assigned.hamiltonian)
-        stamp = self._stamps.accept(nanoseconds(message.header.stamp))
+        if (joined := self._joiner(message)) is None:
+            return
+        q, v = state_of(joined, assigned.hamiltonian)
+        stamp = self._stamps.accept(nanoseconds(joined.header.stamp))
         self._refused = False
         if stamp < self._stamp:
             # The simulator has begun anew, or the clock was set back.
@@ -280,6 +293,11 @@ class ControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Stop or hold, and say so once, when no state comes any more."""
+        if self._joiner.joins and not self._joins:
+            # The newest of each part: drivers publish them at the same time.
+            self._joins = True
+            self._hearing.drop(self._subscription)
+            self._subscription = self._hear_states(len(self._assigned.hamiltonian.coordinates))
         if not self._active or time.monotonic() - self._answered < self._silence:
             return
         cause = self._cause
@@ -304,7 +322,7 @@ class ControllerNode(ManagedNode):
             return ''
         why = self._hearing.reasons.get(self._states, '') if self._refused else (
             'their stamps rise by less than a period; raise silence for a slow simulator')
-        return f' ({why})'
+        return f' ({why})' if why else ''
 
     @property
     def _stranger(self) -> str:
@@ -325,7 +343,8 @@ class ControllerNode(ManagedNode):
         level, message = OK, f'{assigned.task.controller.kind}: {controller.mode}'
         stranger = self._warn_of_stranger(self._stranger)
         crowd = self._warn_of_crowd(crowded(
-            self, [self._states, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
+            self, [*[self._states] * (not self._joiner.joins), self._topic,
+                   *[CLOCK_TOPIC] * follows_clock(self)]))
         apart = float(np.median(self._gaps)) if self._gaps else math.nan
         seldom = self._warn_of_gaps('' if not apart > _SELDOM * assigned.task.period else (
             f'{self._states}: states come less often than a period of {assigned.task.period:g} s; '

@@ -14,6 +14,7 @@ from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import Lasting
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
+from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from messages import refused
 from peer import ros, values_of
 from processes import wait_until
@@ -167,6 +168,30 @@ def test_older_stamps_are_answered_after_a_reset_or_a_silence(driven: Driven):
     driven.time += 1.0
     driven.node._watch()
     assert len(driven.hear(*take(rising(SECOND // 100), 10))) == 10
+
+
+def test_states_in_parts_are_joined_and_not_told_as_a_second_publisher(
+        driven: Driven, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(driven.node, '_joiner', ObservationJoiner(
+        ['angle', 'elbow'], SILENCE / 2, lambda: EPOCH))
+
+    def part(k: int) -> list[JointState]:
+        elbow, grip = (JointState(name=[name], position=[0.0]) for name in ('elbow', 'grip'))
+        both = [state(SECOND + k * SECOND // 100), grip, elbow]
+        elbow.header.stamp = state(SECOND + k * SECOND // 100 + 1_000_000).header.stamp
+        return both
+
+    heard = driven.hear(*(one for k in range(50) for one in part(k)), apart=PERIOD / 3)
+    assert len(heard) == 50 and min(map(abs, heard)) > 0.0
+    # That of the newest part.
+    assert nanoseconds(driven.commands[0].header.stamp) == SECOND + 1_000_000
+    with endpoints(driven, arm=[f'publisher {STATES}', f'subscription {COMMANDS}'],
+                   other=[f'publisher {STATES}']):
+        driven.hear(*part(60)[:1])
+        assert 'has 2 publishers' not in driven.status.message + driven.status.message
+    # One of them falls silent.
+    assert driven.hear(*(part(k)[0] for k in range(60, 120))) == [0.0]
+    assert 'joints angle are observed without elbow' in driven.status.message
 
 
 @pytest.mark.parametrize('stamp', [(5, 2**32 - 1), (2**31 - 1, 2**32 - 1), (-1, 0), (-2**31, 5)])

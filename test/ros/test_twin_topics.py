@@ -68,6 +68,8 @@ def test_parts_of_an_observation_are_joined_by_name_within_a_tolerance():
     whole = observation([1.0, 2.0], ('b', 'a'), at=SECOND)
     assert join(whole) is whole and not join.joins
     assert join(observation([1.0, 9.0], ('a', 'grip'), velocity=[0.5, 0.0], at=4 * SECOND)) is None
+    # One of other joints, which whoever reads it refuses, is none of the parts.
+    assert join(other := observation([7.0], ('grip',), at=4 * SECOND)) is other
     found = join(observation([2.0], ('b',), at=4 * SECOND + 20_000_000))
     assert join.joins
     assert (found.name, stamp(found)) == (['a', 'b'], 4 * SECOND + 20_000_000)

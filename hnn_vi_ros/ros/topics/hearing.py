@@ -87,7 +87,12 @@ class Hearing:
         self.topics.append(topic)
         return subscription
 
+    def drop(self, subscription: Subscription) -> None:
+        """Take a subscription away."""
+        self._subscriptions.remove(subscription)
+        self._node.destroy_subscription(subscription)
+
     def close(self) -> None:
         """Take the subscriptions away."""
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        for subscription in [*self._subscriptions]:
+            self.drop(subscription)

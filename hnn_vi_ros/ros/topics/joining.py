@@ -16,10 +16,11 @@ _APART = 50_000_000
 
 class ObservationJoiner:
     """
-    Turn the messages of a machine into observations of all joints, stamped by simulated time.
+    Turn the messages of a machine into observations of all joints, stamped by one clock.
 
-    A stamp is simulated time or that of ROS, whichever it is nearer to. A message with some of the
-    joints waits for the others, of other drivers; what is older then moves on at its velocity.
+    Where that is simulated, a stamp is its time or that of ROS, whichever is nearer. A message
+    with some of the joints waits for the others, of other drivers; what is older then moves on at
+    its velocity.
 
     Parameters
     ----------
@@ -27,32 +28,37 @@ class ObservationJoiner:
         The observed joints.
     timeout : float
         Time after which a joint is missed [s].
-    simulated, ros : callable
-        Return the simulated time, and that of ROS [ns].
+    now : callable
+        Returns the time of arrival, the simulated one or that of ROS [ns].
+    ros : callable, optional
+        Returns that of ROS [ns], where the other one is simulated.
 
     Attributes
     ----------
     joins : bool
-        Whether the last message was part of an observation: several drivers publish them.
+        Whether the last message with joints of these had some: several drivers publish them.
 
     """
 
-    def __init__(self, names: Sequence[str], timeout: float, simulated: Callable[[], int],
-                 ros: Callable[[], int]):
+    def __init__(self, names: Sequence[str], timeout: float, now: Callable[[], int],
+                 ros: Callable[[], int] | None = None):
         self._names, self._timeout = names, round(timeout * 1e9)
-        self._simulated, self._ros = simulated, ros
+        self._now, self._ros = now, ros
         # Time, position and velocity of each joint since the last observation of all.
         self._parts: dict[str, tuple[int, float, float]] = {}
         self._since, self.joins = 0, False
 
     def __call__(self, message: JointState) -> JointState | None:
         """Return the observation that a message completes; ValueError if a joint is missing."""
-        stamp, now, ros = nanoseconds(message.header.stamp), self._simulated(), self._ros()
-        if stamp and abs(stamp - ros) < abs(stamp - now):
+        stamp, now = nanoseconds(message.header.stamp), self._now()
+        if self._ros and stamp and abs(stamp - (ros := self._ros())) < abs(stamp - now):
             # Zero would mean now.
             stamp = max(1, stamp - ros + now)
         there = [name for name in self._names if name in message.name]
-        self.joins = 0 < len(there) < len(self._names)
+        if not there:
+            # Of other joints: whoever reads it says which are missing.
+            return _stamped(message, stamp)
+        self.joins = len(there) < len(self._names)
         if not self.joins or len({*message.name}) < len(message.name):
             self._parts.clear()
             return _stamped(message, stamp)
