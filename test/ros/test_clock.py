@@ -7,8 +7,11 @@ from itertools import count
 from pathlib import Path
 import re
 import signal
+from types import SimpleNamespace
 
+from builtin_interfaces.msg import Time
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.ros.plumbing import managed_node
 from hnn_vi_ros.ros.simulator_node import SimulatorNode
 from messages import assert_message
 from peer import Peer, peer, ros, simulating, SIMULATOR, stamp, wait_for_way_back
@@ -147,6 +150,36 @@ def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_p
         other.spin_until(lambda: set_clock() or time_of_run() >= due)
         assert time_of_run() == due
     assert_agrees(tmp_path / 'bag', due // tick)
+
+
+def test_first_of_several_publishers_of_the_clock_is_followed_until_it_is_silent(
+        capfd, monkeypatch):
+    wall = [100.0]
+    monkeypatch.setattr(managed_node, 'time', SimpleNamespace(monotonic=lambda: wall[0]))
+    with ros('--ros-args', '-p', 'use_sim_time:=true'):
+        node = managed_node.RobustNode('follower')
+        heed = next(one for one in node.subscriptions if one.topic_name == '/clock').callback
+
+        def now_after(at: float) -> float:
+            seconds, rest = divmod(round(at * 1e9), 10**9)
+            heed(Clock(clock=Time(sec=seconds, nanosec=rest)))
+            return node.get_clock().now().nanoseconds / 1e9
+
+        publishers = [node.create_publisher(Clock, '/clock', 1) for _ in range(2)]
+        wait_until(lambda: node.count_publishers('/clock') == 2)
+        for k in range(5):
+            assert now_after(50.0 + k) == 50.0 + k
+            for other in (5.0, 90.0):
+                assert now_after(other) == 50.0 + k
+            wall[0] += 0.9
+        wall[0] += 0.2
+        assert now_after(5.0) == 5.0
+        # A single one may jump.
+        node.destroy_publisher(publishers[0])
+        wait_until(lambda: node.count_publishers('/clock') == 1)
+        assert now_after(90.0) == 90.0 and now_after(1.0) == 1.0
+        node.destroy_node()
+    assert capfd.readouterr().err.count('the first is followed') == 1
 
 
 def test_clock_that_cannot_be_followed_is_one_line():

@@ -3,6 +3,7 @@
 """Nodes that outlive a wrong /clock, and whose slow transitions may be refused."""
 
 from collections.abc import Awaitable, Callable, Sequence
+import math
 import os
 import signal
 import sys
@@ -31,6 +32,9 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 
 CLOCK_TOPIC = '/clock'
+# Of several publishers of /clock one is followed until it is silent for so long [s]; what goes
+# back, or is so much ahead [ns], is another's.
+_CLOCK_SILENCE, _CLOCK_STEP = 1.0, 10**9
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
@@ -76,7 +80,7 @@ class PaceClock:
 
 class RobustNode(Node):
     """
-    A node that ignores impossible times on /clock, and logs that; it names unknown parameters.
+    A node that follows one /clock, whose times are possible; it names unknown parameters.
 
     Attributes
     ----------
@@ -106,13 +110,26 @@ class RobustNode(Node):
         return super().set_parameters_atomically(parameter_list)
 
     def _heeding(self, callback: Callable[[Clock], None]) -> Callable[[Clock], None]:
+        newest, heard = 0, -math.inf
+
         def on_clock(message: Clock) -> None:
+            nonlocal newest, heard
             try:
-                nanoseconds(message.clock)
+                at = nanoseconds(message.clock)
             except ValueError as problem:
                 self.get_logger().error(
                     f'{CLOCK_TOPIC}: message ignored: {problem}', throttle_duration_sec=1.0)
                 return
+            now = time.monotonic()
+            # No message tells who sent it.
+            if (now - heard < _CLOCK_SILENCE and not 0 <= at - newest <= _CLOCK_STEP
+                    and self.count_publishers(CLOCK_TOPIC) > 1):
+                self.get_logger().warning(
+                    f'{CLOCK_TOPIC} has several publishers: the first is followed, at '
+                    f'{newest / 1e9:.9g} s, and not one at {at / 1e9:.9g} s; end all but one',
+                    once=True)
+                return
+            newest, heard = at, now
             callback(message)
             self.after_clock()
         return on_clock
