@@ -34,7 +34,7 @@ from rosgraph_msgs.msg import Clock
 CLOCK_TOPIC = '/clock'
 # Of several publishers of /clock one is followed until it is silent for so long [s]; what goes
 # back, or is so much ahead [ns], is another's.
-_CLOCK_SILENCE, _CLOCK_STEP = 1.0, 10**9
+_CLOCK_SILENCE, _CLOCK_STEP = 5.0, 10**9
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
