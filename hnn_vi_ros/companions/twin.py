@@ -177,9 +177,8 @@ class Twin:
     def unstable(self) -> str:
         """Return that the gain is too large for the state of the simulation; nothing if not."""
         own, h = self._simulation, self._simulation.step_size
-        zero, units = np.zeros(own.q.size), np.eye(own.q.size)[self._places]
-        inverse = np.array([own.hamiltonian.hessian_vector(own.q, own.p, zero, unit)[1]
-                            for unit in units])[:, self._places]
+        inverse = own.hamiltonian.inverse_mass(own.q, own.p)[
+            np.ix_(self._places, self._places)]
         if not (self._gain and np.isfinite(inverse).all()):
             return ''
         # The lightest observed motion sets the limit.

@@ -242,11 +242,8 @@ class Kinetic(_OfState):
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         model, (n, d) = self._hamiltonian, q.shape
         both = _and_at_rest(q, p)
-        units = np.broadcast_to(np.eye(d)[:, None], (d, n, d))
         by_zz = np.zeros((n, 2 * d, 2 * d))
-        q_each, p_each = (np.broadcast_to(x, units.shape) for x in (q, p))
-        by_zz[:, d:, d:] = model.hessian_vector(q_each, p_each, np.zeros(units.shape),
-                                                units)[1].transpose(1, 2, 0)
+        by_zz[:, d:, d:] = model.inverse_mass(q, p)
         moving, rest = model.energy(*both)
         slopes = (moved - kept for moved, kept in model.gradient(*both))
         return moving - rest, np.concatenate(list(slopes), axis=-1), by_zz

@@ -30,13 +30,6 @@ def momentum_index(coordinates: Sequence[Coordinate], name: str) -> int:
     return names.index(name)
 
 
-def inverse_mass(hamiltonian: Hamiltonian, q: np.ndarray) -> np.ndarray:
-    """Return H_pp(q, 0) for q of shape (d,), with one row for each momentum."""
-    still, zero = np.zeros(q.size), np.zeros(q.size - len(hamiltonian.rotations))
-    return np.column_stack([hamiltonian.hessian_vector(q, zero, still, unit)[1]
-                            for unit in np.eye(zero.size)])
-
-
 def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> None:
     """Raise ValueError if the power -v . (rate M v) could be positive near q, shape (m d,)."""
     d = hamiltonian.dimension
@@ -50,7 +43,7 @@ def check_rates(hamiltonian: Hamiltonian, q: np.ndarray, rate: np.ndarray) -> No
         attitudes = others[:, column:column + 4]
         attitudes /= np.linalg.norm(attitudes, axis=1, keepdims=True)
     for state in [*states, *others]:
-        inverse = inverse_mass(hamiltonian, state)
+        inverse = hamiltonian.inverse_mass(state, np.zeros(rate.size))
         if np.isfinite(inverse).all() and np.linalg.matrix_rank(inverse) == rate.size:
             product = rate[:, None] * np.linalg.inv(inverse)
             powers = np.linalg.eigvalsh(product + product.T)
@@ -67,7 +60,7 @@ def _warn_of_drift(hamiltonian: Hamiltonian, q: np.ndarray) -> None:
     zero = np.zeros(q.size - len(base.rotations))
     drift = np.abs(base.gradient(q, zero)[1]).max()
     # Learned models, which have a box, are exempt: some drift is one of their errors.
-    if base.box is None and drift > _COUPLING * np.abs(inverse_mass(base, q)).max():
+    if base.box is None and drift > _COUPLING * np.abs(base.inverse_mass(q, zero)).max():
         warnings.warn(
             'damping: H_p is not 0 at p = 0, as in a frame that turns: p is not the momentum of '
             'the velocity, and it is p that damping brings to rest, by which H may grow',
@@ -83,7 +76,7 @@ class Friction(NamedTuple):
 
 def check_masses(hamiltonian: Hamiltonian, q: np.ndarray, given: np.ndarray | None) -> None:
     """Raise ValueError if H has no masses at q, shape (d,), or others than the given ones."""
-    inverse = inverse_mass(hamiltonian, q)
+    inverse = hamiltonian.inverse_mass(q, np.zeros(q.size))
     if not (np.isfinite(inverse).all() and np.linalg.eigvalsh(inverse)[0] > 0.0):
         raise ValueError(
             'thermostat: H_pp is not positive definite at the initial state, so that there are '

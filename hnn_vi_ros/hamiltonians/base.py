@@ -176,6 +176,22 @@ class Hamiltonian(ABC):
             *self._flat(q, self._padded(p)), *self._flat(v_q, self._padded(v_p)))
         return product_q.reshape(np.shape(q)), self._unpadded(product_p.reshape(np.shape(q)))
 
+    def inverse_mass(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """
+        Return H_pp, shape (..., k, k), with a row and a column for each of k momenta.
+
+        Parameters
+        ----------
+        q, p : np.ndarray, shape (..., d) and (..., k)
+            States; k is d without rotations.
+
+        """
+        k = p.shape[-1]
+        units = np.eye(k).reshape(k, *(p.ndim - 1) * [1], k)
+        along_q, along_p = np.zeros((k, *q.shape)), np.broadcast_to(units, (k, *p.shape))
+        q, p = (np.broadcast_to(x, (k, *x.shape)) for x in (q, p))
+        return np.moveaxis(self.hessian_vector(q, p, along_q, along_p)[1], 0, -1)
+
     def _padded(self, p: np.ndarray) -> np.ndarray:
         """Return momenta with the columns that stay zero, as kernels take them."""
         if not self.rotations:

@@ -38,21 +38,17 @@ def momentum(hamiltonian: Hamiltonian, q: np.ndarray, v: np.ndarray, start: np.n
 
     """
     p = np.array(start, dtype=np.float64)
-    units = np.eye(q.shape[-1]).reshape(-1, *(q.ndim - 1) * [1], q.shape[-1])
-    units = np.broadcast_to(units, (len(units), *q.shape))
-    zeros, at = np.zeros(units.shape), np.broadcast_to(q, units.shape)
     rounding = hamiltonian.kernel.gradient_scale[1]
     missing = v - hamiltonian.gradient(q, p)[1]
     for _ in range(_ITERATIONS):
         size = np.abs(missing).max(axis=-1, keepdims=True)
-        columns = hamiltonian.hessian_vector(at, np.broadcast_to(p, units.shape), zeros, units)[1]
-        terms = np.maximum(np.abs(v), (np.abs(columns) * np.moveaxis(np.abs(p), -1, 0)[..., None]
-                                       ).sum(axis=0))
+        inverse = hamiltonian.inverse_mass(q, p)
+        terms = np.maximum(np.abs(v), (np.abs(inverse) * np.abs(p)[..., None, :]).sum(axis=-1))
         scale = np.maximum(rounding, terms.max(axis=-1, keepdims=True))
         if (size <= _AIM * scale).all():
             return p
         try:
-            change = np.linalg.solve(np.moveaxis(columns, 0, -1), missing[..., None])[..., 0]
+            change = np.linalg.solve(inverse, missing[..., None])[..., 0]
         except np.linalg.LinAlgError:
             break
         share = np.ones_like(size)

@@ -9,7 +9,6 @@ from hnn_vi_ros import simulate_spread
 from hnn_vi_ros.companions.members import Accompanied, Members
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import EffectState
-from hnn_vi_ros.effects.masses import inverse_mass
 from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.confined import load_learned
@@ -57,7 +56,7 @@ def test_force_that_the_mean_needs_is_the_mean_of_what_members_need(tmp_path: Pa
     q, v, a = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 2))
     for member in (None, 1, 2, 3):
         hamiltonian = load_learned(Path(file), member=member)
-        M = np.linalg.inv(inverse_mass(hamiltonian, q))
+        M = np.linalg.inv(hamiltonian.inverse_mass(q, np.zeros_like(q)))
         p = M @ v
         force, zero = np.zeros((2, 2))
         effect = EFFECTS['learned_friction'](file, member)
@@ -128,7 +127,7 @@ def test_spread_in_python_is_that_beside_a_run(tmp_path: Path):
     for k, one in enumerate(found.members, start=1):
         own = load_learned(Path(scene.hamiltonian.model), member=k)
         v = own.gradient(one.q[-1], one.p[-1])[1]
-        momenta.append(np.linalg.solve(inverse_mass(mean, one.q[-1]), v))
+        momenta.append(np.linalg.solve(mean.inverse_mass(one.q[-1], np.zeros_like(v)), v))
     np.testing.assert_allclose(found.spread_p[-1], 2.0 * np.std(momenta, axis=0, ddof=1),
                                rtol=1e-9)
     # The mean of equal numbers is rounded.
