@@ -12,13 +12,13 @@ This is the one file that uses numba's compiler passes, code libraries and cache
 """
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
-from contextlib import contextmanager, ExitStack, suppress
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager, ExitStack, nullcontext, suppress
 from fcntl import flock, LOCK_EX, LOCK_NB
 from hashlib import sha256
 from pathlib import Path
 import pickle
-from threading import current_thread, main_thread, Thread
+from threading import current_thread, main_thread
 import time
 from typing import Any
 import warnings
@@ -362,21 +362,6 @@ def set_identity(dispatcher: CPUDispatcher, identity: str) -> None:
         dispatcher._set_uuid(identity)
 
 
-def _once(dispatcher: CPUDispatcher) -> CPUDispatcher:
-    """Have a function compiled by one process at a time: the others wait, and find it on disk."""
-    compile_ = dispatcher.compile
-
-    def compile_once(signature: Any) -> Any:
-        # Of what is compiled as a part of another only the whole is locked: no two wait for each
-        # other.
-        if global_compiler_lock.is_locked():
-            return compile_(signature)
-        with _locked(dispatcher._cache):
-            return compile_(signature)
-    dispatcher.compile = compile_once
-    return dispatcher
-
-
 # Wall time after which a process that has stopped is waited for no more, and between looks [s].
 _LONGEST, _LOOK = 300.0, 0.02
 
@@ -414,18 +399,22 @@ def aside(dispatcher: CPUDispatcher) -> CPUDispatcher:
     """
     compile_ = dispatcher.compile
 
-    def compile_aside(signature: Any) -> Any:
-        # A function that numba compiles here already, and that calls this one, holds the lock.
-        if current_thread() is not main_thread() or global_compiler_lock.is_locked():
+    def compile_once(signature: Any) -> Any:
+        # By one process at a time: the others wait, and find it on disk.
+        kept = isinstance(dispatcher._cache, _Cache)
+        with _locked(dispatcher._cache) if kept else nullcontext():
             return compile_(signature)
-        found: Future[Any] = Future()
 
-        def run() -> None:
-            try:
-                found.set_result(compile_(signature))
-            except BaseException as problem:
-                found.set_exception(problem)
-        Thread(target=run).start()
+    def compile_aside(signature: Any) -> Any:
+        # Of what is compiled as a part of another only the whole is locked: no two wait for each
+        # other.
+        if global_compiler_lock.is_locked():
+            return compile_(signature)
+        if current_thread() is not main_thread():
+            return compile_once(signature)
+        pool = ThreadPoolExecutor(1)
+        found = pool.submit(compile_once, signature)
+        pool.shutdown(wait=False)
         # A signal that arrives just before a wait begins is handled after it.
         while not wait([found], 0.5).done:
             pass
@@ -440,5 +429,4 @@ def keep(dispatcher: CPUDispatcher) -> CPUDispatcher:
         dispatcher._cache = _Cache(dispatcher.py_func)
     except RuntimeError:
         _warn_of_lost('the package or a folder of caches', 'neither can be written')
-        return aside(dispatcher)
-    return aside(_once(dispatcher))
+    return aside(dispatcher)
