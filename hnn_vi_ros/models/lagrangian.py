@@ -3,7 +3,6 @@
 """The Hamiltonian of a learned Lagrangian: its Legendre transform, compiled."""
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
@@ -112,18 +111,14 @@ class LagrangianHamiltonian(LearnedHamiltonian):
                 f'v = {v.round(3).tolist()} the smallest eigenvalue of L_vv is '
                 f'{masses[worst, 0]:.3g}, expected positive ones; train it longer or on more data')
 
-    @cached_property
-    def _network(self) -> PackedPerceptron:
-        return self._packed('lagrangian')
-
     def _masses(self, x: np.ndarray) -> np.ndarray:
         """Return L_vv, shape (m, d, d), at points (q, v) of shape (m, 2 d)."""
         q, v = (np.ascontiguousarray(part).ravel() for part in np.split(x, 2, axis=1))
-        columns = []
+        network, columns = self._packed('lagrangian'), []
         for unit in np.eye(self.dimension):
             product_q, product_v = np.empty_like(q), np.empty_like(q)
-            perceptron.hessian_vector(self._network, q, v, np.zeros_like(q),
-                                      np.tile(unit, len(x)), product_q, product_v)
+            perceptron.hessian_vector(network, q, v, np.zeros_like(q), np.tile(unit, len(x)),
+                                      product_q, product_v)
             columns.append(product_v.reshape(len(x), -1))
         masses = np.stack(columns, axis=2) + self._mass
         return 0.5 * (masses + masses.transpose(0, 2, 1))
@@ -131,7 +126,6 @@ class LagrangianHamiltonian(LearnedHamiltonian):
     def _kernel(self) -> Kernel:
         d = self.dimension
         inverse = np.linalg.inv(self._masses(self._centre)[0])
-        # A copy has a network of its own: it is where the loops work.
         network, (q, v), slope = self._packed('lagrangian'), np.split(self._centre[0], 2), \
             np.empty((2, d))
         perceptron.gradient(network, q, v, *slope)
