@@ -5,8 +5,7 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects import effect_name, EFFECTS
-from hnn_vi_ros.effects.base import (
-    Effect, EffectState, Force, Joined, per_coordinate, Place)
+from hnn_vi_ros.effects.base import Effect, Force, Joined, per_coordinate, Place
 from hnn_vi_ros.effects.commands import NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.gradients.stages import Acting
@@ -77,12 +76,6 @@ class ActingEffects:
             self._system.motors.begin()
             rows[:] = state.command
         return Acting(state.clock, state.command, times, rows, self._flow)
-
-    def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
-        """Return the system of other numbers, which is under the same commands."""
-        state = EffectState.empty(len(effects), hamiltonian.dimension)
-        return System(hamiltonian, effects, self._system.method, state._replace(
-            command=self._system.effect_state.command))
 
     def padded(self, states: np.ndarray) -> np.ndarray:
         """Return states, shape (..., 2 d), with a channel for each force, shape (..., 2 D)."""

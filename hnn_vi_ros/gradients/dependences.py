@@ -87,10 +87,9 @@ class OnNumber:
         return change * self._slope(at)
 
 
-def on_number(changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]], value: float
-              ) -> Dependence:
+class OnDifferences(OnNumber):
     """
-    Return the dependence on a number of H, by differences of H' of order 6.
+    The dependence on a number of H, by differences of H' of order 6.
 
     They are one-sided where the number is at an end of its range, such as a rate of zero, and
     narrower where differences of order 4 disagree: a frequency turns forces the faster the later.
@@ -110,33 +109,12 @@ def on_number(changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]],
         There is no room for differences on either side.
 
     """
-    slope = _Slope(changed, value)
-    return OnNumber(slope, slope.rates)
-
-
-class _Slope:
-    """
-    The derivative of (H_q, H_p) by a number, by differences as narrow as it takes.
-
-    Parameters
-    ----------
-    changed : callable
-        See on_number.
-    value : float
-        The number.
-
-    Attributes
-    ----------
-    rates : np.ndarray, shape (d,), or None
-        The derivative of the rates of damping.
-
-    """
 
     def __init__(self, changed: Callable[[float, int], tuple[Kernel, np.ndarray | None]],
                  value: float):
         self._changed, self._value, self._rounding = changed, value, _ROUNDING
         rates = self._take(_SPACING * (abs(value) or 1.0))
-        self.rates = sum(rates, np.zeros(())) if rates else None
+        super().__init__(self._derivative, sum(rates, np.zeros(())) if rates else None)
 
     def _take(self, spacing: float) -> list[np.ndarray]:
         """Take a spacing, and return the parts of the derivative of rates."""
@@ -155,8 +133,8 @@ class _Slope:
         assert problem is not None
         raise problem
 
-    def __call__(self, at: States) -> np.ndarray:
-        """Return the derivative at states one after another, shape (2, N)."""
+    def _derivative(self, at: States) -> np.ndarray:
+        """Return that of (H_q, H_p) at states one after another, shape (2, N)."""
         slope, apart, rounding = self._differences(at)
         if apart <= max(_AGREEMENT, rounding):
             return slope

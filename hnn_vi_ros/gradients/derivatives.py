@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.base import Effect, EffectState
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
 from hnn_vi_ros.gradients.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, OnNumber, States
@@ -281,7 +281,8 @@ class DifferentiableRun:
         cotangents : np.ndarray, shape (samples + 1, m, 2 d)
             Its gradient by each of them.
         dependences : sequence of Dependence
-            On what else its gradient is asked for; see ``on_step_size`` and ``on_number``.
+            On what else its gradient is asked for; see ``on_step_size`` and
+            ``OnDifferences``.
         by_commands : np.ndarray, of the shape of the commands, optional
             Filled with the gradient by them.
 
@@ -509,7 +510,9 @@ class DifferentiableRun:
 
     def beside(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> System:
         """Return the system of other numbers, which is under the same commands."""
-        return self._acting.beside(hamiltonian, effects)
+        state = EffectState.empty(len(effects), hamiltonian.dimension)
+        return System(hamiltonian, effects, self._integrator, state._replace(
+            command=self._system.effect_state.command))
 
     def _halves(self, stages: np.ndarray) -> np.ndarray:
         """Return the q parts, then the p parts, of all stages one after another: (2, N)."""

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.gradients.acting_effects import flow_rates
-from hnn_vi_ros.gradients.dependences import Dependence, on_number
+from hnn_vi_ros.gradients.dependences import Dependence, OnDifferences
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
@@ -96,7 +96,8 @@ class SceneRun:
         assert self._held is not None
         value = self._held.values[name]
         try:
-            return on_number(lambda other, offset: self._beside_now(name, other, offset), value)
+            return OnDifferences(
+                lambda other, offset: self._beside_now(name, other, offset), value)
         except SceneError as problem:
             raise ValueError(f'{name} = {value:g} is too near to the end of its range to be '
                              f'differentiated by: {problem}') from problem
