@@ -25,6 +25,8 @@ class Features(NamedTuple):
         F.
     periodic : np.ndarray of int, shape (k,)
         Whether a row is seen by its sine and cosine.
+    starts : np.ndarray of int, shape (k,)
+        The first input of each row.
     inputs, change : np.ndarray, shape (n,)
         Space for the inputs of the network, and their change.
     cotangent, cotangent_change : np.ndarray, shape (n,)
@@ -34,6 +36,7 @@ class Features(NamedTuple):
 
     rows: np.ndarray
     periodic: np.ndarray
+    starts: np.ndarray
     inputs: np.ndarray
     change: np.ndarray
     cotangent: np.ndarray
@@ -44,7 +47,8 @@ def pack_features(card: MechanicalCard, features: list[list[float]]) -> Features
     """Return the features of a network for the functions here, with space of their own."""
     rows = np.array(features, dtype=np.float64).reshape(len(features), len(card.kinds))
     periodic = np.array([is_periodic(card.kinds, row) for row in features], dtype=np.int64)
-    return Features(rows, periodic, *np.zeros((4, _even(card.inputs(features)))))
+    starts = np.cumsum(1 + periodic) - 1 - periodic
+    return Features(rows, periodic, starts, *np.zeros((4, _even(card.inputs(features)))))
 
 
 def even_layers(layers: Layers) -> Layers:
@@ -61,34 +65,28 @@ def _even(n: int) -> int:
 def see(seen: Features, q: np.ndarray) -> None:
     """Fill the inputs at one state."""
     rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
-    at = 0
     for k in range(periodic.size):
-        y = 0.0
+        y, at = 0.0, seen.starts[k]
         for i in range(q.size):
             y += rows[k, i] * q[i]
         if periodic[k]:
             inputs[at], inputs[at + 1] = np.sin(y), np.cos(y)
-            at += 2
         else:
             inputs[at] = y
-            at += 1
 
 
 @part(error_model='numpy')
 def see_change(seen: Features, v_q: np.ndarray) -> None:
     """Fill the change of the inputs along v_q; after ``see``."""
     rows, periodic, inputs, x_v = seen.rows, seen.periodic, seen.inputs, seen.change
-    at = 0
     for k in range(periodic.size):
-        change = 0.0
+        change, at = 0.0, seen.starts[k]
         for i in range(v_q.size):
             change += rows[k, i] * v_q[i]
         if periodic[k]:
             x_v[at], x_v[at + 1] = inputs[at + 1] * change, -inputs[at] * change
-            at += 2
         else:
             x_v[at] = change
-            at += 1
 
 
 @part(error_model='numpy')
@@ -96,14 +94,11 @@ def add_covector(seen: Features, sign: float, cotangent: np.ndarray, covector: n
                  ) -> None:
     """Add sign times what a cotangent of the inputs is for q."""
     rows, periodic, inputs = seen.rows, seen.periodic, seen.inputs
-    at = 0
     for k in range(periodic.size):
+        at = seen.starts[k]
+        slope = cotangent[at]
         if periodic[k]:
             slope = cotangent[at] * inputs[at + 1] - cotangent[at + 1] * inputs[at]
-            at += 2
-        else:
-            slope = cotangent[at]
-            at += 1
         for i in range(covector.size):
             covector[i] += sign * slope * rows[k, i]
 
@@ -113,12 +108,9 @@ def add_covector_change(seen: Features, sign: float, covector: np.ndarray) -> No
     """Add sign times what that covector changes by with the inputs, at a held cotangent."""
     rows, periodic = seen.rows, seen.periodic
     cotangent, change = seen.cotangent, seen.change
-    at = 0
     for k in range(periodic.size):
         if periodic[k]:
+            at = seen.starts[k]
             slope = cotangent[at] * change[at + 1] - cotangent[at + 1] * change[at]
-            at += 2
             for i in range(covector.size):
                 covector[i] += sign * slope * rows[k, i]
-        else:
-            at += 1
