@@ -361,17 +361,17 @@ class _Made:
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
-        from hnn_vi_ros.trajectory.devices import record_on_device
+        from hnn_vi_ros.trajectory.devices import one_thread_each, record_on
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
         assert device is not None, 'it is asked for'
         steps, _ = whole_steps(self._plan.sweep.duration, h)
         samples = sorted({*range(0, steps + 1, self._every), steps})
-        alarms: list[list[Alarm]] = [[] for _ in rows]
-        q_all, p_all, failures = record_on_device(
-            self._simulation('first', q[:1], p[:1]), lambda: self._ensemble, device, q, p,
-            samples, 1, alarms)
-        return self._several(np.array(samples) * h, q_all, p_all, alarms), failures
+        with one_thread_each(device):
+            found, told = record_on(
+                self._ensemble, self._simulation('first', q[:1], p[:1]), q, p, samples)
+        return (self._several(np.array(samples) * h, found.q, found.p,
+                              [told.get(k, []) for k in range(len(rows))]), found.failures)
 
     def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:
         """Return one trajectory, with noise and events of its own."""

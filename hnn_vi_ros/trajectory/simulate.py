@@ -4,7 +4,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 import math
 from pathlib import Path
 from typing import Any
@@ -457,10 +456,26 @@ class _Many:
                              f'{self._interval / self.step_size:g} steps: on a device these are '
                              'whole; take another duration or samples')
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.trajectory.devices import ensemble_on, record_on_device
-        self.q, self.p, failures = record_on_device(
-            self.simulation(), partial(ensemble_on, device, self.parts), device, self.q[0],
-            self.p[0], [k * self._every for k in range(self.t.size)], threads, self.alarms)
+            from hnn_vi_ros.lockstep.ensemble import open_device
+            from hnn_vi_ros.trajectory.devices import (
+                ensemble_on, one_thread_each, record_on, TOGETHER)
+        size = TOGETHER if open_device(device).type == 'cpu' else self.count
+        samples, failures = [k * self._every for k in range(self.t.size)], {}
+
+        def start(first: slice) -> Callable[[slice], None]:
+            ensemble, one = ensemble_on(device, self.parts), self.simulation(_FIRST)
+
+            def take(block: slice) -> None:
+                found, alarms = record_on(
+                    ensemble, one, self.q[0, block], self.p[0, block], samples)
+                self.q[:, block], self.p[:, block] = found.q, found.p
+                failures.update({block.start + k: own for k, own in found.failures.items()})
+                for k, told in alarms.items():
+                    self.alarms[block.start + k] += told
+            return take
+
+        with one_thread_each(device):
+            in_blocks(self.count, size, threads, start)
         if failures:
             raise failures[min(failures)]
 
