@@ -53,6 +53,7 @@ _FORMS = {
     'string_too_long': 'have at most {max_length} characters',
     'list_type': 'be a list, as in [a, b]', 'is_instance_of': 'be a list, as in [a, b]',
     'dict_type': 'be keys and values, as in {{key: value}}',
+    'model_type': 'be keys and values, as in {{key: value}}',
     'string_type': 'be text, in quotes if it looks like a number',
     'string_pattern_mismatch': 'match the pattern {pattern}', 'bool_type': 'be true or false',
     'int_type': 'be a whole number', 'int_from_float': 'be a whole number',

@@ -140,15 +140,15 @@ def is_periodic(kinds: Sequence[Kind], row: Sequence[float]) -> bool:
     return any(x and kind == 'continuous' for x, kind in zip(row, kinds, strict=True))
 
 
-def check_row(kinds: Sequence[Kind], row: Sequence[float]) -> None:
+def check_row(key: str, kinds: Sequence[Kind], row: Sequence[float]) -> None:
     """Raise ValueError for a combination of coordinates that no network can see."""
     if not any(row):
-        raise ValueError('features: a row of zeros sees nothing; leave it out')
+        raise ValueError(f'{key}: a row of zeros sees nothing; leave it out')
     turning = [x for x, kind in zip(row, kinds, strict=True) if kind == 'continuous' and x]
     if turning and (len(turning) < sum(x != 0.0 for x in row)
                     or any(x != round(x) for x in turning)):
-        raise ValueError(f'features: {row} mixes a continuous coordinate with others, or takes '
-                         'a part of it, which has no period of 2 pi; take whole multiples of '
+        raise ValueError(f'{key}: {row} mixes a continuous coordinate with others, or takes a '
+                         'part of it, which has no period of 2 pi; take whole multiples of '
                          'continuous coordinates')
 
 
@@ -169,6 +169,9 @@ def check_prior(kind: str, kinds: Sequence[Kind], angles: Sequence[Sequence[floa
     dimension = HAMILTONIANS[kind]().dimension
     if dimension != d:
         raise ValueError(f'prior: {kind} has {dimension} coordinates, not {d}')
+
+
+_FEATURES = 'features', 'mass_features', 'friction_features'
 
 
 class MechanicalCard(StrictModel):
@@ -201,15 +204,16 @@ class MechanicalCard(StrictModel):
     def _check(self) -> 'MechanicalCard':
         d = len(self.kinds)
         lengths = {'mass_scale': len(self.mass_scale), 'friction': len(self.friction.viscous)}
-        for name in ('features', 'mass_features', 'friction_features'):
+        for name in _FEATURES:
             lengths |= {f'{name}[{k}]': len(row)
                         for k, row in enumerate(getattr(self, name) or ())}
         for name, length in lengths.items():
             if length != d:
                 raise ValueError(f'{name} has {length} entries, expected {d}, one for each '
                                  'coordinate')
-        for row in (*self.features, *self.mass_features, *(self.friction_features or ())):
-            check_row(self.kinds, row)
+        for name in _FEATURES:
+            for row in getattr(self, name) or ():
+                check_row(name, self.kinds, row)
         self._check_prior(self.prior)
         if self.input_map is not None:
             columns = {len(row) for row in self.input_map}

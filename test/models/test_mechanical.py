@@ -83,8 +83,9 @@ def changed(**values: float) -> PriorCard:
     {'friction_features': [[0.5, 0.0]]}, {'friction_features': [[1.0]]}, {'floor': 0.0},
     {'prior': PRIOR, 'kinds': ['continuous', 'prismatic'], 'features': [[1.0, 0.0], [0.0, 1.0]],
      'mass_features': []}, {'prior': PRIOR, 'features': [[1.0, 0.0], [0.0, 1.0]]},
-    {'prior': PRIOR, 'features': [[1.0, 0.0]]}, {'prior': changed(coupling12=1.2)}],
-    ids=range(12))
+    {'prior': PRIOR, 'features': [[1.0, 0.0]]}, {'prior': changed(coupling12=1.2)},
+    {'friction': 1.0}, {'prior': [1.0]}, {'friction': {'viscous': [0.0, 0.0], 'coulomb': ['x']}}],
+    ids=range(15))
 def test_card_refuses_features_that_make_no_sense(changes: dict):
     settings = SHAPES['arm'] | {'mass_scale': [1.0, 1.0], 'floor': 0.1,
                                 'friction': FrictionCard(viscous=[0.0, 0.0])} | changes

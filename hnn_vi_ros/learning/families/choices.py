@@ -368,7 +368,7 @@ class MechanicalChoice(FamilyChoice):
         def rows(texts: Sequence[str], key: str) -> list[list[float]]:
             found = [combination(text, names, key) for text in texts]
             for row in found:
-                check_row(kinds, row)
+                check_row(key, kinds, row)
             return found
         features = rows(self.features or names, 'features')
         angles = None if self.angles is None else self._angles(names, kinds, self.angles)
