@@ -235,9 +235,10 @@ class BatchStep:
         if states.shape[-1:] != (2 * self.dimension,):
             raise ValueError(f'z has shape {states.shape}, expected (..., {2 * self.dimension})')
         expected = (*states.shape[:-1], self.commands)
-        if commands.shape not in (expected, expected[-1:]):
-            raise ValueError(f'u has shape {commands.shape}, expected {expected} or '
-                             f'{expected[-1:]}')
+        shapes = dict.fromkeys((expected, expected[-1:]))
+        if commands.shape not in shapes:
+            raise ValueError(f'u has shape {commands.shape}, expected '
+                             f'{" or ".join(map(str, shapes))}')
         rows = np.ascontiguousarray(states).reshape(-1, 2 * self.dimension)
         return rows, np.broadcast_to(commands, expected).reshape(len(rows), self.commands)
 

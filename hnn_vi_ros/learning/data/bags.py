@@ -251,7 +251,7 @@ def _rows(reader: SignalReader, data: BagData, t: np.ndarray, states: dict[str, 
     """Return the columns of a motion without its ends; missing ones are estimated."""
     spacing = (t[-1] - t[0]) / (len(t) - 1)
     method = data.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
-    window = method.rows(spacing, len(t) - _LEAST, str(reader.path), f'{len(t)} rows') \
+    window = method.rows(spacing, len(t) - _LEAST, str(reader.path), f'its {len(t)} rows') \
         if isinstance(method, SavitzkyGolay) else 0
 
     def rate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -207,9 +207,14 @@ class SavitzkyGolay(StrictModel):
     def rows(self, spacing: float, most: int, where: str, of: str) -> int:
         """Return the window in rows of this spacing [s], an odd number; or raise DataError."""
         rows = 2 * round(0.5 * (min(self.window / spacing, 1e9) - 1.0)) + 1
-        if not self.degree + 2 <= rows <= most:
-            raise DataError(f'{where}: derivatives.window of {self.window:g} s holds {rows} of '
-                            f'{of}, expected {self.degree + 2} to {most}')
+        least = self.degree + 2
+        if most < least:
+            raise DataError(f'{where}: {of} hold a window of at most {most} rows, and '
+                            f'derivatives.degree = {self.degree} needs {least}; record for longer')
+        if not least <= rows <= most:
+            raise DataError(f'{where}: derivatives.window of {self.window:g} s spans {rows} rows; '
+                            f'{of} hold one of {least} to {most}: {least * spacing:.3g} to '
+                            f'{most * spacing:.3g} s')
         return rows
 
 
