@@ -12,7 +12,7 @@ from typing import Any, final
 from hnn_vi_ros.bags.bag_metadata import read_bag_metadata
 from hnn_vi_ros.bags.mcap_file import LARGEST, McapFile, Piece
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files.regular_file import open_file
+from hnn_vi_ros.files.regular_file import in_bytes, open_file
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from mcap.records import Channel, Message, Schema
 import zstandard
@@ -122,7 +122,7 @@ def _check_file(path: Path) -> None:
                     size += len(block)
                     if size > 4 * LARGEST:
                         raise RecordingError(
-                            f'{path}: unpacks to more than {4 * LARGEST >> 20} MiB; unpack it '
+                            f'{path}: unpacks to more than {in_bytes(4 * LARGEST)}; unpack it '
                             f'with `zstd -d {path}`, and give what comes out')
         if path.suffix == '.db3':
             with closing(sqlite3.connect(f'{path.absolute().as_uri()}?mode=ro', uri=True)) as base:

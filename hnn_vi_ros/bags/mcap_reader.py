@@ -11,6 +11,7 @@ from hnn_vi_ros.bags.bag_files import bag_files, ForeignBag, open_sources
 from hnn_vi_ros.bags.bag_metadata import counted_messages
 from hnn_vi_ros.bags.mcap_file import LARGEST, McapFile, Piece
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.regular_file import in_bytes
 from mcap.records import Channel, Schema
 import zstandard
 
@@ -162,7 +163,7 @@ class BagReader:
                 if size > _HELD:
                     raise RecordingError(
                         f'{self.path}: its messages are too many in one place or too far out of '
-                        f'order: to sort them needs more than {_HELD >> 20} MiB; sort it with '
+                        f'order: to sort them needs more than {in_bytes(_HELD)}; sort it with '
                         '`mcap sort`')
             held.sort(key=lambda message: message.time)
             # Messages that a later piece may precede are kept.

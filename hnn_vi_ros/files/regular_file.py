@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 import errno
+from io import BufferedReader
 from itertools import count
 import os
 from pathlib import Path
@@ -68,11 +69,16 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     Yield a temporary file beside another, which it replaces unless an error stops the writing.
 
-    So nobody finds half a file, and a full disk leaves what was there.
+    So nobody finds half a file, and a full disk or a power failure leaves what was there.
     """
     temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
     try:
         yield temporary
+        handle = os.open(temporary, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -81,7 +87,18 @@ def replacing(path: Path) -> Iterator[Path]:
 def write_text(path: Path, text: str) -> None:
     """Write a text in UTF-8 in the place of a file, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding='utf-8')
+        temporary.write_bytes(text.encode())
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Write a file that is new, whole or not at all; FileExistsError if there is one."""
+    path.open('xb').close()  # claims the name: of two that write it, one fails here
+    try:
+        with replacing(path) as temporary:
+            temporary.write_bytes(content)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def write_new_scene(path: Path, text: str, force: bool = False) -> None:
@@ -95,14 +112,10 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
 
     """
     try:
-        if not force:
-            path.open('x').close()  # claims the name: of two that write it, one fails here
-        try:
+        if force:
             write_text(path, text)
-        except BaseException:
-            if not force:
-                path.unlink(missing_ok=True)
-            raise
+        else:
+            write_new(path, text.encode())
     except FileExistsError as problem:
         raise SceneError(f'{path}: exists already; name another file, or add --force'
                          ) from problem
@@ -127,9 +140,47 @@ def no_file(path: Path, missing: str = 'no such file') -> str:
 
 def regular(path: Path) -> Path:
     """Return a path to read, or raise OSError: a FIFO would be waited for, a device never end."""
-    if os.path.exists(path) and not os.path.isfile(path):
+    try:
+        there = os.stat(path)
+    except ValueError as problem:  # of a name that no file can have
+        raise OSError(errno.EINVAL, str(problem)) from problem
+    if not stat.S_ISREG(there.st_mode):
         raise OSError(errno.EINVAL, no_file(path))
     return path
+
+
+@contextmanager
+def limited(path: Path, most: int) -> Iterator[BufferedReader]:
+    """
+    Open a regular file to read.
+
+    Raises
+    ------
+    OSError
+        It is none, cannot be read, or is larger than so many bytes.
+
+    """
+    with regular(path).open('rb') as stream:
+        if os.fstat(stream.fileno()).st_size > most:
+            raise OSError(errno.EFBIG, f'larger than {in_bytes(most)}')
+        yield stream
+
+
+def read_limited(path: Path, most: int) -> bytes:
+    """Return what a regular file holds; see ``limited``."""
+    with limited(path, most) as stream:
+        # Files of the kernel are larger than their size tells.
+        content = stream.read(most + 1)
+    if len(content) > most:
+        raise OSError(errno.EFBIG, f'larger than {in_bytes(most)}')
+    return content
+
+
+def in_bytes(count: int) -> str:
+    """Return a size with its unit."""
+    unit, shift = next(((unit, shift) for unit, shift in (('GiB', 30), ('MiB', 20), ('KiB', 10))
+                        if count >> shift), ('bytes', 0))
+    return f'{count / (1 << shift):.4g} {unit}'
 
 
 def open_file(path: Path, name: Path) -> BinaryIO:

@@ -4,14 +4,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 import json
-import os
 from pathlib import Path
 import re
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, offered
 from hnn_vi_ros.files.named_code import trusting
-from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.json_schema import GenerateJsonSchema
@@ -119,14 +118,11 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
 
 
 def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
-    """Return the content of a regular file; of one that is too large as much as shows that."""
+    """Return the content of a regular file, unless it is larger than YAML may be."""
     try:
-        if not os.path.isfile(path):
-            raise error(f'{path}: {no_file(path)}; give a YAML file')
-        with path.open('rb') as stream:
-            return stream.read(MAX_BYTES + 1)
+        return read_limited(path, MAX_BYTES)
     except OSError as problem:
-        raise error(f'{path}: {one_line(problem)}') from problem
+        raise error(f'{path}: {problem.strerror}; give a YAML file') from problem
 
 
 def in_plain_words(problem: ValidationError) -> str:

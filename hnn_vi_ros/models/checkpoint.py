@@ -23,8 +23,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.limits import limited, parse_json, safetensors_header
-from hnn_vi_ros.files.regular_file import refuse_pointer, replacing
+from hnn_vi_ros.files.limits import parse_json, safetensors_header
+from hnn_vi_ros.files.regular_file import limited, refuse_pointer, replacing, write_new
 from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.models.model_card import ModelCard
@@ -236,7 +236,7 @@ def save_checkpoint(path: str | Path, checkpoint: Checkpoint) -> None:
     raw = _serialized(path, checkpoint)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _write_new(path, raw)
+        write_new(path, raw)
     except OSError as problem:
         # A file in place of its folder exists as well.
         if isinstance(problem, FileExistsError) and os.path.lexists(path):
@@ -283,16 +283,6 @@ def _tensors(path: Path, checkpoint: Checkpoint, prefix: str) -> dict[str, np.nd
                              'all values finite')
         tensors[prefix + name] = np.ascontiguousarray(part, dtype='<f8')
     return tensors
-
-
-def _write_new(path: Path, raw: bytes) -> None:
-    path.open('xb').close()  # claims the name: of two that write it, one fails here
-    try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(raw)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
 
 
 @contextmanager

@@ -9,7 +9,8 @@ import socket
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.limits import parse_json, read_limited
+from hnn_vi_ros.files.limits import parse_json
+from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan

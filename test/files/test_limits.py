@@ -157,9 +157,9 @@ def foreign_pickle(path: Path) -> None:
 
 ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
     'claims 10^13 numbers': ('arrays', 'a.npz', lambda path: archive(path, (
-        'q.npy', header('(10000000000000,)') + bytes(8))), r'q claims \(10000000000000,\)'),
+        'q.npy', header('(10000000000000,)') + bytes(8))), 'not an .npz file of plain'),
     'claims a negative number': ('arrays', 'a.npz', lambda path: archive(path, (
-        'q.npy', header('(-8, -1)') + bytes(8))), 'q claims'),
+        'q.npy', header('(-8, -1)') + bytes(8))), 'not an .npz file of plain'),
     'unpacks to 1.1 GiB': ('arrays', 'a.npz', bomb, 'unpacks to more than 1 GiB; give'),
     'unpacks in one block': ('arrays', 'a.npz', unpacks_at_once, 'not an .npz file of plain'),
     'a header of 256 MB': ('arrays', 'a.npz', long_header, 'not an .npz file of plain arrays'),
@@ -195,8 +195,8 @@ ATTACKS: dict[str, tuple[str, str, Callable[[Path], None], str]] = {
         'has no model_card|not a safetensors file'),
     'a state of a million arrays': ('state', 'a.bin', tensors(0, 10**6),
                                     'state.safetensors is damaged'),
-    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), 'larger than 1048576 bytes'),
-    'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1048576 bytes'),
+    'a configuration of 1 GB': ('family', 'a.yaml', sparse(10**9), 'larger than 1 MiB'),
+    'a scene of 1 GB': ('scene', 'a.yaml', sparse(10**9), 'larger than 1 MiB'),
     'a network that makes 3 GB': ('network', 'a.pt', foreign_pickle, 'not a file of tensors'),
 }
 
@@ -234,7 +234,7 @@ def test_arrays_are_those_that_numpy_reads(save, tmp_path):
             assert found[name].dtype == expected[name].dtype
             assert found[name].shape == expected[name].shape
             assert np.array_equal(found[name], expected[name])
-    with pytest.raises(OSError, match='larger than 0 MiB'):
+    with pytest.raises(OSError, match='larger than 100 bytes'):
         unpack_arrays(tmp_path / 'a.npz', 100)
 
 

@@ -57,12 +57,12 @@ def test_scene_on_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, befor
     if before:
         path.write_text(before)
 
-    def fill(self: Path, text: str, encoding: str) -> None:
-        with self.open('w', encoding=encoding) as stream:
-            stream.write(text[:3])
+    def fill(self: Path, content: bytes) -> None:
+        with self.open('wb') as stream:
+            stream.write(content[:3])
         raise OSError(errno.ENOSPC, 'No space left on device')
 
-    monkeypatch.setattr(Path, 'write_text', fill)
+    monkeypatch.setattr(Path, 'write_bytes', fill)
     with refused(SceneError):
         write_new_scene(path, 'description: new', force=bool(before))
     assert [one.name for one in tmp_path.iterdir()] == (['scene.yaml'] if before else [])

@@ -15,9 +15,8 @@ import re
 import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
-from hnn_vi_ros.files.regular_file import no_file
+from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
-from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
 import numpy as np
@@ -119,13 +118,10 @@ def parse_urdf(text: bytes, where: str) -> Robot:
 
 def _read(path: Path) -> bytes:
     try:
-        if not path.is_file():
-            raise ModelError(f'{path}: {no_file(path)}; give the path of a URDF, or '
-                             'package://PACKAGE/PATH')
-        with path.open('rb') as stream:
-            return stream.read(MAX_BYTES + 1)
+        return read_limited(path, MAX_BYTES)
     except OSError as problem:
-        raise ModelError(f'{path}: cannot be read: {one_line(problem)}') from problem
+        raise ModelError(f'{path}: {problem.strerror}; give the path of a URDF, or '
+                         'package://PACKAGE/PATH') from problem
 
 
 def _foreign(element: Element, where: str, version: str, label: str = 'robot'
