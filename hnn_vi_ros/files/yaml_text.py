@@ -5,7 +5,8 @@ Read and write YAML: plain data alone, whoever wrote it, within limits that are 
 
 Every YAML that is read, from a file, a bag or a topic, goes through ``parse_yaml``. Numbers are
 decimal, as in YAML 1.2; dates and numbers to base 60 are strings; keys are strings. Tags,
-directives and what exceeds a limit are refused. What ``dump_yaml`` writes is read back unchanged.
+aliases, directives and what exceeds a limit are refused. What ``dump_yaml`` writes is read back
+unchanged.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,8 +25,6 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 # Keys, values and lists; the longest initial state has 20,000.
 MAX_NODES = 50_000
-# What all aliases together may repeat [nodes].
-MAX_GROWTH = 100
 # Characters; every integer of so many digits is within the range of a float.
 MAX_NUMBER = 300
 MAX_KEY = 256
@@ -94,8 +93,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
     Parameters
     ----------
     text : bytes or str
-        UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values; aliases repeat at most 100
-        of them.
+        UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values.
     where : object
         What holds the text, for errors.
     error : type of HnnViRosError
@@ -104,7 +102,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
     """
     raw = text.encode('utf-8', 'surrogatepass') if isinstance(text, str) else text
     if len(raw) > MAX_BYTES:
-        raise error(f'{where}: larger than {MAX_BYTES} bytes, which no such YAML needs')
+        raise error(f'{where}: larger than {MAX_BYTES >> 20} MiB, which no such YAML needs')
     try:
         decoded = raw.decode('utf-8')
     except UnicodeDecodeError as problem:
@@ -176,38 +174,31 @@ def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _Dumper.add_representer(str, _represent_text)
 _Dumper.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
 
-if yaml.__with_libyaml__:
-    class _Base(Composer, yaml.CSafeLoader):
-        """The parser in C, with the composer in Python, whose work can be watched."""
 
-        __init__ = yaml.CSafeLoader.__init__
-else:
-    _Base = yaml.SafeLoader  # type: ignore[misc]  # the same without the C library
+class _Loader(Composer, yaml.CSafeLoader):
+    """
+    Compose and construct plain data; refuse what exceeds a limit before it is followed.
 
-
-class _Loader(_Base):
-    """Compose and construct plain data; refuse what exceeds a limit before it is followed."""
+    The parser is in C, the composer in Python, where its work can be watched.
+    """
 
     yaml_implicit_resolvers = {
         first: [pair for pair in pairs if pair[0].endswith((':null', ':bool'))]
         for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()}
 
     def __init__(self, text: str):
-        super().__init__(text)
+        yaml.CSafeLoader.__init__(self, text)
         self.anchors: dict[str, yaml.Node] = {}
-        # Number of nodes that each node with an anchor makes up with all its content.
-        self._sizes: dict[yaml.Node, int] = {}
-        self._depth = self._nodes = self._growth = 0
+        self._depth = self._nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: object) -> yaml.Node:
         """Compose a node within the limits."""
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            return self._repeat(event, super().compose_node(parent, index))
+            raise _refusal('an alias; write out what it stands for', event)
         nested = isinstance(event, yaml.CollectionStartEvent)
         self._depth += nested
         self._nodes += 1
-        before = self._nodes
         if event.tag is not None:
             raise _refusal('a tag; write plain values, without !', event)
         if self._depth > MAX_DEPTH:
@@ -217,8 +208,6 @@ class _Loader(_Base):
         node = super().compose_node(parent, index)
         if node.tag in (_INT, _FLOAT) and len(node.value) > MAX_NUMBER:
             raise _refusal(f'a number of more than {MAX_NUMBER} characters', event)
-        if event.anchor is not None:
-            self._sizes[node] = self._nodes - before + 1
         self._depth -= nested
         return node
 
@@ -239,17 +228,6 @@ class _Loader(_Base):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
         """Return a mapping with the keys in their written form."""
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
-
-    def _repeat(self, event: yaml.AliasEvent, node: yaml.Node) -> yaml.Node:
-        """Return the node of an alias, and count it as if it were written out."""
-        if node not in self._sizes:
-            raise _refusal('an alias within what it stands for', event)
-        self._growth += self._sizes[node]
-        self._nodes += self._sizes[node]
-        if self._growth > MAX_GROWTH:
-            raise _refusal(f'aliases repeat more than {MAX_GROWTH} keys and values; write them '
-                           'out', event)
-        return node
 
 
 _Loader.add_implicit_resolver(_INT, _INTEGER, _FIRST)

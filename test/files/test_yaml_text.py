@@ -3,7 +3,6 @@
 """The one loader of YAML: what it reads, what it refuses and how early, and what is written."""
 
 import ast
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 from hnn_vi_ros.errors import RecordingError
@@ -12,7 +11,6 @@ from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
 from hypothesis import given, settings, strategies
 from messages import refused
 import pytest
-import yaml
 
 PACKAGE = Path(yaml_text.__file__).parents[1]
 LEVELS = yaml_text.MAX_DEPTH
@@ -39,7 +37,7 @@ def refusal(text: bytes | str) -> str:
     ('2020-13-45', '2020-13-45'), ('2020-01-02 03:04:05', '2020-01-02 03:04:05'),
     ('010', '010'), ('0x1F', '0x1F'), ('1_000', '1_000'), ('\u0661', '\u0661'), ('=', '='),
     ('~', None), ('true', True), ('off', False), ('{1: a, true: b}', {'1': 'a', 'true': 'b'}),
-    ('{<<: {a: 1}}', {'<<': {'a': 1}}), ('[&a 1, *a]', [1, 1]), ('9' * 300, int('9' * 300)),
+    ('{<<: {a: 1}}', {'<<': {'a': 1}}), ('[&a 1, 2]', [1, 2]), ('9' * 300, int('9' * 300)),
 ])
 def test_scalar_is_read_as_plain_data(text, value):
     found = parse(text)
@@ -56,13 +54,13 @@ def test_scalar_is_read_as_plain_data(text, value):
     ('a: 1\nb: 2\na: 3', "here:3: 'a': the second of this key; remove one"),
     ('? [a]\n: 1', 'a key must be a plain name'), ('"a\\nb": 1', 'a key must have'),
     ('"\\e[31m": 1', 'printable'), ('? ' + 'k' * 257 + '\n: 1', 'at most 256'),
-    ('a: &a [*a]', 'here:1: an alias within what it stands for'), ('a: *b', "undefined alias 'b'"),
-    (BOMB, 'here:3: aliases repeat more than 100 keys and values'),
+    ('a: &a [*a]', 'here:1: an alias; write out what'), ('a: *b', 'an alias'),
+    (BOMB, 'here:2: an alias'),
     ('a: [', 'here:2: no YAML: while parsing'), ('a: b: c', 'here:1: no YAML: mapping'),
     ('a:\n\tb: c', 'here:2: a tab; indent by spaces'),
     ('a: 1\n--- b', 'here:2: expected a single document'), ('', 'here:1: is empty; expected YAML'),
     ('a: \x00', 'a character that YAML has not'), (b'a: 1\nb: \xff', 'here:2: not UTF-8 '),
-    ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_BYTES, 'larger than 1048576 bytes'),
+    ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_BYTES, 'larger than 1 MiB'),
 ], ids=range(27))
 def test_refusal_is_one_line_that_names_the_place(text, words):
     assert words in refusal(text)
@@ -76,14 +74,6 @@ def test_depth_is_refused_at_its_limit(begin, end):
         assert f'nested deeper than {LEVELS}' in refusal(begin * levels + '1' + end * levels)
 
 
-def test_aliases_may_repeat_as_many_nodes_as_the_limit_and_no_more():
-    # A list of 9 is 10 nodes.
-    ten = 'a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]\nb: '
-    repeated = parse(f'{ten}[{", ".join(10 * ["*a"])}]')
-    assert repeated['b'] == 10 * [9 * [1]]
-    assert 'aliases repeat' in refusal(f'{ten}[{", ".join(11 * ["*a"])}]')
-
-
 def test_number_of_nodes_is_refused_at_its_limit():
     # The root is one.
     assert len(parse(f'[{"1," * (yaml_text.MAX_NODES - 1)}]')) == yaml_text.MAX_NODES - 1
@@ -92,7 +82,7 @@ def test_number_of_nodes_is_refused_at_its_limit():
 
 @pytest.mark.parametrize('text, most', [
     ('[' * 10**6, LEVELS + 1), ('- ' * 500_000, LEVELS + 1), ('{a: ' * 250_000, 2 * LEVELS + 1),
-    (BOMB, 70), ('[' + '1,' * 500_000, yaml_text.MAX_NODES + 1), ('!a ' * 300_000, 1),
+    (BOMB, 12), ('[' + '1,' * 500_000, yaml_text.MAX_NODES + 1), ('!a ' * 300_000, 1),
     (''.join(f'%TAG !{i}! x\n' for i in range(50_000)) + '--- 1', 0)],
     ids=['brackets', 'dashes', 'braces', 'bomb', 'items', 'tags', 'directives'])
 def test_no_more_is_composed_than_shows_that_a_limit_is_exceeded(monkeypatch, text, most):
@@ -117,18 +107,6 @@ def test_megabyte_of_one_thing_is_read_or_refused(unit):
             parse(whole)
         except RecordingError as problem:
             assert '\n' not in str(problem)
-
-
-def test_loader_without_the_c_parser_refuses_the_same(monkeypatch):
-    monkeypatch.setattr(yaml, '__with_libyaml__', False)
-    spec = spec_from_file_location('pure_yaml_text', yaml_text.__file__)
-    pure = module_from_spec(spec)
-    spec.loader.exec_module(pure)
-    assert pure._Loader.__mro__[1] is yaml.SafeLoader
-    assert pure.parse_yaml('a: [1e-3, 1:1]', 'here', RecordingError)[0] == {'a': [1e-3, '1:1']}
-    for text in (BOMB, '[' * 20_000, 'a: !b 1', 'a: 1\na: 2', 'a: [', '9' * 5000):
-        with refused(RecordingError):
-            pure.parse_yaml(text, 'here', RecordingError)
 
 
 def test_places_are_those_of_the_keys():

@@ -81,11 +81,6 @@ def test_scene_mistake_is_answered_with_file_line_key_and_remedy(write, old, new
         load_scene(write(GOOD.replace(old, new, 1)))
 
 
-def test_scene_aliases_stand_for_what_they_repeat(write):
-    scene = load_scene(write(GOOD.replace('q: [1.0]', 'q: &a [1.5]').replace('p: [0]', 'p: *a')))
-    assert scene.initial_state.q == scene.initial_state.p == [1.5]
-
-
 def test_scene_effects_are_built_in_their_order_from_whole_numbers_as_well(write):
     effects = load_scene(write(ACTED_ON)).create_effects()
     assert [type(effect).__name__ for effect in effects] == ['Gravity', 'Damping', 'Spring']
