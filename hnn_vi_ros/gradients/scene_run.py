@@ -16,7 +16,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.scene.named_numbers import check_known, numbers_in, set_number, with_known_numbers
+from hnn_vi_ros.scene.named_numbers import check_known, numbers_in, set_value, with_known_numbers
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from pydantic import ValidationError
@@ -203,7 +203,7 @@ def _with_card(model: Checkpoint, values: Mapping[str, float]) -> Checkpoint:
         if key == 'prior':
             data['prior']['parameters']['.'.join(path)]['value'] = value
         else:
-            set_number(data[key], path, value)
+            set_value(data[key], path, value)
     try:
         card = MechanicalCard.model_validate(data)
     except ValidationError as problem:

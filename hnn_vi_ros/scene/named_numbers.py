@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a scene's Hamiltonian and effects, by name."""
+"""The numbers of a scene's Hamiltonian and effects, by name; values of any of its keys."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -42,19 +42,39 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
 
 def with_known_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     """Return what with_numbers does, of names that were checked."""
-    if not numbers:
+    return with_values(scene, {tuple(name.split('.')): value for name, value in numbers.items()})
+
+
+def with_values(scene: Scene, values: Mapping[tuple[str | int, ...], Any]) -> Scene:
+    """
+    Return a scene with other values of some keys.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any.
+    values : mapping
+        By the names and indices that lead to them, such as ``('effects', 0, 'rate')``.
+
+    Raises
+    ------
+    SceneError
+        A value that the schema refuses.
+
+    """
+    if not values:
         return scene
-    values = scene.model_dump(include={name.partition('.')[0] for name in numbers})
-    for name, number in numbers.items():
-        set_number(values, name.split('.'), number)
-    return scene.changed(values)
+    data = scene.model_dump(include={str(path[0]) for path in values})
+    for path, value in values.items():
+        set_value(data, path, value)
+    return scene.changed(data)
 
 
-def set_number(place: Any, path: Sequence[str], number: float) -> None:
-    """Set a number in plain data by the names and indices that lead to it."""
+def set_value(place: Any, path: Sequence[str | int], value: Any) -> None:
+    """Set a value in plain data by the names and indices that lead to it."""
     for key in path[:-1]:
         place = place[_index(place, key)]
-    place[_index(place, path[-1])] = number
+    place[_index(place, path[-1])] = value
 
 
 def check_names(scene: Scene, names: Iterable[str]) -> None:
@@ -81,5 +101,5 @@ def numbers_in(name: str, value: Any) -> Iterator[tuple[str, float]]:
             yield from numbers_in(f'{name}.{i}', part)
 
 
-def _index(place: Any, key: str) -> str | int:
+def _index(place: Any, key: str | int) -> str | int:
     return int(key) if isinstance(place, list) else key

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files.limits import parse_json, plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import read_limited
+from hnn_vi_ros.files.yaml_file import in_plain_words
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.sweeps.definition import (
@@ -98,9 +99,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
     except OSError as problem:
         raise DataError(f'{where}: {problem.strerror or problem}; {_REMEDY}') from problem
     except ValidationError as problem:
-        first = problem.errors()[0]
-        key = '.'.join(map(str, first['loc']))
-        raise DataError(f'{where}: {key}: {first["msg"]}; {_REMEDY}') from problem
+        raise DataError(f'{where}: {in_plain_words(problem)}; {_REMEDY}') from problem
     except ValueError as problem:
         raise DataError(f'{where}: {one_line(problem)}; {_REMEDY}') from problem
     names, n = found.covariance.names, len(found.covariance.names)
@@ -184,33 +183,6 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
     if parts[0] in ('description', 'mechanism', 'uncertainty'):
         raise DataError(f'{place}: {key!r} changes no trajectory')
     return tuple(parts)
-
-
-def with_values(scene: Scene, values: Mapping[tuple[str | int, ...], Any]) -> Scene:
-    """
-    Return a scene with other values of some keys.
-
-    Parameters
-    ----------
-    scene : Scene
-        As it is.
-    values : mapping
-        By the parts of a key; see ``find_key``.
-
-    Raises
-    ------
-    SceneError
-        A value that the schema refuses.
-
-    """
-    data = scene.model_dump()
-    for key, value in values.items():
-        owner: Any = data
-        for part in key[:-1]:
-            owner = owner[part]
-        owner[key[-1]] = value
-    changed = dict.fromkeys(str(key[0]) for key in values)
-    return scene.changed({name: data[name] for name in changed}) if changed else scene
 
 
 # So many places share a seed: a random state for each place would take long.

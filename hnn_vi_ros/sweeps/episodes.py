@@ -11,6 +11,7 @@ from hnn_vi_ros.errors import DataError, StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.named_numbers import with_values
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
@@ -92,7 +93,8 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
             with warnings.catch_warnings():
                 # The start of the sweep raised the warnings about the scene.
                 warnings.simplefilter('ignore')
-                scene = plan.scene_of(dict(zip(plan.parts, values.values(), strict=True)))
+                scene = with_values(plan.scene, dict(zip(
+                    plan.parts, values.values(), strict=True)))
                 simulation = build(scene)
                 simulation.restart(simulation.q.copy(), simulation.p.copy(), stream=index)
         except FAILURES as problem:

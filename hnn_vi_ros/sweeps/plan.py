@@ -20,7 +20,7 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis, with_values
+from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.trajectory.record import BLOCK
 from hnn_vi_ros.version import __version__
@@ -132,10 +132,6 @@ class SweepPlan:
             found = [np.asarray(values).tolist() if isinstance(values, np.ndarray)
                      else list(values) for values in axis.values(along)] + found
         return found
-
-    def scene_of(self, values: Mapping[tuple[str | int, ...], Any]) -> Scene:
-        """Return the scene with other values of some keys, by their parts."""
-        return with_values(self.scene, values)
 
     @cached_property
     def record(self) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from hnn_vi_ros.guards.watch import show_many
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
+from hnn_vi_ros.scene.named_numbers import with_values
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
@@ -298,8 +299,8 @@ class _Made:
     def __init__(self, plan: SweepPlan, row: tuple[Any, ...]):
         self._plan = plan
         values = dict(zip(plan.parts, row, strict=True))
-        scene = plan.scene_of(
-            {part: value for part, value in values.items() if part[0] != 'initial_state'})
+        scene = with_values(plan.scene, {
+            part: value for part, value in values.items() if part[0] != 'initial_state'})
         self.parts = plan.made if scene is plan.scene else scene.parts()
         _, hamiltonian, integrator, effects = self.parts
         system = System(hamiltonian, effects, integrator)
