@@ -10,7 +10,7 @@ _DETAILS = """\
 A shard is a file that is made as a whole: part-00000.parquet and so on, with the same bytes
 whichever process or machine makes it, and in whatever order. Shards that are in the folder already
 are not made again, so the same command continues an interrupted sweep. Exit status: 0 if all
-shards asked for are there, 130 if Ctrl-C stopped it."""
+shards are there, 130 if Ctrl-C stopped it."""
 
 
 def sweep() -> Parser:
@@ -19,7 +19,6 @@ def sweep() -> Parser:
         'Simulate many parameters and initial states. The result is a Parquet dataset.'), [
             'ros2 run hnn_vi_ros sweep pendulum_energies',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --jobs 8',
-            'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --shard 3/100',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --out results --ray local',
             'ros2 run hnn_vi_ros sweep my_sweep.yaml --episodes mcap --select 0:1000:50'],
         _DETAILS)
@@ -29,11 +28,7 @@ def sweep() -> Parser:
     what.add_argument('--schema', action='store_true', help=(
         'print the JSON schema by which editors complete and check sweeps'))
     parser.add_argument('--out', type=Path, metavar='DIR', help=(
-        'folder of the results, which several processes and machines may share (default: '
-        'sweeps/NAME; of episodes episodes/NAME)'))
-    parser.add_argument('--shard', default='0/1', metavar='I/N', help=(
-        'make every N-th shard, from the I-th on, counted from 0: the share of one of N jobs '
-        '(default: 0/1, all)'))
+        'folder of the results (default: sweeps/NAME; of episodes episodes/NAME)'))
     where = parser.add_mutually_exclusive_group()
     where.add_argument('--jobs', type=int, metavar='N', help=(
         'processes of this machine (default: one for each processor)'))

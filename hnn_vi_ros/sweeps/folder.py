@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder of a sweep: what it holds, what is still to be made, and how a file comes into it."""
 
+from contextlib import suppress
 import json
-import os
 from pathlib import Path
-import socket
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.limits import parse_json
-from hnn_vi_ros.files.regular_file import read_limited
+from hnn_vi_ros.files.regular_file import read_limited, replacing, write_new
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
@@ -41,7 +40,7 @@ class Survey(NamedTuple):
 
 class SweepFolder:
     """
-    A folder that several processes and machines fill with shards.
+    A folder that processes fill with shards; one that is renamed into its place is whole.
 
     Parameters
     ----------
@@ -72,8 +71,8 @@ class SweepFolder:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as problem:
-            raise RecordingError(f'{file}: {one_line(problem)}; put it back as it was, or give '
-                                 'another --out') from problem
+            raise RecordingError(f'{file}: {one_line(problem)}; put it back as it was, remove it '
+                                 'if no shard is there, or give another --out') from problem
 
     def begin(self, plan: SweepPlan) -> None:
         """
@@ -86,40 +85,40 @@ class SweepFolder:
 
         """
         there = self.record()
-        if there is not None:
-            if there != plan.record:
-                raise RecordingError(
-                    f'{self.path} holds another sweep: {_difference(there, plan.record)}; give '
-                    'another --out, or take that sweep as it was')
-            return
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-            strange = next((file.name for file in self.path.iterdir()
-                            if not file.name.startswith('.')), None)
-        except OSError as problem:
-            raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
-                                 ) from problem
-        if strange is not None:
-            if self.record() is None:
-                raise RecordingError(f'{self.path} holds {strange} and no {_RECORD}: no sweep '
-                                     'began there; give another --out')
-            # Another process began it just now.
-            self.begin(plan)
-            return
-        self._place(_RECORD, as_json(plan.record).encode())
+        if there is None:
+            try:
+                self.path.mkdir(parents=True, exist_ok=True)
+                strange = next((file.name for file in self.path.iterdir()
+                                if not file.name.startswith('.') and file.name != _RECORD), None)
+                if strange is not None:
+                    raise RecordingError(f'{self.path} holds {strange} and no {_RECORD}: no sweep '
+                                         'began there; give another --out')
+                with suppress(FileExistsError):
+                    write_new(self.path / _RECORD, as_json(plan.record).encode())
+            except OSError as problem:
+                raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
+                                     ) from problem
+            # Another process may have begun another sweep meanwhile.
+            there = self.record()
+        if there != plan.record:
+            raise RecordingError(
+                f'{self.path} holds another sweep: {_difference(there, plan.record)}; give '
+                'another --out, or take that sweep as it was')
 
     def file(self, shard: int) -> Path:
         """Return the file of a shard."""
         return self.path / f'part-{shard:06d}.parquet'
 
-    def survey(self, plan: SweepPlan, share: tuple[int, int] = (0, 1)) -> Survey:
-        """Check every n-th shard, from the i-th on."""
+    def survey(self, plan: SweepPlan) -> Survey:
+        """Check all shards."""
         missing, damaged, failures = [], [], 0
-        for shard in range(share[0], plan.shards, share[1]):
+        for shard in range(plan.shards):
+            file = self.file(shard)
             try:
-                failures += check_shard(self.file(shard), plan.record['digest'], shard)
-            except FileNotFoundError:
-                missing.append(shard)
+                if file.exists():
+                    failures += check_shard(file, plan.record['digest'], shard)
+                else:
+                    missing.append(shard)
             except RecordingError as problem:
                 missing.append(shard)
                 damaged.append(str(problem))
@@ -135,59 +134,30 @@ class SweepFolder:
             It cannot be written.
 
         """
-        self._place(self.file(shard).name, content)
-
-    def _place(self, name: str, content: bytes) -> None:
-        """Write a file under another name, and rename it once it is on the disk."""
-        part = self.path / f'.{name}.{socket.gethostname()}.{os.getpid()}'
+        file = self.file(shard)
         try:
-            with open(part, 'wb') as stream:
-                stream.write(content)
-                stream.flush()
-                os.fsync(stream.fileno())
-            os.replace(part, self.path / name)
-            # So that the name outlives the end of the power as well.
-            folder = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+            with replacing(file) as part:
+                part.write_bytes(content)
         except OSError as problem:
-            if isinstance(problem, FileNotFoundError) and (self.path / name).is_file():
-                # Another process made the same file meanwhile, and cleaned up.
-                return
-            part.unlink(missing_ok=True)
-            raise RecordingError(f'{self.path / name}: {one_line(problem)}; what is whole stays: '
-                                 'mend that, and give the same command again') from problem
+            # Another sweep into this folder may have made the same file, and cleaned up.
+            if not (isinstance(problem, FileNotFoundError) and file.is_file()):
+                raise RecordingError(f'{file}: {one_line(problem)}; what is whole stays: mend '
+                                     'that, and give the same command again') from problem
         # Processes killed while writing it left these files; it is whole now.
-        for left in self.path.glob(f'.{name}.*'):
+        for left in self.path.glob(f'.{file.stem}.*'):
             left.unlink(missing_ok=True)
 
 
 def _difference(there: Any, here: Any, key: str = '') -> str:
     """Return where two records differ first, and how; what only one has comes first."""
     if isinstance(there, dict) and isinstance(here, dict):
-        for name in sorted(dict.fromkeys((*here, *there)), key=lambda x: x in here and x in there):
-            if there.get(name) != here.get(name) and name != 'digest':
+        # The digest is that of all others.
+        for name in sorted(dict.fromkeys((*here, *there)), key=lambda name: (
+                name == 'digest', name in here and name in there)):
+            if there.get(name) != here.get(name):
                 return _difference(there.get(name), here.get(name), f'{key}.{name}'.lstrip('.'))
     if isinstance(there, list) and isinstance(here, list) and len(there) == len(here):
         for k, (one, other) in enumerate(zip(there, here, strict=True)):
             if one != other:
                 return _difference(one, other, f'{key}.{k}')
-    return f'{key or "its digest"} is {json.dumps(there)[:80]} there, {json.dumps(here)[:80]} here'
-
-
-def shards_of(share: str) -> tuple[int, int]:
-    """
-    Return the share that ``I/N`` names.
-
-    Raises
-    ------
-    ValueError
-        It names none.
-
-    """
-    first, _, every = share.partition('/')
-    if not (first.isdecimal() and every.isdecimal() and int(first) < int(every)):
-        raise ValueError(f'--shard {share}: expected I/N, counted from 0: 0/N to N-1/N')
-    return int(first), int(every)
+    return f'{key} is {json.dumps(there)[:80]} there, {json.dumps(here)[:80]} here'

@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable
 from hashlib import sha256
 from io import BytesIO
 import json
-import os
 from pathlib import Path
 import re
-from typing import Any, BinaryIO
+from typing import Any
 
 from hnn_vi_ros.errors import optional, RecordingError
+from hnn_vi_ros.files.regular_file import read_limited
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
@@ -25,11 +25,9 @@ with optional('pyarrow', 'a sweep'):
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
 # A shard is sealed: its number comes with the SHA-256 of its file, computed with these digits as
 # zeros. A checksum of pages would not cover the footer, which locates the columns.
-_SEALED = re.compile(rb'(\d+) sha256:([0-9a-f]{64})')
+_SEALED = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
 _OPEN = b'0' * 64
-# A footer holds the scene and its files' digests.
-_LARGEST_FOOTER = 2**26
-_BLOCK = 2**20
+_LARGEST = 2**31
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LISTS = {'event_times': pa.list_(pa.float64()), 'events': pa.list_(pa.string())}
 
@@ -95,7 +93,7 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
         writer.add_key_value_metadata({_SHARD: b'%d sha256:%b' % (shard, _OPEN)})
     content = stream.getvalue()
     before, _, after = content.rpartition(_OPEN)
-    return before + sha256(content).hexdigest().encode() + after
+    return before + _digest_of(content) + after
 
 
 def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.Array]:
@@ -133,8 +131,6 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
     """
     Check that a file is a shard of a sweep, to its last bit; return how many trajectories failed.
 
-    One of a version that did not seal shards is decoded, which finds less.
-
     Parameters
     ----------
     path : Path
@@ -146,55 +142,27 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
 
     Raises
     ------
-    FileNotFoundError
-        There is none.
     RecordingError
         It is damaged, another shard, or that of another sweep; one line, without a remedy.
 
     """
     try:
-        with path.open('rb') as stream:
-            sealed = _checked_seal(stream)
-            metadata = pq.read_metadata(stream).metadata or {}
-            if metadata.get(_DIGEST) != digest.encode():
-                raise RecordingError(f'{path}: is of another sweep')
-            number = metadata.get(_SHARD, b'').removesuffix(b' sha256:' + sealed)
-            if not number.isdigit():
-                raise ValueError('its seal is no seal')
-            if int(number) != shard:
-                raise RecordingError(f'{path}: is shard {int(number)} of this sweep')
-            # Without threads, which may still hold the stream when the interpreter ends: that
-            # aborts the process.
-            failure = pq.ParquetFile(stream, pre_buffer=False).read(
-                ['failure'] if sealed else None, use_threads=False)['failure']
-    except FileNotFoundError:
-        raise
+        content = read_limited(path, _LARGEST)
+        seal = _SEALED.search(content, max(content.rfind(_SHARD), 0))
+        if seal is None or seal[2] != _digest_of(
+                content[:seal.start(2)] + _OPEN + content[seal.end(2):]):
+            raise ValueError('its SHA-256 is not the one that it was written with')
+        table = pq.read_table(pa.BufferReader(content), columns=['failure'])
+        failure = table['failure']
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
         raise RecordingError(f'{path}: is damaged ({one_line(problem)})') from problem
+    if (table.schema.metadata or {}).get(_DIGEST) != digest.encode():
+        raise RecordingError(f'{path}: is of another sweep')
+    if int(seal[1]) != shard:
+        raise RecordingError(f'{path}: is shard {int(seal[1])} of this sweep')
     # One row each.
     return len(failure) - int(failure.null_count)
 
 
-def _checked_seal(stream: BinaryIO) -> bytes:
-    """Return the digits of a seal, none if there is none; ValueError if it is not of the file."""
-    size = os.fstat(stream.fileno()).st_size
-    stream.seek(max(size - 8, 0))
-    end = stream.read()
-    begin = size - 8 - int.from_bytes(end[:4], 'little')
-    if end[4:] != b'PAR1' or not 0 <= size - begin <= _LARGEST_FOOTER or begin < 0:
-        raise ValueError('it does not end like a Parquet file')
-    stream.seek(begin)
-    footer = stream.read()
-    seal = _SEALED.search(footer, max(footer.rfind(_SHARD), 0))
-    stream.seek(0)
-    if seal is None:
-        return b''
-    found, left = sha256(), begin
-    while left and (block := stream.read(min(left, _BLOCK))):
-        found.update(block)
-        left -= len(block)
-    found.update(footer[:seal.start(2)] + _OPEN + footer[seal.end(2):])
-    stream.seek(0)
-    if found.hexdigest().encode() != seal[2]:
-        raise ValueError('its SHA-256 is not the one that it was written with')
-    return seal[2]
+def _digest_of(content: bytes) -> bytes:
+    return sha256(content).hexdigest().encode()

@@ -2,10 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shards made on a Ray cluster: an actor on each core, whose files this process writes."""
 
-from collections import deque
 from collections.abc import Iterator, Sequence
 import logging
-from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
@@ -13,9 +11,8 @@ from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.workers import ShardJob
 import ray
 from ray.exceptions import RayError
+from ray.util import ActorPool
 
-# Shards that an actor has at a time: one to make, and one so that it need not wait for another.
-_AHEAD = 2
 # How often a shard is restarted whose actor was lost with its process or its machine.
 _RETRIES = 3
 
@@ -72,16 +69,9 @@ def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: 
                             'leave --device out, or begin it with ray start --num-gpus N')
     actor = ray.remote(num_cpus=1, num_gpus=int(on_gpu), max_restarts=-1,
                        max_task_retries=_RETRIES)(ShardJob)
-    free = deque(actor.remote(**vars(job)) for _ in range(min(makers, len(shards))))
-    free.extend(list(free) * (_AHEAD - 1))
-    pending, running = deque(shards), dict[Any, tuple[int, Any]]()
-    while pending or running:
-        while pending and free:
-            maker, shard = free.popleft(), pending.popleft()
-            running[maker.make.remote(shard)] = shard, maker
-        done, _ = ray.wait(list(running), num_returns=1)
-        for reference in done:
-            shard, maker = running.pop(reference)
-            folder.put(shard, ray.get(reference))
-            free.append(maker)
-            yield shard
+    # Twice each: one shard to make, and one so that it need not wait for another.
+    pool = ActorPool([actor.remote(**vars(job)) for _ in range(min(makers, len(shards)))] * 2)
+    for shard, content in pool.map_unordered(
+            lambda maker, shard: maker.make.remote(shard), list(shards)):
+        folder.put(shard, content)
+        yield shard

@@ -20,7 +20,7 @@ from hnn_vi_ros.simulation.checks import check_count
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros
-from hnn_vi_ros.sweeps.folder import shards_of, Survey, SweepFolder
+from hnn_vi_ros.sweeps.folder import Survey, SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
@@ -47,21 +47,17 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     if options.select is not None:
         raise ParameterError('--select chooses among episodes: give --episodes mcap')
     out = options.out or Path('sweeps') / Path(options.sweep).stem
+    begin = time.monotonic()
+    jobs = _processes(options.device) if options.jobs is None else options.jobs
     try:
-        begin = time.monotonic()
-        jobs = _processes(options.device) if options.jobs is None else options.jobs
-        sweep(options.sweep, out, shard=options.shard, jobs=jobs, ray=options.ray,
-              device=options.device, progress=True)
+        plan, folder = _make(options.sweep, out, jobs, options.ray, options.device, True)
     except (ValueError, TypeError) as problem:
         raise ParameterError(str(problem)) from problem
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f'stopped; what is whole is in {out}: the same command goes on') from None
-    plan = make_plan(options.sweep, (SweepFolder(out).record() or {}).get('scene'),
-                     options.device)
-    folder, share = SweepFolder(out), shards_of(options.shard)
-    found = folder.survey(plan, share)
-    print(_summary(plan, folder, share, found, time.monotonic() - begin))
+    found = folder.survey(plan)
+    print(_summary(plan, folder, found, time.monotonic() - begin))
     return int(bool(found.missing))
 
 
@@ -72,10 +68,9 @@ def _processes(device: str | None) -> int:
 
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
     """Write the trajectories that the command line selects, and print their number."""
-    if options.ray or options.jobs is not None or options.shard != '0/1' or options.device:
-        raise ParameterError('--episodes writes one after another: leave --jobs, --ray, --device '
-                             'and --shard out; give each of several processes a --select and '
-                             'an --out')
+    if options.ray or options.jobs is not None or options.device:
+        raise ParameterError('--episodes writes one after another: remove --jobs, --ray and '
+                             '--device; give each of several processes a --select and an --out')
     out = options.out or Path('episodes') / Path(options.sweep).stem
     plan, failed = make_plan(options.sweep), dict[int, str]()
     indices = selected(options.select or '', plan.count)
@@ -85,9 +80,8 @@ def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
     return int(len(failed) == len(indices))
 
 
-def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard: str = '0/1',
-          jobs: int = 1, ray: str | None = None, device: str | None = None,
-          progress: bool = False) -> Path:
+def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, jobs: int = 1,
+          ray: str | None = None, device: str | None = None, progress: bool = False) -> Path:
     """
     Simulate a scene for many parameters and initial states, and keep a Parquet dataset.
 
@@ -100,8 +94,6 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
         The name of a shipped sweep, a YAML file, or what such a file holds.
     out : str or Path
         The folder: ``sweep.json`` and ``part-*.parquet``.
-    shard : str, optional
-        ``I/N``: every N-th shard, from the I-th on, counted from 0.
     jobs : int, optional
         Processes. More than one are spawned: the caller's main module is imported by them, so it
         must do its work under ``if __name__ == '__main__'``.
@@ -126,25 +118,31 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
         An argument that is not usable.
 
     """
+    return _make(definition, Path(out), jobs, ray, device, progress)[1].path
+
+
+def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray: str | None,
+          device: str | None, progress: bool) -> tuple[SweepPlan, SweepFolder]:
+    """Make the shards that are missing; see ``sweep``."""
     if ray is not None:
         # Imported here: it is an extra. First of all: it may be missing.
         from hnn_vi_ros.sweeps.ray_cluster import make_on_ray
     check_count('jobs', jobs)
-    share, folder = shards_of(shard), SweepFolder(Path(out))
+    folder = SweepFolder(out)
     if not isinstance(definition, Mapping) and is_path('sweep', str(definition)):
         # As workers find it, wherever they are started.
         definition = os.path.abspath(definition)
     plan = make_plan(definition, (folder.record() or {}).get('scene'), device)
     Runner(plan).check()
     folder.begin(plan)
-    shards, damaged, _ = folder.survey(plan, share)
+    shards, damaged, _ = folder.survey(plan)
     for text in damaged:
         text += '; it is made again'
         if progress:
             print(f'sweep: {text}', file=sys.stderr)
         else:
-            warnings.warn(text, stacklevel=2)
-    line = _Progress(plan, shards, share) if progress else None
+            warnings.warn(text, stacklevel=3)
+    line = _Progress(plan, shards) if progress else None
     job = ShardJob(definition if isinstance(definition, Mapping) else str(definition),
                    plan.record['scene'], plan.record['digest'], device)
     made: Iterator[int]
@@ -161,30 +159,22 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, shard:
     finally:
         if line:
             line.close()
-    return folder.path
+    return plan, folder
 
 
-def _summary(plan: SweepPlan, folder: SweepFolder, share: tuple[int, int], found: Survey,
-             seconds: float) -> str:
-    shards = len(range(share[0], plan.shards, share[1]))
-    whose = f'{plan.count} trajectories' if share[1] == 1 else '--shard {}/{}'.format(*share)
-    parts = [f'{shards - len(found.missing)} of {shards} shards of {whose}',
+def _summary(plan: SweepPlan, folder: SweepFolder, found: Survey, seconds: float) -> str:
+    parts = [f'{plan.shards - len(found.missing)} of {plan.shards} shards of {plan.count} '
+             'trajectories',
              f'{found.failures} failed (see the column failure)' if found.failures
              else 'none failed', *found.damaged]
-    if share[1] > 1:
-        # Those of others are theirs to check.
-        there = sum(folder.file(shard).is_file() for shard in range(plan.shards))
-        parts.append(f'{there} of all {plan.shards} are there')
     return f'{folder.path}: {", ".join(parts)}; {seconds:.1f} s'
 
 
 class _Progress:
-    """Progress line of a share: how many trajectories are made, and how long the rest takes."""
+    """Progress line: how many trajectories are made, and how long the rest takes."""
 
-    def __init__(self, plan: SweepPlan, shards: list[int], share: tuple[int, int]):
-        self._left = sum(len(plan.indices(shard)) for shard in shards)
-        self._total = sum(len(plan.indices(shard)) for shard in range(
-            share[0], plan.shards, share[1]))
+    def __init__(self, plan: SweepPlan, shards: list[int]):
+        self._left, self._total = sum(len(plan.indices(shard)) for shard in shards), plan.count
         self._line, self._made, self._ahead = ProgressLine(), 0, 0
         self._start = time.monotonic()
 

@@ -46,9 +46,9 @@ class ShardJob:
     digest: str
     device: str | None = None
 
-    def make(self, shard: int) -> bytes:
+    def make(self, shard: int) -> tuple[int, bytes]:
         """
-        Return the file of a shard.
+        Return a shard and its file.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class ShardJob:
                     'worker than in the process that began it; make them the same')
             _ready[self.digest] = plan, Runner(plan)
         plan, runner = _ready[self.digest]
-        return write_shard(plan, shard, runner.shard(shard))
+        return shard, write_shard(plan, shard, runner.shard(shard))
 
 
 def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
@@ -114,4 +114,4 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
 
 
 def _make(job: ShardJob, path: Path, shard: int) -> None:
-    SweepFolder(path).put(shard, job.make(shard))
+    SweepFolder(path).put(*job.make(shard))

@@ -103,7 +103,6 @@ identify mine.yaml --data sw.npz --free mass --bounds mass 2 1
 recover_bag junk.mcap
 sweep nothing
 sweep sweep.yaml --out mine.yaml
-sweep sweep.yaml --shard 3/2
 """
 MISTAKES = {f'{line}: {new}': (line, (file, old, new)) for (line, file), changes in CHANGES.items()
             for old, new in changes} | {line: (line, None) for line in LINES.splitlines()}

@@ -47,7 +47,7 @@ def test_selections_are_numbers_and_slices():
 
 @pytest.mark.parametrize('arguments', [
     ['--select', '0'], ['--episodes', 'mcap', '--jobs', '2'],
-    ['--episodes', 'mcap', '--shard', '0/2'], ['--episodes', 'mcap', '--select', '4'],
+    ['--episodes', 'mcap', '--select', '4'],
     ['--episodes', 'mcap', '--select', '0']], ids=' '.join)
 def test_episodes_that_cannot_be_written_are_one_line(sweep_file, tmp_path, arguments):
     with refused(HnnViRosError):

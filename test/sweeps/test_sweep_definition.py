@@ -4,7 +4,6 @@
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
-from hnn_vi_ros.sweeps.folder import shards_of
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.sweep import main, sweep
 from messages import refused
@@ -65,12 +64,7 @@ def test_file_that_cannot_be_used_is_one_line(tmp_path, text):
 
 
 def test_arguments_that_cannot_be_used_are_told():
-    for share in ('3/3', '-1/3', '1', 'a/b', '0/0', '1/2/3', ''):
-        with refused(ValueError):
-            shards_of(share)
-    assert shards_of('2/3') == (2, 3)
-    for words in (['pendulum_lengths', '--shard', '3/3'], ['pendulum_lengths', '--jobs', '0'],
-                  ['nothing']):
+    for words in (['pendulum_lengths', '--jobs', '0'], ['nothing']):
         with refused(HnnViRosError):
             main(words)
     with refused(TypeError):
