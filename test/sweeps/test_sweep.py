@@ -499,25 +499,6 @@ def test_sweep_on_a_device_is_recorded_and_continued_to_the_same_bytes(tmp_path)
 
 
 @pytest.mark.long
-def test_sweep_by_kernels_that_are_gone_is_still_read_and_not_continued_by_others(tmp_path):
-    pytest.importorskip('torch', reason='torch is not installed')
-    definition = {'scene': 'pendulum', 'duration': 0.02, 'vary': [BOX | {'count': 4}]}
-    folder = sweep(definition, tmp_path / 'out', device='cpu')
-    # Not the size of the shards, which follows from the device.
-    with pytest.raises(RecordingError, match='another sweep: device is {"kind": "cpu", .* null'):
-        sweep(definition, folder)
-    record = json.loads((folder / 'sweep.json').read_text())
-    # As 0.2.0 recorded device = cpu/steps.
-    record['device'] |= {'kernels': 'steps', 'triton': '3.7.1'}
-    (folder / 'sweep.json').write_text(json.dumps(record))
-    assert SweepFolder(folder).record() == record and table_of(folder).num_rows == 4
-    with pytest.raises(RecordingError, match='another sweep: device.kernels is "steps" there'):
-        sweep(definition, folder, device='cpu')
-    with pytest.raises(ValueError, match="'cpu/steps' is not known; valid: cpu, cuda, cuda:N$"):
-        sweep(definition, folder, device='cpu/steps')
-
-
-@pytest.mark.long
 @pytest.mark.filterwarnings('ignore')
 def test_failure_of_one_trajectory_on_a_device_is_a_row(tmp_path):
     pytest.importorskip('torch', reason='torch is not installed')
