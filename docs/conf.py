@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The site: `make docs` builds it with Sphinx, as rosdoc2 does; generated pages come first."""
+"""Sphinx configuration of the site for `make docs` and rosdoc2; writes generated pages first."""
 
 from importlib.util import find_spec
 from pathlib import Path

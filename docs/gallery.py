@@ -3,8 +3,8 @@
 """
 The gallery: every shipped scene with its picture, its YAML and the command that runs it.
 
-`HNN_DOCS_GALLERY` names the scenes that pictures are made of, with commas between them: by default
-all, `none` for none. A picture is made once for each version of its scene and its model.
+`HNN_DOCS_GALLERY` is a comma-separated list of the scenes to draw: all by default, `none` for none.
+A picture is made once for each version of its scene and its model.
 """
 
 import hashlib
@@ -114,7 +114,7 @@ def mechanism_picture(run: Trajectory) -> Image.Image:
     try:
         figure = run.phase_portrait()
     except ValueError:
-        # Rotations alone have no such plane.
+        # Rotations have no phase plane.
         figure = run.plot()
     film = io.BytesIO()
     figure.savefig(film, dpi=80)
@@ -153,7 +153,7 @@ def topic_of(path: Path) -> str:
 
 
 def description(path: Path) -> str:
-    """Return what a scene says of itself."""
+    """Return the description of a scene."""
     return str(yaml.safe_load(path.read_text('utf-8')).get('description', '')).rstrip('.')
 
 

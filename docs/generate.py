@@ -20,7 +20,7 @@ from hnn_vi_ros.run.timing import OverrunGuard
 
 # Beside this file, and in no commit.
 FOLDER = 'generated'
-# Where errors of a user stand that hnn_vi_ros.errors does not hold.
+# Modules with user errors that are not in hnn_vi_ros.errors.
 _OTHER_ERRORS = ('hnn_vi_ros.ros.worlds',)
 _SCENE_PARTS = {'hamiltonian': 'Hamiltonians', 'integrator': 'Integrators', 'effects': 'Effects'}
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of pages: `python docs/pictures.py [NAME ...]` in the environment writes them."""
+"""Pictures of pages, written with `python docs/pictures.py [NAME ...]`."""
 
 from collections.abc import Callable
 from functools import partial

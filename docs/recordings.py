@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pictures of recordings in the rerun viewer: `docs/recordings.py` makes them again.
+Pictures of recordings in the rerun viewer, drawn again with `docs/recordings.py`.
 
 On a screen, or without one, with the pointer next to the window:
 `xvfb-run -a -s '-screen 0 6000x4000x24' python docs/recordings.py`, some 30 s for each.

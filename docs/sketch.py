@@ -25,7 +25,7 @@ def sketch(run: Trajectory, sample: int = -1) -> Image.Image:
     Parameters
     ----------
     run : Trajectory
-        Of a scene that has a mechanism.
+        Trajectory of a scene with a mechanism.
     sample : int, optional
         At which it is drawn: by default the last.
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gradients through simulations of the pendulum, over diffrax's and torchdiffeq's adjoints."""
+"""Gradients through pendulum simulations, compared with adjoints of diffrax and torchdiffeq."""
 
 from collections.abc import Callable, Iterator, Sequence
 import math
@@ -108,7 +108,7 @@ def error(found: np.ndarray, true: np.ndarray) -> float:
 
 
 def rows(settings: Settings) -> Iterator[Row]:
-    """Measure what gradients cost beside values, beside peers, and how wrong they are."""
+    """Measure the cost and the errors of gradients, relative to values and to peers."""
     yield from _costs(settings)
     diffrax_, torchdiffeq_ = 'diffrax Dopri8, recursive checkpoints', 'torchdiffeq dopri8, adjoint'
     peers = {diffrax_: by_diffrax(), torchdiffeq_: by_torchdiffeq()}

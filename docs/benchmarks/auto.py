@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 7: what the integrator auto chose, over the best of the sweep of methods and steps."""
+"""Rows 7: the choice of `integrator: auto`, relative to the best of a sweep."""
 
 from collections.abc import Iterator
 

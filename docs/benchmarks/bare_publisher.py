@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The smallest publisher in rclpy: what a cold start is compared with."""
+"""The smallest rclpy publisher, as baseline of a cold start."""
 
 import rclpy
 from std_msgs.msg import Float64MultiArray

@@ -84,7 +84,7 @@ def run(groups: Mapping[str, tuple[Measure, float]], repetitions: int, quick: bo
 
 
 def write(groups: Mapping[str, Group], folder: Path) -> None:
-    """Write benchmarks.md, .json and .png into a folder; other groups stay as they are."""
+    """Write benchmarks.md, .json and .png into a folder; keep other groups."""
     known = read_groups(folder / 'benchmarks.json') | groups
     known = {name: known[name] for name in dict.fromkeys([*GROUPS, *groups]) if name in known}
     write_groups(folder / 'benchmarks.json', known)
@@ -107,7 +107,7 @@ def main(argv: list[str]) -> int:
     if missing := [name for name in _SINGLE_THREAD if name not in os.environ]:
         parser.error(f'{", ".join(missing)} must be set to keep the peers to one thread; '
                      'use: make bench')
-    # With spaces: changed files, or no checkout. Then nothing tells what rows were measured on.
+    # Spaces: changed files or no checkout, so the measured state cannot be named.
     state = commit()
     modules = {name: import_module(GROUPS[name][0]) for name in arguments.rows}
     rows = run({name: (module.rows, GROUPS[name][1]) for name, module in modules.items()},

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the paper's method on formulas, over the same steps with gradients written by hand."""
+"""Rows of the paper's method on formulas, compared with hand-written gradients."""
 
 from collections.abc import Iterator
 

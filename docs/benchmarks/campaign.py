@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the integrator auto chooses on systems that are not shipped, beside the best of a sweep.
+Compare the choice of `integrator: auto` with the best of a sweep, on systems not shipped.
 
 Run it in the folder docs with ``python -m benchmarks.campaign --out FILE.json``: each row is
-written when it is finished, and a run that was interrupted goes on with the next one. With
+written when it is finished, and an interrupted run continues with the next row. With
 ``--table FILE.md`` the rows become a page.
 """
 
@@ -36,7 +36,7 @@ _METHODS = [*(Method('time_transformed', {'base': base, 'force': force})
             *(Method(f'gauss{order}') for order in range(16, 2, -2)), Method('stormer_verlet'),
             Method('generalized_leapfrog'), Method('variational_euler')]
 # Steps of the sweep: the horizon over round(ratio^k), down to these; each by at most this many
-# gradients, or some times those of the best so far.
+# gradients, or a multiple of the gradients of the best so far.
 _RATIO, _MOST, _GRADIENTS, _DEARER = 1.19, 4_000_000, 20_000_000, 1.1
 _SAMPLES = 20_000
 _PAGE = """\
@@ -70,9 +70,9 @@ class Row:
     Parameters
     ----------
     chosen, best : str
-        Method and step of auto, or why it refused; and those of the sweep.
+        Method and step of auto (or the reason for its refusal) and of the sweep.
     error : float
-        Of what auto chose, measured anew.
+        Error of the choice of auto, measured again.
     gradients, best_gradients : float
         A simulated second [1/s].
     seconds, best_seconds : float
@@ -80,7 +80,7 @@ class Row:
     took : float
         Wall time of the choice [s].
     commit : str
-        What measured it.
+        Commit of the measurement.
 
     """
 
@@ -112,7 +112,7 @@ class Truth:
     Parameters
     ----------
     problem : InitialValueProblem
-        What moves.
+        The initial value problem.
     horizon : float
         Until when [s].
 
@@ -161,7 +161,7 @@ def measure(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, me
 def swept(problem: InitialValueProblem, truth: Truth, tolerance: Tolerance, least: float = 1.0
           ) -> list[tuple[Method, float, float]]:
     """
-    Return methods, the cheapest step of each [s] and its work, of at least so many steps.
+    Return methods, the cheapest step [s] of each and its work, with a minimum of steps.
 
     One step from next to an equilibrium to the horizon may end at the same energy by accident. A
     method is given up where it costs more than the best so far, and a tenth.

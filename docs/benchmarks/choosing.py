@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Methods and steps that are accurate enough, chosen by counted work.
+Choose sufficiently accurate methods and steps by counted work.
 
 A time on a machine with other work may be several times too long, and then picks a method that is
 several times slower than the best. Gradients are counted; what is left is timed in turns.
@@ -50,7 +50,7 @@ class Way:
 
     @property
     def name(self) -> str:
-        """Return what a table calls it."""
+        """Return its name in tables."""
         return f'{self.method}, h = {self.step_size:.3g}'
 
 
@@ -91,13 +91,13 @@ def largest_error(path: np.ndarray, reference: np.ndarray) -> float:
 
 
 def path_of(simulation: Simulation, instants: int, every: int) -> np.ndarray:
-    """Return (q, p) after each of so many steps, shape (instants, 2 d)."""
+    """Return (q, p) after every `every` steps, shape (instants, 2 d)."""
     return np.hstack(simulation.record(instants, every))
 
 
 def path_run(problem: InitialValueProblem, simulation: Simulation, instants: int, every: int
              ) -> Contestant:
-    """Return what prepares runs of a simulation from the start; each returns its path."""
+    """Return a function that prepares runs from the start; each returns its path."""
     def prepare() -> Callable[[], np.ndarray]:
         simulation.restart(problem.q, problem.p)
         return lambda: path_of(simulation, instants, every)

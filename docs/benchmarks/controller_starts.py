@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A task from random starts: a simulator and a controller in processes of their own, over DDS.
+A control task from random starts: separate processes of simulator and controller, over DDS.
 
 Each start has a bag, which is simulated again without the controller and compared bit by bit. A
 start is a success where both angles stay upright through the last two seconds. The latency is
@@ -44,7 +44,7 @@ def logged(name: str, folder: Path, **parameters: object) -> Iterator[Path]:
 
 
 def evaluate(bag: Path, names: list[str]) -> dict[str, object]:
-    """Return what a bag shows: success, latencies [ms], and whether it is verified."""
+    """Return success, latencies [ms] and verification of a recorded run."""
     run = RecordedRun(bag)
     states = [(message.time, state.q) for message, state in run.in_order([*run.states])
               if state is not None]

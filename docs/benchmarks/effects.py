@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 6: what effects cost a scene that lists none, and what each adds to one that lists it."""
+"""Rows 6: cost of effects in a scene without effects, and cost of each effect."""
 
 from collections.abc import Callable, Iterator
 
@@ -46,7 +46,7 @@ _EFFECTS = {
     'holonomic_constraint': ('plane', {'point': ['x', 'z'], 'anchor': [0.0, 0.0]}),
     'impact': ('pendulum', {'coordinate': 'angle', 'position': -1.0}),
 }
-# What these take; others are measured with the method of the paper.
+# These need this method; others are measured with the method of the paper.
 _LEAPFROG = ('thermostat', 'holonomic_constraint', 'impact')
 
 

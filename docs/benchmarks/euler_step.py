@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 2: one step of variational_euler, solved to round-off, over the same scheme in JAX."""
+"""Rows 2: one step of variational_euler, solved to round-off, compared with the same in JAX."""
 
 from collections.abc import Callable, Iterator
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rows 16: exact systems, a small arm and a learned pendulum, over heyoka by itself.
+Rows 16: exact systems, a small arm and a learned pendulum, compared with heyoka itself.
 
 Both sides are the cheapest that keep to a path error at ten instants: ours of methods and step
 sizes, heyoka of tolerances, in one call to each instant. Its equations are written as its own
@@ -37,15 +37,15 @@ class Case:
     Parameters
     ----------
     name : str
-        Of the row.
+        Name of the row.
     problem : InitialValueProblem
-        Of both sides.
+        Problem of both sides.
     duration, wanted : float
         T [s], and the largest error of a component.
     system : list of tuple or None
         Equations of heyoka; None: from the formula.
     compact : bool
-        Whether heyoka writes loops: of networks it would compile for minutes.
+        True if heyoka writes loops; networks would otherwise compile for minutes.
 
     """
 
@@ -86,7 +86,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Yield what is measured."""
+    """Yield the measured cases."""
     (x, y, p_x, p_y), (q, p) = heyoka.make_vars('x', 'y', 'px', 'py'), heyoka.make_vars('q', 'p')
     pull = (x ** 2 + y ** 2) ** -1.5
     kepler = [(x, p_x), (y, p_y), (p_x, -x * pull), (p_y, -y * pull)]

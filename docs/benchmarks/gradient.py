@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 1: one gradient of a small tanh network, in a compiled loop, over JAX's."""
+"""Rows 1: one gradient of a small tanh network in a compiled loop, compared with JAX."""
 
 from collections.abc import Callable, Iterator
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 8: what the guards of the node cost."""
+"""Rows 8: cost of the guards of the node."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path

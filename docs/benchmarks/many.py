@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 4: 10,000 trajectories at once over one, and the share of a matrix product."""
+"""Rows 4: 10,000 trajectories at once compared with one, and with a matrix product."""
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
@@ -86,7 +86,7 @@ def _rows_of(name: str, scene: Scene, steps: int, settings: Settings) -> Iterato
 
 
 def _product(widths: list[int], gradients: int) -> Callable[[], None]:
-    """Return a matrix product of as many operations as so many gradients of a network take."""
+    """Return a matrix product with the operation count of `gradients` network gradients."""
     # Each passes every weight forward and back: 4 operations a weight.
     operations = 4 * gradients * sum(n_in * n_out for n_in, n_out in pairwise(widths))
     n, rng = max(widths), np.random.default_rng(SEED)

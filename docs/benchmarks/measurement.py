@@ -27,7 +27,7 @@ class Row:
     Parameters
     ----------
     name : str
-        What is measured; unique.
+        Name of the measured quantity; unique.
     ours, peer : str
         The two sides, each with its unit.
     ratio : float
@@ -39,9 +39,9 @@ class Row:
     repetitions : int
         Timed runs of each side.
     unit : str
-        Of the ratio; empty for a ratio of two times.
+        Unit of the ratio; empty for a ratio of two times.
     note : str
-        How the row came about, for the text below the table.
+        Details of the measurement, for the text below the table.
     miss : str
         Why the target is missed, shown if it is.
 
@@ -60,21 +60,21 @@ class Row:
 
     @property
     def met(self) -> bool | None:
-        """Tell whether the target is met, None where there is none."""
+        """Return True if the target is met, None without a target."""
         return None if self.target is None else self.ratio <= self.target
 
 
 @dataclass(frozen=True)
 class Settings:
     """
-    How much is measured.
+    Amount of measurements.
 
     Parameters
     ----------
     repetitions : int
         Timed runs of each contestant.
     quick : bool
-        Whether to shorten the runs as well, to see that everything works.
+        Shorten the runs to test that everything works.
     say : callable
         Tells the user what is being done.
 
@@ -97,9 +97,9 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
     repetitions : int
         Turns; at most 3 if a warm-up takes longer than LONG_RUN.
     warm_up : bool, optional
-        Whether to run each once before, untimed.
+        Run each contestant once before, untimed.
     one_thread : bool, optional
-        Whether to insist that no run uses more than one processor.
+        Raise if a run uses more than one processor.
 
     Returns
     -------
@@ -148,11 +148,11 @@ def compare(name: str, ours: np.ndarray, peer: np.ndarray, *, target: float | No
     ours, peer : np.ndarray, shape (turns,)
         Times of the same turns.
     scale : float, optional
-        From the times to what the table shows, in ``unit``.
+        Factor from the times to the values of the table, in ``unit``.
     unit : str, optional
-        Of the two sides.
+        Unit of the two sides.
     peer_name : str, optional
-        Who the peer is.
+        Name of the peer.
 
     """
     return summarise(
@@ -176,7 +176,7 @@ def race(name: str, ours: Mapping[str, Contestant], peers: Mapping[str, Contesta
     ours, peers : mapping
         Contestants by name, at least one each.
     settings : Settings
-        How often they are timed.
+        Number of repetitions.
     copies : int, optional
         Results of a peer's run, by which its time is divided.
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 10: what long runs, sweeps and resets leave in memory; nothing to compare with but zero."""
+"""Rows 10: memory growth in long runs, sweeps and resets; the target is zero."""
 
 from collections.abc import Iterator
 import os
@@ -102,7 +102,7 @@ def samples(ticks: int) -> float:
 
 
 def shards(last: int) -> float:
-    """Return by how much memory grows until so many shards of a sweep are made [MB]."""
+    """Return the memory growth until the shard `last` of a sweep is written [MB]."""
     plan = make_plan(definition('pendulum', 1024 * last))
     runner = Runner(plan)
     with tempfile.TemporaryDirectory() as folder:

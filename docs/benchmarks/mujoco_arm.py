@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""An arm of a scene in MuJoCo, from the same URDF: it swings freely, and nothing touches."""
+"""An arm of a scene in MuJoCo, from the same URDF: free swing without contact."""
 
 from collections.abc import Callable
 from contextlib import chdir
@@ -29,7 +29,7 @@ class MujocoArm:
     robot : RigidBodyTree
         All of whose joints move, in the order of the bodies.
     q0 : np.ndarray, shape (d,)
-        Where it starts from rest [rad].
+        Initial state, at rest [rad].
 
     Raises
     ------
@@ -64,7 +64,7 @@ class MujocoArm:
         """
         Return a run from the start that returns q and v, of shape (samples, d).
 
-        They end where MuJoCo finds its accelerations too large to go on, and would begin anew.
+        They end at the time at which MuJoCo would reset because of too large accelerations.
         """
         self.model.opt.integrator, self.model.opt.timestep = INTEGRATORS[integrator], h
         mujoco.mj_resetData(self.model, self._data)

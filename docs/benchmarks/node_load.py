@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rows 9: what the simulator's process costs at 1 kHz, over a bare node of the same messages.
+Rows 9: load of the simulator at 1 kHz, compared with a bare node with the same messages.
 
-Each process has a processor of its own where there are two. Without that the listener is moved to
+If there are two processors, each process gets its own. Otherwise the listener is moved to
 the processor that a node leaves when it sleeps, takes 0.1 ms more for a message there, and its
 lateness counts as the node's.
 """

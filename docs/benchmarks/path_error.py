@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 3: time to a path error on the learned pendulum, over the best adaptive method."""
+"""Rows 3: time to a path error on the learned pendulum, compared with adaptive methods."""
 
 from collections.abc import Callable, Iterable, Iterator
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that are measured from outside: started, heard, and interrupted at the end."""
+"""Processes measured from outside: start, subscribe, interrupt at the end."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -35,7 +35,7 @@ PLANT = {'I1': 0.031887199591513114, 'I2': 0.05086984812807257, 'm1': 0.52346023
 LENGTHS, TORQUE = (0.2, 0.3), 6.0
 DRIVEN = {'acrobot': ['elbow'], 'pendubot': ['shoulder'], 'both': ['shoulder', 'elbow']}
 STEP, DURATION, PERIOD = 0.002, 60.0, 0.02
-# Of five numbers: M = [[a + b + 2 c cos e, b + c cos e], [b + c cos e, b]].
+# With five parameters: M = [[a + b + 2 c cos e, b + c cos e], [b + c cos e, b]].
 FORMULA = ('(b*p_shoulder^2 - 2*(b + c*cos(elbow))*p_shoulder*p_elbow'
            ' + (a + b + 2*c*cos(elbow))*p_elbow^2) / (2*(a*b - (c*cos(elbow))^2))'
            ' - g1*cos(shoulder) - g2*cos(shoulder + elbow)')
@@ -151,7 +151,7 @@ def run(robot: str, seed: int, controller: Callable[..., np.ndarray],
 
 
 def predictor(scene: Scene, steps: int) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return what predicts (q, v) after a period under a command."""
+    """Return a function that predicts (q, v) after a period with a command."""
     model = BatchStep(scene, steps)
 
     def predict(x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -172,7 +172,7 @@ def ilqr(scene: Scene, hold: int, horizon: int, budget: float, kinetic: float = 
     running = tip + kinetic * Kinetic(model) + Quadratic(
         model, at, np.zeros((4, 4)), [[1e-4]])
     final = 6.0 * Quadratic(model, at, cost, [[0.0]]).saturating(20.0)
-    # Where the cost of the tip's place stays below, the tip is above the line.
+    # If the cost of the tip's position stays below this, the tip is above the line.
     return Ilqr(steps, running, final, horizon, ([-TORQUE], [TORQUE]),
                 Regulator(at, gain, 0.66), budget, clock=time.thread_time, **options)
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the simulator runs an arm where nothing slows it, over real time."""
+"""Real-time factor of the simulator for an arm, without pacing."""
 
 from benchmarks.measurement import Row, Settings, summarise
 from benchmarks.processes import heard, simulator
@@ -21,7 +21,7 @@ def real_time_row(settings: Settings) -> Row:
                         record='false', rerun_sink='none')
     watched = _QUICK if settings.quick else _WATCHED
     seen = []
-    # Of messages that wait, the newest alone tells how far the simulation is.
+    # Only the newest message in the queue shows the progress of the simulation.
     with heard(command, JointState, '/joint_states', depth=1) as process:
         for seconds in (_SETTLED, *[watched] * min(_TURNS, settings.repetitions)):
             process.listen(seconds)

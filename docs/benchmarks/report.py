@@ -51,7 +51,7 @@ class Group:
 
 
 def measured_here(rows: list[Row], seed: int | None = None) -> Group:
-    """Return rows with what they were measured on: this machine, commit, versions, and now."""
+    """Return rows with their origin: this machine, commit, versions and time."""
     return Group('; '.join([
         machine(), f'commit {commit()}', f'Python {platform.python_version()}',
         ', '.join(map(_version, _PACKAGES)),
@@ -67,7 +67,7 @@ def write_groups(path: Path, groups: Mapping[str, Group]) -> None:
 
 
 def read_groups(path: Path) -> dict[str, Group]:
-    """Return the groups of a file of ``write_groups``; none where there is no file."""
+    """Return the groups of a file of ``write_groups``; none without a file."""
     if not path.is_file():
         return {}
     return {name: Group(group['where'], [

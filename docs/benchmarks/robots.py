@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 13: arms that swing freely, over MuJoCo; forward dynamics, over Pinocchio."""
+"""Rows 13: freely swinging arms compared with MuJoCo; forward dynamics with Pinocchio."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -28,11 +28,11 @@ _DURATION, _WANTED, _SAMPLES = 10.0, 1e-6, 10
 _COUNTS = {'RK4': [_SAMPLES * round(1000 * 2 ** (k / 8)) for k in range(35)]}
 _FIRST_ORDER = [10_000, 100_000, 1_000_000]
 _STEPS = 0.1 / np.array([1.0, 1.2, 1.5, 2.0, 2.7, 3.5, 5.0])
-# Of what the reference, of half as long steps, is checked by [s].
+# Step of the run that checks the reference, which has half this step [s].
 _REFERENCE_STEP = 0.02
-# MuJoCo's own step [s], and how long the energy is watched, at each of so many seconds.
+# MuJoCo's own step, duration of the energy record, and its sample interval [s].
 _MUJOCO_STEP, _LONG, _EVERY = 0.002, 1000.0, 0.1
-# Of a choice and of what is timed [s], in so many turns.
+# Durations of a choice and of a timed run [s], and number of repetitions.
 _SHORT, _TIMED, _TURNS = 50.0, 3.0, 9
 _STATES = 1000
 
@@ -44,7 +44,7 @@ class Arm:
     Parameters
     ----------
     name : str
-        Of its scene.
+        Name of its scene.
 
     """
 
@@ -60,7 +60,7 @@ class Arm:
 
     def prepare(self, method: str, parts: int, seconds: float
                 ) -> Callable[[], tuple[np.ndarray, np.ndarray]]:
-        """Return a run of so many steps between samples; of q and p, of shape (samples, d)."""
+        """Return a run with `parts` steps per sample; it returns q and p, shape (samples, d)."""
         h = _EVERY / parts
         if method not in self._simulations:
             self._simulations[method] = self.problem.simulation(method, h)
@@ -76,7 +76,7 @@ class Arm:
         return lambda: run()[0]
 
     def band(self, q: np.ndarray, p: np.ndarray) -> float:
-        """Return how far the energy is off along a path [J]."""
+        """Return the largest energy error along a path [J]."""
         first = self.robot.energy(self.q0[None], np.zeros((1, self.q0.size)))
         return float(np.max(np.abs(self.robot.energy(q, p) - first)))
 
@@ -136,7 +136,7 @@ def _dynamics_rows(arm: Arm, settings: Settings) -> Iterator[Row]:
 
 def _path_row(arm: Arm, settings: Settings) -> Row:
     reference = reference_path(arm.problem, _DURATION, _SAMPLES, _REFERENCE_STEP, 0.1 * _WANTED)
-    # By the joints alone: MuJoCo has no momenta.
+    # Compare the joints only: MuJoCo has no momenta.
     reference = reference[:, :arm.q0.size]
     ways = accurate_ways(arm.problem, dict.fromkeys(GAUSS, _STEPS), reference, _DURATION, _WANTED)
     peers = {name: first_good(_COUNTS.get(name, _FIRST_ORDER), lambda steps, name=name: (
@@ -161,7 +161,7 @@ def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
         f', and is unstable after {len(q) * _EVERY:g} s')
     bands: dict[tuple[str, int], float] = {}
     for key in ((method, parts) for method in GAUSS[::2] for parts in (1, 2, 3, 4, 6)):
-        # What is best over some seconds is over more, too: none of these drifts.
+        # The best over some seconds is also the best over more: none of these drifts.
         with suppress(StepFailure):
             bands[key] = arm.band(*arm.prepare(*key, _SHORT)())
     # In turns: all are as late as MuJoCo where the machine is.

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows 11: sweeps on two cores, what they write, and diffrax's vmap over the same network."""
+"""Rows 11: sweeps on two cores, their writing, and comparison with diffrax's vmap."""
 
 from collections.abc import Callable, Iterator
 from itertools import count
@@ -31,11 +31,11 @@ _TRAJECTORIES, _QUICK = 100_000, 4_000
 # Simulated time of the shipped scenes [s], so that each sweep takes some minutes of one core; and
 # how often each is run.
 _DURATIONS, _TURNS = {'pendulum': 2.0, 'double_pendulum': 0.25}, 1
-# Of two cores over one, and of writing.
+# Parallel efficiency of two cores, and share of time for writing.
 _EFFICIENCY, _WRITING = 0.9, 0.1
 # Shards whose writing is timed.
 _TIMED = 4
-# Trajectories beside diffrax, their time [s], and the largest error at its end.
+# Trajectories compared with diffrax, their time [s], and the largest error at the end.
 _BATCH, _TIME, _WANTED = 1000, 10.0, 1e-6
 _ADAPTIVE = ('Tsit5', 'Dopri8')
 _COMMAND = 'from hnn_vi_ros.cli import sweep; sweep()'
@@ -99,7 +99,7 @@ def _efficiency(definition: dict[str, Any], folder: Path, settings: Settings) ->
 
 
 def _processor_time() -> float:
-    """Return what processes that were waited for have taken [s]."""
+    """Return the processor time of all finished child processes [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
@@ -173,6 +173,6 @@ def _diffrax(hamiltonian: NeuralHamiltonian, method: str) -> Callable[..., Any]:
 
 def _in_batches(solve: Callable[..., Any], z: np.ndarray, tolerance: float, batch: int
                 ) -> Callable[[], np.ndarray]:
-    """Return a run that takes so many states at a time, and waits for each."""
+    """Return a run that solves one batch of states after another."""
     return lambda: np.vstack([np.asarray(solve(z[first:first + batch], tolerance))
                               for first in range(0, len(z), batch)])

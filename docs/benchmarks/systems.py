@@ -38,7 +38,7 @@ class System(NamedTuple):
 
 
 def network(seed: int, period: float) -> System:
-    """Return a tanh network of random weights, those of its layers twice the usual."""
+    """Return a tanh network with random weights, twice the usual size in each layer."""
     checkpoint = random_checkpoint([2, 32, 32, 1], seed)
     layers = {name: Layers(tuple(2.0 * w for w in network.weights), network.biases)
               for name, network in checkpoint.networks.items()}
@@ -62,7 +62,7 @@ def system(potential: str, q: list[float], p: list[float], period: float) -> Sys
 
 
 def systems() -> dict[str, System]:
-    """Return the twelve, by their names."""
+    """Return the twelve systems by name."""
     x, v = [0.97000436, -0.24308753], [-0.93240737, -0.86473146]
     return {
         'kepler 0.9, apocentre': orbit(0.9, True),

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulator's node does for each sample, without the executor."""
+"""Work of the simulator's node for each sample, without the executor."""
 
 from hnn_vi_ros.guards import make_guards
 from hnn_vi_ros.guards.watch import SampledScale
@@ -26,17 +26,17 @@ class Ticks:
     Parameters
     ----------
     node : Node
-        What publishes.
+        Publishing node.
     scene : Scene
-        Of the simulation.
+        Scene of the simulation.
     simulation : Simulation
-        That of the scene.
+        Simulation of the scene.
     sampler : Sampler
-        Of every step.
+        Samples every step.
     recording : mapping
         Parameters of the files.
     watched : bool
-        Whether there are guards.
+        True to run the guards.
 
     """
 

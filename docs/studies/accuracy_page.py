@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Page docs/accuracy-and-cost.md: what it says of the methods is computed from the rows."""
+"""The page docs/accuracy-and-cost.md, computed from the rows."""
 
 from collections.abc import Callable, Iterator, Mapping
 import math
@@ -35,7 +35,7 @@ def keep_results(docs: Path, results: _Results) -> None:
     Parameters
     ----------
     docs : Path
-        Of the page.
+        Folder of the page.
     results : mapping of str to Results
         By scene.
 
@@ -73,7 +73,7 @@ def write_pages(docs: Path) -> list[Path]:
     folder = docs / FOLDER
     cards = read_cards(folder)
     found = {scene: Results.read(card, rows_of(folder, scene)) for scene, card in cards.items()}
-    # Those of turning_costs are on another page.
+    # The results of turning_costs are on another page.
     results = {scene: entry for scene, entry in found.items()
                if 'number of --runs' in entry.identity}
     try:
@@ -208,7 +208,7 @@ def _first_order(results: _Results) -> list[dict[str, float]]:
 
 
 def _growth(results: Results, method: str) -> float:
-    """Return how the energy band of one step grows up to the longest horizon it was run to."""
+    """Return the growth factor of a step size's energy band, up to its longest horizon."""
     finished = [row for row in results.rows if row.method == method and row.finished]
     for horizon in reversed(results.horizons[1:]):
         late = [row for row in finished if row.horizon == horizon]
@@ -221,7 +221,7 @@ def _growth(results: Results, method: str) -> float:
 
 
 def _drifting(results: _Results) -> list[float]:
-    """Return how the band of RK4 grows in each scene, by the middle one of its steps."""
+    """Return the growth factor of RK4's band in each scene, with its middle step size."""
     pairs = [list(_drifts(entry)) for entry in results.values()]
     return [end.energy_band / row.energy_band
             for some in pairs for row, end in some[len(some) // 2:][:1]]

@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-From a bag to a model: record the double pendulum, train on the bag, simulate what was learned.
+From a bag to a model: record the double pendulum, train on the bag, simulate the model.
 
-Recording and training are the commands that a user would type. The learned model then starts from
-states of the bag, and from its last one on into what no bag holds, and is compared with the exact
-system. What is there already in the folder of the run is not made again.
+Recording and training use the commands of a user. The learned model then starts from states of the
+bag, the last one included, and is compared with the exact system. Existing files in the folder of
+the run are not made again.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train models of machines on slow motions, and judge them by motions twice as fast."""
+"""Train models of machines on slow motions, and test them on motions twice as fast."""
 
 from collections.abc import Sequence
 import json
@@ -157,7 +157,7 @@ def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: flo
 
 
 def motions_of(case: str, data: Path) -> tuple[MachineConfig, list[Run], list[Run], str]:
-    """Return how a case is trained, its slow motions, its fast ones, and what they are."""
+    """Return configuration, slow motions, fast motions and description of a case."""
     config = load_machine(find_config('dfki_double_pendulum'))
     names = [coordinate.name for coordinate in config.coordinates]
     with tempfile.TemporaryDirectory() as folder:

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Run formulas with steps too large: every run that is qualitatively wrong must raise an alarm.
+Run formulas with too large steps: every qualitatively wrong run must raise an alarm.
 
 The steps are 1/2, 2/3, 4/3 and 2 times the one at which a method's path first errs by 10 %: the
 largest distance from DOP853 at rtol 1e-12, over the largest distance from the mean of its path,
@@ -87,7 +87,7 @@ class Run(NamedTuple):
     Parameters
     ----------
     system, method : str
-        Of SYSTEMS and METHODS.
+        Keys of SYSTEMS and METHODS.
     step_size : float
         [s].
     path, energy : float
@@ -123,7 +123,7 @@ class Judge:
     Parameters
     ----------
     name : str
-        Of SYSTEMS.
+        Key of SYSTEMS.
 
     """
 
@@ -145,7 +145,7 @@ class Judge:
         """Take all steps of a run under the eyes of the guards, and judge it."""
         simulation, steps = self._simulation(method, step_size)
         expected = self._counts(self._path)
-        # What is on its way to infinity is said by guards.
+        # Guards report diverging runs.
         with np.errstate(all='ignore'):
             try:
                 found = record_one(simulation, steps * step_size, 1)
@@ -206,7 +206,7 @@ def reference(hamiltonian: Hamiltonian, start: np.ndarray, horizon: float
 
 
 def counts(hamiltonian: Hamiltonian, events: Sequence[str], z: np.ndarray) -> list[int]:
-    """Return how often each condition comes true on a path (n, 2 d): its changes of sign."""
+    """Return the number of sign changes of each condition on a path (n, 2 d)."""
     d = z.shape[1] // 2
     signs = [np.sign(Condition(text).values(hamiltonian, z[:, :d], z[:, d:])) for text in events]
     return [int(np.count_nonzero(np.diff(one[one != 0.0]))) for one in signs]
@@ -230,12 +230,12 @@ def write_runs(path: Path, runs: Sequence[Run]) -> None:
 
 
 def read_runs(path: Path) -> list[Run]:
-    """Return what ``write_runs`` wrote."""
+    """Read the file of ``write_runs``."""
     return [Run(**json.loads(line)) for line in path.read_text('utf-8').splitlines()]
 
 
 def committed() -> Path:
-    """Return where the runs lie that the page on hard cases tells of."""
+    """Return the file with the runs that the page on hard cases reports."""
     return Path(__file__).with_suffix('.jsonl')
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/accuracy/explore.html: the rows of every scene, to choose from, without a net."""
+"""The page docs/accuracy/explore.html: an offline explorer of the rows of every scene."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -17,7 +17,7 @@ from studies.work_precision_figure import group_of, line_style, series_of
 EXPLORER, FLOORS = 'explore.html', 'floors.json'
 _REMEDY = 'measure with: make accuracy'
 _TEMPLATE = Path(__file__).parent / 'templates' / 'explore.html'
-# What plotly calls the markers of matplotlib.
+# Plotly's names for the markers of matplotlib.
 _SYMBOLS = {'o': 'circle', '<': 'triangle-left', '>': 'triangle-right', 'x': 'x-thin',
             's': 'square', 'D': 'diamond', '^': 'triangle-up', 'p': 'pentagon',
             'v': 'triangle-down', 'd': 'diamond-tall', 'X': 'x', 'P': 'cross', '*': 'star',
@@ -61,7 +61,7 @@ def write_explorer(folder: Path) -> Path:
     Parameters
     ----------
     folder : Path
-        Of the rows, SCENE.csv, and of ``FLOORS``; takes the page.
+        Contains the rows SCENE.csv and ``FLOORS``; the page is written here.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def write_explorer(folder: Path) -> Path:
 
 def page_data(folder: Path) -> dict[str, Any]:
     """
-    Return what the page shows: rows by scene, and how each line is drawn.
+    Return the data of the page: rows by scene, and the style of each line.
 
     Raises
     ------

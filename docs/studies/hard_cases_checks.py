@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The hard cases with effects, the same bits twice, and events that are counted."""
+"""Hard cases with effects, checks of repeatability, and counts of events."""
 
 from collections.abc import Callable
 from functools import lru_cache

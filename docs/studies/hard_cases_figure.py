@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Picture of a hard case: its error over the run, mostly of the energy, one panel a set-up."""
+"""Picture of a hard case: the error over the run, one panel per set-up."""
 
 from collections.abc import Sequence
 import math
@@ -50,7 +50,7 @@ def draw_case(path: Path, case: Case, rows: Sequence[CaseRow]) -> Path:
     Parameters
     ----------
     path : Path
-        Where to write.
+        Output file.
     case : Case
         Whose set-ups are the panels.
     rows : sequence of CaseRow

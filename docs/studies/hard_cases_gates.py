@@ -37,17 +37,17 @@ class Measured:
     modified_band : float
         Largest abs(H~ - H~0) [J].
     rounding : float
-        How far rounding alone may carry the energy [J]; see ``diagnostics.rounding_walk``.
+        Largest energy change from rounding [J]; see ``diagnostics.rounding_walk``.
     reversal, symplectic : float
         Largest defects of single steps at states of the run; NaN where the method claims none.
     measures : dict of str to float
-        What else the case asks for, by name.
+        Other measures of the case, by name.
     broken : list of str
         Claims of the case that the run violates.
     alarms : list of Alarm
         The first of each guard, in order of time.
     failure : StepFailure or None
-        What ended the run.
+        Failure that ended the run.
     t, error, other : np.ndarray
         For the picture: times [s] and the largest error since the time before, of a motion
         abs(H - H0 - W) [J]; a second curve where the case has one.
@@ -123,7 +123,7 @@ def failed_gates(measured: Measured, names: list[str]) -> list[str]:
     Parameters
     ----------
     measured : Measured
-        Of the run.
+        Measures of the run.
     names : list of str
         The gates of the case; of a run that ended early, drift has no meaning.
 
@@ -150,7 +150,7 @@ def limit_of(value: float) -> float:
     """
     Return the limit that a measured value sets.
 
-    That is the smallest of {1, 2, 4, 5, 8} x 10^k that is at least twice the value; 0 for 0.
+    It is the smallest of {1, 2, 4, 5, 8} x 10^k that is at least twice the value; 0 for 0.
     """
     if value == 0.0 or not math.isfinite(value):
         return value

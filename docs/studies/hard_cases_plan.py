@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The hard cases as hard_cases.yaml states them, and the rows that they make."""
+"""The hard cases of hard_cases.yaml and their rows."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -104,11 +104,11 @@ class Job:
     Parameters
     ----------
     case, set_up : Case, SetUp
-        Of the plan.
+        Case and set-up of the plan.
     method : str
         A name of INTEGRATORS, or ``name@float32`` or ``name@fixed_point``.
     steps : int
-        How many.
+        Number of steps.
     guards : Guards
         Their limits.
 
@@ -137,7 +137,7 @@ class Job:
 
     @property
     def kernel(self) -> tuple[str, str, str]:
-        """Return what the jobs that compile the same code have in common."""
+        """Return a key that is equal for jobs with the same compiled code."""
         effects = ','.join(effect['kind'] for effect in self.set_up.effects)
         return self.method, self.set_up.hamiltonian['kind'], effects
 
@@ -181,12 +181,12 @@ def make_jobs(plan: Plan, quick: bool, numbers: Sequence[int] | None = None) -> 
     quick : bool
         Short runs of few methods, or all of them.
     numbers : sequence of int, optional
-        Of the cases; all by default.
+        Numbers of the cases; all by default.
 
     Raises
     ------
     ParameterError
-        No case of such a number.
+        A case number is unknown.
 
     """
     known = [case.number for case in plan.cases]

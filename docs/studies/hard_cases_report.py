@@ -60,7 +60,7 @@ def write_page(docs: Path, source: Folder, cases: Sequence[Case]) -> list[Path]:
     source : Folder
         The one that ``write_report`` wrote to.
     cases : sequence of Case
-        Those that were run.
+        The cases of the run.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def _of(case: Case, rows: Sequence[CaseRow]) -> list[CaseRow]:
 
 def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key, Expectation],
            notes: Mapping[str, str] = MappingProxyType({})) -> list[dict[str, Any]]:
-    """Return what templates say of each case, with notes on some by their number."""
+    """Return the template values of each case; notes are keyed by case number."""
     parts = []
     for case in cases:
         own = _of(case, rows)
@@ -151,7 +151,7 @@ def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
 
 
 def _end(row: CaseRow) -> tuple[str, str]:
-    """Return how a run ended that was not stable, and the step of its alarm."""
+    """Return the end of a run that was not stable, and the step of its alarm."""
     sign = SIGNS[row.verdict]
     if row.verdict == 'unstable':
         return f'{sign} {row.failed}', ''

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of the hard cases: kept one by one, judged against what is committed, written as CSV."""
+"""Rows of the hard cases: stored, compared with the committed expectations, written as CSV."""
 
 from collections.abc import Callable, Iterable, Sequence
 import csv
@@ -41,7 +41,7 @@ class CaseRow:
     set_up, hamiltonian, method : str
         Name of the set-up, 'exact' or 'learned', label of the method.
     steps : int
-        How many were asked for.
+        Number of requested steps.
     verdict : str
         See ``hard_cases_gates.verdict``.
     alarm : str
@@ -53,11 +53,11 @@ class CaseRow:
     rounding : float
         Below which an energy says nothing [J].
     measures : dict of str to float
-        What else the case asks for.
+        Other measures of the case.
     seconds : float
         Wall time of the row, compilation included [s].
     digest : str
-        Of the job; see ``Job.digest``.
+        Checksum of the job; see ``Job.digest``.
     t, error, other : tuple of float
         For the picture; see Measured.
 
@@ -92,12 +92,12 @@ class CaseRow:
 
     @property
     def first_alarm(self) -> str:
-        """Return what was said first, without the step."""
+        """Return the first alarm, without its step."""
         return self.alarm.partition(';')[0].partition(' at step')[0]
 
     @property
     def limited(self) -> dict[str, float]:
-        """Return what a stable run is held to: its band and everything that was measured."""
+        """Return the limited values of a stable run: its band and all measures."""
         values = {'band': self.band, 'modified band': self.modified_band} | {
             name: value for name, value in self.measures.items() if name not in _REPORTED}
         return {name: value for name, value in values.items() if not math.isnan(value)}
@@ -137,7 +137,7 @@ def judge(row: CaseRow, expectation: Expectation | None) -> CaseRow:
     exceeded = []
     for name, limit in expectation.limits.items():
         value = row.limited.get(name, math.nan)
-        # What rounding alone may reach says nothing of the method.
+        # Values at round-off level are not a property of the method.
         floor = row.rounding if 'band' in name else 2.0 * _EPS * math.sqrt(row.steps)
         if not value <= max(limit, floor):
             exceeded.append(f'{name} > {limit:g}')
@@ -163,7 +163,7 @@ def differences(rows: Iterable[CaseRow], expected: dict[Key, Expectation]) -> li
 
 
 def expectations_file() -> Path:
-    """Return where the committed expectations lie."""
+    """Return the file of the committed expectations."""
     return Path(__file__).with_name('hard_cases_expected.csv')
 
 
@@ -195,7 +195,7 @@ def load_expectations(path: Path, run: str) -> dict[Key, Expectation]:
 
 
 def write_expectations(path: Path, run: str, rows: Sequence[CaseRow]) -> None:
-    """Write rows as the new expectations; keep those of rows that were not run."""
+    """Write rows as new expectations; keep the expectations of other rows."""
     table = {(kind, *key): entry for kind in (QUICK, FULL)
              for key, entry in load_expectations(path, kind).items()}
     for row in rows:
@@ -219,7 +219,7 @@ def format_values(values: dict[str, float]) -> str:
 
 
 def parse_values(text: str) -> dict[str, float]:
-    """Return what ``format_values`` wrote; ValueError if it did not."""
+    """Parse the text of ``format_values``; raise ValueError if it is invalid."""
     pairs = [item.partition('=') for item in text.split('; ') if item]
     return {name: float(value) for name, _, value in pairs}
 
@@ -245,7 +245,7 @@ class Folder:
     path : Path
         Made if it is not there.
     identity : dict of str to str
-        What must be the same for rows to be of the same run.
+        Values that are equal for all rows of a run.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run one row of the hard cases: step, look, watch, and measure what the gates ask for."""
+"""Run one row of the hard cases: step, run the guards, and measure the values of the gates."""
 
 from collections.abc import Iterator
 import math
@@ -28,7 +28,7 @@ _STATES, _WATCHED = 1_000_000, 50
 _JUDGED = 2
 # Guards of the motion; a slow step says nothing about it.
 _GUARDS = (BarrierGuard, BoxGuard, EnergyGuard, RescueGuard, ResolutionGuard)
-# Those of the path, which decide only where events are counted: elsewhere accuracy is not judged.
+# Guards of the path count only if events are counted: accuracy is not judged otherwise.
 _OF_PATHS = (PathGuard, PoleGuard)
 _EPS = float(np.finfo(np.float64).eps)
 _TRIANGLE = np.array([[0.0, -2.0], [math.sqrt(3.0), 1.0], [-math.sqrt(3.0), 1.0]])
@@ -197,7 +197,7 @@ def _finish(job: Job, simulation: Simulation, measured: Measured, judged: list[n
 
 def lyapunov_time(job: Job, every: int = 20) -> float:
     """
-    Return how long it takes until neighbours are e times as far apart [s], by Benettin's method.
+    Return the time in which neighbours separate by a factor e [s], with Benettin's method.
 
     A second trajectory is brought back to 1e-8 of the first after each interval. Together they
     take at most two fifths of the steps of the run.

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count how often intervals of ``identify`` hold the truth.
+Count how often intervals of ``identify`` contain the true values.
 
 Synthetic logs of shipped scenes, each from an initial state of its own and with noise of some
 kind; the search begins with other numbers than the true ones. Or, by ``--samples``, logs of a
@@ -31,7 +31,7 @@ from scipy.signal import butter, lfilter
 NOISE = 0.005, 0.05
 # Samples before the first one of a log, after which noise has forgotten where it began.
 _BEFORE = 4000
-# How far off numbers the search begins, relatively; and initial angles are apart [rad].
+# Relative error of the initial values of the search; range of initial angles [rad].
 _OFF, _SPREAD = 0.05, 0.2
 
 
@@ -44,7 +44,7 @@ def _mixture(random: np.random.Generator, shape: tuple[int, ...], shares: Sequen
 
 
 def _filtered(b: Sequence[float], a: Sequence[float]) -> Callable[..., np.ndarray]:
-    """Return what makes white noise through a filter, of variance 1."""
+    """Return a function that makes filtered white noise of variance 1."""
     size = np.sqrt((lfilter(b, a, np.eye(1, _BEFORE)[0])**2).sum())
     return lambda random, shape: lfilter(b, a, random.normal(size=shape), axis=0) / size
 
@@ -61,7 +61,7 @@ NOISES: dict[str, Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]] 
     'mixture': lambda random, shape: _mixture(random, shape, (0.0, 0.95)),
     'pink': lambda random, shape: _mixture(
         random, shape, [np.exp(-1.0 / 4.0**k) for k in range(-1, 5)])}
-# White noise of half the size, and positions in steps, the error of which makes up for the rest.
+# White noise of half the size, and quantised positions, with an error that adds the other half.
 QUANTISED = 'quantised'
 
 

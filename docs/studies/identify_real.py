@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fit the numbers of real pendulums by ``identify`` and judge them.
+Fit the parameters of real pendulums with ``identify`` and evaluate them.
 
 The data are published, and not shipped; see docs/identify.md.
 """
@@ -25,7 +25,7 @@ import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors
 
 _FOREVER = 1e9
-# One in so many samples of the swinging arms is taken.
+# Every tenth sample of the swinging arms is used.
 _EVERY = 10
 
 # A chain of one or two links that hang down and turn about y; joint angles are relative. About
@@ -64,19 +64,19 @@ class Case:
     links : tuple of Link
         From the base on.
     free : tuple of str
-        What ``--free`` would name.
+        Names as for ``--free``.
     scene : str
         More of its YAML.
     horizon : float
-        Of the windows [s].
+        Length of the windows [s].
     data : dict
-        How arrays are read, as in a training configuration.
+        Keys of the arrays, as in a training configuration.
     test : tuple of str
         The runs to judge by, with which nothing is fitted.
     measure : callable
         See machine_tables.
     relative : bool
-        Whether the angles in the file are absolute, zero upright.
+        True if the angles in the file are absolute, zero upright.
 
     """
 
@@ -139,7 +139,7 @@ def scene_of(case: Case, folder: Path, speed: float) -> Scene:
 
 
 def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Run], list[Run]]:
-    """Return what to fit, and what to judge by."""
+    """Return the motions to fit and the motions to test with."""
     file, names = data / case.file, [link.joint for link in case.links]
     if case.relative:
         file = _relative(file, folder / 'relative.npz')
@@ -163,7 +163,7 @@ def _steps(angles: np.ndarray) -> np.ndarray:
 
 
 def predicted(scene: Scene, case: Case, test: Sequence[Run]) -> Predict:
-    """Return what a scene predicts of the motions; their angles are absolute if they were."""
+    """Return the predictions of a scene; angles are absolute if those of the case are."""
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects, variance = scene.create_effects(), variance_of(test)
 

@@ -31,7 +31,7 @@ from studies.simulated_arm import followed_times, LEAST, MEAN, write_arm
 from tqdm import tqdm
 
 _FOREVER = 1e9
-# Where a prediction of the letters ends to be valid (M. Lutter, J. Peters, 2021), and the steps
+# Limit of a valid prediction of the letters (M. Lutter, J. Peters, 2021), and the steps
 # that each of its samples is simulated in: forces are held over 0.04 s.
 _VALID, _LETTER_STEPS = 0.01, 20
 _EVERY = 0.05
@@ -68,11 +68,11 @@ class Case:
     file : str or callable
         Below the folder of the data; or what writes it to a path, where it is simulated.
     measure : callable
-        Of a prediction, the motions to test with, and the folder of the data.
+        Function of a prediction, the test motions and the folder of the data.
     references : dict
-        Of each measure, what others reached.
+        Published value of each measure.
     goals : dict
-        Of each model and measure, what ours is to reach, where it is another value.
+        Target of each model and measure, if it differs from the published value.
     prior : str, optional
         The rigid body that is fitted as well, alone and with networks.
     prior_config : str, optional
@@ -80,7 +80,7 @@ class Case:
     steps : int
         In which a model is simulated from each sample to the next.
     longer : bool
-        Whether more is better; else less is.
+        True if larger values are better.
 
     """
 
@@ -96,7 +96,7 @@ class Case:
 
 
 def valid_times(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
-    """Return how long each letter is followed from its first sample [s], as published."""
+    """Return the valid prediction time of each letter [s], as published."""
     variance = variance_of(test)
     times = []
     for motion in test:
@@ -189,7 +189,7 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
 
     Data that are simulated are made here. Those that are not there are named.
 
-    Each model is written to machine_runs.json as soon as it is measured, and is not trained again:
+    Each model is written to machine_runs.json when it is measured, and not trained again:
     an interrupted run continues from there. Cases without a run in that file keep their rows.
 
     Parameters
@@ -199,9 +199,9 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
     out : Path
         The file to write.
     seeds : sequence of int
-        Of the models of each case.
+        Seeds of the models of each case.
     quick : bool
-        Whether a few steps are enough; then all models are trained again.
+        Train all models again with a few steps only.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def _write(file: Path, content: Sequence[dict[str, Any]]) -> None:
 
 
 def read_case(case: Case, data: Path) -> CaseMotions:
-    """Return what to learn from, and what to judge by."""
+    """Return the training motions and the test motions."""
     config = load_machine(find_config(case.config))
     names = [coordinate.name for coordinate in config.coordinates]
     with tempfile.TemporaryDirectory() as folder:
@@ -322,7 +322,7 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
 
 def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Run],
               test: Sequence[Run]) -> Predict:
-    """Return what a saved model predicts, in the simulation that a scene of it would run."""
+    """Return the predictions of a saved model, simulated as in a scene."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]
     driven = any(motion.tau.any() for motion in train)
     effects = [LearnedFriction(str(model)), *(

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""One row of a work-precision study: a method at one step size, run to one horizon and timed."""
+"""One row of a work-precision study: one method, step size and horizon, with its time."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -66,7 +66,7 @@ class StudyRow:
 
     @property
     def key(self) -> tuple[str, float | None, float]:
-        """Return what the row is of."""
+        """Return the key of the row."""
         return (self.method, None if math.isnan(self.step_size) else self.step_size,
                 self.horizon)
 
@@ -118,7 +118,7 @@ class MethodRun(ABC):
 
     @property
     def note(self) -> str:
-        """Return what is to be told of the last run."""
+        """Return a note on the last run."""
         return ''
 
     @abstractmethod
@@ -158,7 +158,7 @@ class OwnRun(MethodRun):
 
     @property
     def note(self) -> str:
-        """Return how many steps converged only in parts."""
+        """Return a note with the number of rescued steps."""
         rescued = self._simulation.rescued
         return f' ({rescued} steps in parts)' if rescued else ''
 
@@ -237,7 +237,7 @@ class PeerRun(MethodRun):
 
 
 def whole_steps(horizon: float, step_size: float) -> int | None:
-    """Return how many steps make up a horizon; None if that is not a whole number."""
+    """Return the number of steps of a horizon; None if it is not a whole number."""
     steps = round(horizon / step_size)
     return steps if steps > 0 and abs(steps * step_size - horizon) <= 1e-9 * horizon else None
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pages of the documentation: their words are templates, their numbers come from the studies."""
+"""Pages of the documentation, rendered from templates and the results of studies."""
 
 import math
 from pathlib import Path
@@ -15,7 +15,7 @@ _TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).with_name('templates')), undefined=StrictUndefined,
     trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
 _TEMPLATES.filters |= {
-    # A number of so many digits, by powers of ten where it is large or small, and always so.
+    # A number in general format with some digits, and in scientific format.
     'g': lambda value, digits=6: f'{value:.{digits}g}',
     'e': lambda value, digits=1: f'{value:.{digits}e}',
     'interval': interval_text,

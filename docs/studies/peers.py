@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The integrators that a user could take instead, each on the same H in its best honest form.
+Integrators of other packages on the same H, each in its fastest form.
 
 scipy gets our compiled gradient; torchdiffeq the gradient of a network written out, which is
 several times faster than its automatic differentiation; diffrax one jitted function. All of them
@@ -26,7 +26,7 @@ from studies.measuring import Peer, Solve
 
 _MOST_STEPS = 100_000_000
 _SMALLEST_RTOL = 100.0 * float(np.finfo(np.float64).eps)
-# What XLA reads when it is loaded: one thread.
+# XLA reads these flags when it is loaded: one thread.
 _XLA_FLAGS = '--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1'
 
 
@@ -52,7 +52,7 @@ def create_peers(hamiltonian: Hamiltonian) -> list[Peer]:
 
 
 def scipy_peers(hamiltonian: Hamiltonian) -> list[Peer]:
-    """Return the peers that need nothing that is not installed with this package."""
+    """Return the peers that need only packages installed with this one."""
     return [Peer(f'scipy {method}', True, scipy_solve(hamiltonian, method))
             for method in ('DOP853', 'RK45')]
 

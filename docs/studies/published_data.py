@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The data sets of the published tables, drawn again in the way of the papers' public code.
+The data sets of the published tables, drawn again as in the papers' public code.
 
 Random numbers come from numpy's legacy generator, in the order of the published code, so that a
 seed gives the very states and noise that the published numbers were measured on.
@@ -75,7 +75,7 @@ class Plane:
 
     def orbits(self, random: np.random.RandomState, duration: float, samples: int,
                count: int = ORBITS) -> Orbits:
-        """Draw orbits of so many samples over a duration [s], with noise on every state."""
+        """Draw orbits with `samples` states over a duration [s], with noise on every state."""
         starts, noise = np.empty((count, 2)), np.empty((count, samples, 2))
         low, high = self.radii
         for i in range(count):
@@ -119,7 +119,7 @@ class TwoBody:
 
     def orbits(self, random: np.random.RandomState, duration: float, samples: int,
                count: int = TWO_BODY_ORBITS) -> Orbits:
-        """Draw orbits of so many samples over a duration [s]; there is no noise."""
+        """Draw orbits with `samples` states over a duration [s], without noise."""
         t = np.linspace(0.0, duration, samples)
         clean = self.follow(self.starts(random, count), t)
         return Orbits(t, clean, clean, self.rates(clean))

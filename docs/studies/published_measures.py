@@ -29,7 +29,7 @@ class TrueSystem(Protocol):
         """Return the true H."""
 
     def published_energy(self, z: np.ndarray) -> np.ndarray:
-        """Return what the public code takes for the energy."""
+        """Return the energy as the public code defines it."""
 
 
 @dataclass(frozen=True)

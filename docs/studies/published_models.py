@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The models of the published tables: trained from logs, as a user trains one."""
+"""The models of the published tables, trained from logs as by a user."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class Model:
         spacing : float
             Time from one sample to the next [s].
         samples : int
-            How many, the first included.
+            Number of samples, including the first.
         method : str
             A name from INTEGRATORS.
         longest : float
@@ -104,7 +104,7 @@ def train_on_rates(training: Training, orbits: Orbits, seed: int, family: str = 
     orbits : Orbits
         The training data.
     seed : int
-        Of the choice of states, of the split and of the initial weights.
+        Seed of the choice of states, the split and the initial weights.
     family : str
         ``'hnn'`` or ``'dissipative_hnn'``.
 
@@ -125,7 +125,7 @@ def train_on_differences(training: Training, orbits: Orbits, seed: int, friction
         As for ``train_on_rates``, with pairs of neighbours for states; of the rates only the
         size is used, to measure errors in.
     friction : bool
-        Whether to learn linear friction as well.
+        Also learn linear friction.
 
     """
     table = _table(orbits, np.gradient(orbits.noisy, orbits.t, axis=1))
@@ -175,7 +175,7 @@ def _table(orbits: Orbits, rates: np.ndarray) -> np.ndarray:
 
 
 def _chosen(count: int, rows: int | None, seed: int) -> Sequence[int]:
-    """Return some of so many numbers, in order."""
+    """Return a sorted random selection of `rows` of `count` indices."""
     if rows is None or rows >= count:
         return np.arange(count)
     return np.sort(np.random.default_rng(seed).choice(count, rows, replace=False))

@@ -124,7 +124,7 @@ def write_page(folder: Path, results: Sequence[Result], quick: bool) -> Path:
 
 
 def draw(path: Path, results: Sequence[Result]) -> Path:
-    """Draw our values, of each seed and in the mean, over those of the papers."""
+    """Draw our values (each seed and the mean) relative to the published values."""
     from matplotlib.figure import Figure
     table = ResultTable(results)
     figure = Figure(figsize=(8.0, 4.0), layout='constrained')
@@ -203,7 +203,7 @@ def _published_rows(results: ResultTable, table: str) -> list[list[str]]:
 
 
 def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
-    """Yield what a test loss on noisy states can be at all."""
+    """Yield the smallest possible test losses on noisy states."""
     for system in results.systems('hnn'):
         rows = [results.values('hnn', system, measure) for measure in (
             'test loss', 'test loss of the true H', 'least test loss')]
@@ -212,7 +212,7 @@ def _noise_rows(results: ResultTable) -> Iterator[list[str]]:
 
 
 def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
-    """Yield what a user of a model would ask for."""
+    """Yield the errors of simulations and the training times."""
     for system in results.systems(table):
         if system != REAL:
             yield [SYSTEMS[system], spread(np.sqrt(results.values(table, system, 'field error'))),
@@ -222,7 +222,7 @@ def _physics_rows(results: ResultTable, table: str) -> Iterator[list[str]]:
 
 
 def _real_rows(results: ResultTable) -> Iterator[list[str]]:
-    """Yield what the real pendulum's measure can be, and how far the path is off."""
+    """Yield the errors of the real pendulum and the noise of their measure."""
     for table in ('dgnet', 'dissipative_hnn'):
         rows = [results.values(table, REAL, measure) for measure in (
             'published energy MSE', 'least energy MSE', 'path error')]
@@ -231,7 +231,7 @@ def _real_rows(results: ResultTable) -> Iterator[list[str]]:
 
 
 def machine_rows(path: Path) -> Iterator[list[str]]:
-    """Yield what was measured on machines; nothing where that was not."""
+    """Yield the rows of machines; none if they were not measured."""
     for row in _read(path):
         baselines = '; '.join(
             f'{name} {_numbers(values)}{_seeds(row["baseline_seeds"].get(name))}'
@@ -244,7 +244,7 @@ def machine_rows(path: Path) -> Iterator[list[str]]:
 
 
 def robot_rows(path: Path) -> Iterator[list[str]]:
-    """Yield what was identified of robots, with the chosen networks in bold."""
+    """Yield the rows of identified robots, with the chosen networks in bold."""
     for row in _read(path):
         model = f'`{row["model"]}`'
         yield [row['robot'], row['measure'], f'**{model}**' if row['chosen'] else model,

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The real pendulum of the published tables: a measured log that is not ours to ship.
+The real pendulum of the published tables, a measured log that we may not ship.
 
 M. Schmidt and H. Lipson, Distilling Free-Form Natural Laws from Experimental Data, Science 324
 (2009), supplement: trial, t [s], angle q [rad] and angular velocity v [rad/s], at 6 Hz, with some
@@ -57,7 +57,7 @@ class Swing:
         return model.follow(self.z[:1], INTERVAL, numbers[-1] + 1, method, INTERVAL)[0, numbers]
 
     def least_error(self) -> float:
-        """Return what the best parabola in time, fitted to the test itself, comes to."""
+        """Return the error of the best parabola in time, fitted to the test data."""
         energy = published_energy(self.z)
         return float(np.mean((np.polyval(np.polyfit(self.t, energy, 2), self.t) - energy) ** 2))
 

@@ -54,9 +54,9 @@ def run_table(table: str, system: str, training: Training, seed: int, log: Path)
     table, system : str
         As in the plan.
     training : Training
-        How.
+        Settings of the training.
     seed : int
-        Of data, choice, split and initial weights.
+        Seed of data, choice, split and initial weights.
     log : Path
         The measured log of the real pendulum, where the system is that.
 
@@ -118,5 +118,5 @@ def _real_run(table: str, training: Training, seed: int, log: Path) -> Measures:
 
 
 def _method(table: str, t: np.ndarray) -> tuple[str, float]:
-    """Return how a table's models are simulated: DGNets by the map that they were trained as."""
+    """Return method and step of a table's models: DGNets use the map of their training."""
     return ('discrete_gradient', float(t[1])) if table == 'dgnet' else (METHOD, STEP)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure our models where published ones were measured, and write docs/learning.md."""
+"""Measure our models as published ones were measured, and write docs/learning.md."""
 
 import argparse
 from collections.abc import Iterator

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The paths that errors are measured against, and what a learned H is off by."""
+"""Reference paths of errors, and the error of a learned H."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class Floor:
     how : str
         Method of the reference.
     accuracy : float
-        How well its path is known; infinity where none is.
+        Accuracy of its path; infinity without a path.
     model : ModelDiscrepancy or None
         Error of a learned H.
 
@@ -65,7 +65,7 @@ class Floor:
         return math.isfinite(self.accuracy)
 
     def as_json(self) -> dict[str, Any]:
-        """Return what ``of_json`` reads."""
+        """Return the entry that ``of_json`` reads."""
         model = self.model
         return {'how': self.how, 'reference': _or_none(self.accuracy),
                 'path': _or_none(model.path) if model else None,
@@ -74,7 +74,7 @@ class Floor:
 
     @classmethod
     def of_json(cls, entry: Mapping[str, Any]) -> 'Floor':
-        """Return what ``as_json`` wrote, or raise KeyError."""
+        """Read the entry of ``as_json``; raise KeyError if it is incomplete."""
         model = None if entry['energy'] is None else ModelDiscrepancy(
             math.nan if entry['path'] is None else entry['path'], entry['energy'],
             EnergyError(**entry['box']) if entry['box'] else None)

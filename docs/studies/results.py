@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results of studies: rows as CSV, and as JSON what they were measured on and against."""
+"""Results of studies: rows as CSV, and machine, commits and references as JSON."""
 
 from collections.abc import Iterable, Mapping
 import csv
@@ -32,7 +32,7 @@ class Results:
     identity : mapping of str to str
         Must be equal for rows of one table: scene, version, machine, runs.
     commits : iterable of str
-        Those of the checkouts that measured them.
+        Commits of the measurements.
     floors : mapping of float to Floor
         Reference of the rows of each horizon [s].
     rows : iterable of StudyRow
@@ -48,7 +48,7 @@ class Results:
 
     @property
     def rows(self) -> list[StudyRow]:
-        """Return what was measured, in the order of the first measurement."""
+        """Return the measured rows, in the order of the first measurement."""
         return list(self._rows.values())
 
     def find(self, key: tuple) -> StudyRow | None:
@@ -178,7 +178,7 @@ def read_rows(path: Path) -> list[StudyRow]:
         The file has other columns.
 
     """
-    # What follows the last end of a line was cut off.
+    # An incomplete last line is dropped.
     text = path.read_text(encoding='utf-8').rpartition('\n')[0]
     lines = list(csv.reader(text.splitlines()))
     if not lines or tuple(lines[0]) != COLUMNS:
@@ -200,7 +200,7 @@ def write_rows(path: Path, rows: Iterable[StudyRow]) -> Path:
 
 
 def machine() -> str:
-    """Return what this machine is called by those who compare its times."""
+    """Return a name of this machine for comparisons of times."""
     information, processor = Path('/proc/cpuinfo'), platform.processor() or platform.machine()
     if information.is_file():
         for line in information.read_text(encoding='utf-8').splitlines():

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count how often intervals of ``rigid_body`` hold the true parameters.
+Count how often intervals of ``rigid_body`` contain the true parameters.
 
 Computed motions of the shipped arm of two joints along sums of sines, with noise of the forces
 that remembers itself for some samples; identified from a URDF whose masses are wrong. Motors are

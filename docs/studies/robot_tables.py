@@ -62,15 +62,15 @@ class Robot:
     Parameters
     ----------
     file : str
-        Of its motions, below the folder of the data.
+        File of its motions, in the folder of the data.
     settings : dict
-        Of its configuration.
+        Settings of its configuration.
     measure : callable
-        Of a model, its configuration, motions to test with and the folder of the data.
+        Function of a model, its configuration, the test motions and the folder of the data.
     chosen_by : str
         The measure that the networks are chosen by.
     references : dict
-        What others reached.
+        Published values.
 
     """
 

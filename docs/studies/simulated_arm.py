@@ -68,7 +68,7 @@ def the_arm() -> tuple[RigidBodyTree, list[Effect]]:
 
 
 def _run(simulation: Simulation, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Return what the driver publishes of one run."""
+    """Return the arrays that the driver publishes in one run."""
     size = rng.uniform(*_TORQUES.T)
     begin, end = rng.uniform(*_FREQUENCIES.T, size=(2, 2)).T
     phase = rng.uniform(0.0, 360.0, size=2)
@@ -98,7 +98,7 @@ def _run(simulation: Simulation, rng: np.random.Generator) -> dict[str, np.ndarr
 def followed_times(predict: Predict, test: Sequence[Run], folder: Path
                    ) -> dict[str, list[float]]:
     """
-    Return how long runs are followed from their first sample [s]: the mean, and the least.
+    Return the mean and the smallest valid prediction time of runs [s].
 
     Until the error of a coordinate reaches 0.4 of its standard deviation over all runs; a run
     that is followed to its end counts its full length.

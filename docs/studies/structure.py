@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Structure that single steps keep, and measures of energy errors over long runs."""
+"""Structure conserved by single steps, and measures of energy errors over long runs."""
 
 from collections.abc import Callable, Sequence
 
@@ -33,7 +33,7 @@ def rounding_scale(energy: float, q: np.ndarray, p: np.ndarray, dH_dq: np.ndarra
     """
     Return the size of the numbers that H is made of at a state, by which it is rounded [J].
 
-    That is the larger of abs(H) and sum_i (abs(q_i H_qi) + abs(p_i H_pi)) / 2: what H changes by
+    It is the larger of abs(H) and sum_i (abs(q_i H_qi) + abs(p_i H_pi)) / 2: the change of H
     when each entry of the state changes by half of itself. A constant in H counts here, as it
     does in rounding; what does not is an EnergyScale.
     """
@@ -48,7 +48,7 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
     Parameters
     ----------
     kernel : Kernel
-        Of H.
+        Kernel of H.
     integrator : Integrator
         The method, as a scene names it.
     h : float
@@ -80,7 +80,7 @@ def take_step(kernel: Kernel, integrator: Integrator, h: float, q: np.ndarray, p
 def reversal_defect(hamiltonian: Hamiltonian, integrator: Integrator, h: float, q: np.ndarray,
                     p: np.ndarray) -> float:
     """
-    Return how far a step forward and one back end from their start, relative to the state.
+    Return the relative distance from the start after a step forward and a step back.
 
     For a symmetric method it is round-off. Raises StepFailure where a step fails.
     """

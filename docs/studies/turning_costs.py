@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure what accuracy costs for bodies that turn, and for peers; write tables and pictures."""
+"""Measure accuracy and cost of rotating bodies and of peers; write tables and pictures."""
 
 from collections.abc import Iterator, Mapping, Sequence
 import csv
@@ -79,7 +79,7 @@ def method_of(name: str) -> Integrator:
 
 
 def runs_of(case: Case, horizon: float, quick: bool) -> list[MethodRun]:
-    """Return what is measured: every method, or few of them, at every setting or at one."""
+    """Return the measured runs: all methods and settings, or a few of them."""
     found: list[MethodRun] = []
     for name, steps in _OWN.items():
         if quick and name != 'kahan_li8':

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The integrators that a user could take instead for a body that turns, each in its best honest form.
+Integrators of other packages for rotating bodies, each in its fastest form.
 
 Runge-Kutta methods integrate the quaternion as four numbers with the momenta, by our compiled
 gradient, or in diffrax with the rates written out; MuJoCo has the body on a ball joint or free,

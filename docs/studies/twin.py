@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Judge a twin on measured runs.
+Evaluate a twin on measured runs.
 
 The test runs of a training configuration are replayed to a scene as observations, sample by
 sample, with the measured forces as commands. The twin's report is printed with the figure of
@@ -47,7 +47,7 @@ def replay(twin: Twin, simulation: Accompanied, motion: Run, q: np.ndarray, v: n
         simulation.set_command(Observation(tuple(twin.names), 0.0, q[k], v[k]))
         simulation.set_command(motion.forces[k])
         simulation.advance(steps)
-    # Those that the end of the run ends count by their age, as in evaluate.
+    # Predictions at the end of the run count with their age, as in evaluate.
     return [*twin.times, *(age for age in twin.running if age >= min(_HORIZONS))]
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count what the bands of ensembles cover, and how well their spread tells of the unknown.
+Measure the coverage of ensemble bands, and how well the spread detects unknown states.
 
 Pairs of a training configuration and the ensemble that it made. The coverage of the bands is
 counted on motions that neither training nor calibration has seen: of exact data, on new ones; of
@@ -31,7 +31,7 @@ from scipy.stats import rankdata
 
 # States of either kind, and motions.
 _STATES, _MOTIONS = 4000, 3000
-# How much wider the box is that states outside are drawn from.
+# Width of the box for states outside, relative to the training domain.
 _WIDER = 2.0
 
 
@@ -80,7 +80,7 @@ def detection(checkpoint: Checkpoint, spread: Callable[[np.ndarray, np.ndarray],
     spread : callable
         Returns the deviation over the members at states q and p of the mean, shape (m, d) each.
     seed : int
-        Of the states.
+        Seed of the states.
 
     """
     card = checkpoint.card
@@ -144,8 +144,9 @@ def coverage(covered: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     tuple of np.ndarray, shape (1 + 2 d,)
-        Of all, then by coordinate and momentum. With m motions of n_i and c_i covered ones, the
-        standard error of sum c_i / sum n_i = r is (sum (c_i - r n_i)^2)^(1/2) / sum n_i
+        Coverage of all, then by coordinate and momentum. With m motions of n_i errors, c_i of them
+        covered, the standard error of sum c_i / sum n_i = r is
+        (sum (c_i - r n_i)^2)^(1/2) / sum n_i
         (W. G. Cochran, Sampling Techniques, 1977, section 2.9).
 
     """
@@ -157,7 +158,7 @@ def coverage(covered: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def exact_row(config: Path, model: str) -> tuple[list[np.ndarray], float]:
-    """Return which errors of new exact motions are in the band, and the AUROC."""
+    """Return a mask of the errors of new exact motions inside the band, and the AUROC."""
     settings, checkpoint = load_config(config), load_checkpoint(model, ensembles=True)
     held = held_exact(checkpoint, settings, _MOTIONS, settings.seed + 3)
     if held is None or checkpoint.card.ensemble is None:
@@ -170,7 +171,7 @@ def exact_row(config: Path, model: str) -> tuple[list[np.ndarray], float]:
 
 
 def machine_row(config: Path, model: str, runs: Sequence[str]) -> tuple[list[np.ndarray], float]:
-    """Return which errors of measured runs are in the band, and the AUROC."""
+    """Return a mask of the errors of measured runs inside the band, and the AUROC."""
     settings, checkpoint = load_machine(config), load_checkpoint(model, ensembles=True)
     motions, _ = read_motions(
         config, settings.data, [one.name for one in checkpoint.card.coordinates], runs)

@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Methods as the study names them, and what they would be if they were solved or computed worse.
+Methods by their names in the study, and variants that are solved or computed less exactly.
 
 ``gauss8`` is a method; ``gauss8@1e-4`` stops its implicit equations at a relative residual of
 1e-4, ``gauss8@3`` after three fixed-point iterations, converged or not, and ``gauss8@float32``

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measure what accuracy costs: methods, step sizes and horizons against error and time."""
+"""Measure accuracy and cost: error and time of methods, step sizes and horizons."""
 
 from dataclasses import replace
 import math
@@ -106,7 +106,7 @@ def _shorter_rows(study: Study, horizon: float, setting: Setting) -> list[StudyR
 
 
 def _seconds(study: Study, horizon: float, setting: Setting) -> float | None:
-    """Return what one run will take [s], None if nothing is known."""
+    """Return the expected time of one run [s], None if unknown."""
     for row in _shorter_rows(study, horizon, setting):
         if row.finished:
             return row.seconds_per_simulated_second * horizon
@@ -136,7 +136,7 @@ def _known_row(study: Study, horizon: float, setting: Setting) -> StudyRow | Non
 
 
 def _reference(study: Study, horizon: float) -> PathReference:
-    """Return what a horizon is measured against: no path from the first one of chaos on."""
+    """Return the reference of a horizon: no path from the first chaotic horizon on."""
     floors = study.results.floors
     lost = [floor for other, floor in floors.items() if other <= horizon and not floor.verified]
     if lost:

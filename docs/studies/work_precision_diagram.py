@@ -33,7 +33,7 @@ class Diagram:
     Parameters
     ----------
     name : str
-        Of the entity, without spaces; diagrams of one name share a view.
+        Name of the entity, without spaces; diagrams of one name share a view.
     title, x_label, y_label : str
         For people.
     horizon : float

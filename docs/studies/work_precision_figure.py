@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a work-precision study: small multiples, told apart in grey as well."""
+"""The picture of a work-precision study: small multiples, distinguishable in grey."""
 
 from collections.abc import Callable, Iterable, Sequence
 import math
@@ -46,7 +46,7 @@ _EARLY, _PALE = 'h', '#d9d9d9'
 _EPS = float(np.finfo(np.float64).eps)
 
 
-# What the first picture of the page compares: a label, a style, and whether a row belongs.
+# Groups of the first picture of the page: label, style, and filter of rows.
 _FRONTS: tuple[tuple[str, dict[str, Any], Callable[[StudyRow], bool]], ...] = (
     ('ours, the fastest', {'color': '#0b5fa5', 'marker': 'o', 'linewidth': 2.2},
      lambda row: row.is_ours),
@@ -106,7 +106,7 @@ def group_of(name: str) -> str:
 
 
 def line_style(name: str) -> dict[str, Any]:
-    """Return how a line is drawn: a colour and a mark of its own, a dash of its group."""
+    """Return the style of a line: its own colour and mark, the dash of its group."""
     base, _, variant = name.partition('@')
     color, marker = {**STYLES, **_PEERS}.get(base, _OTHER)
     group = group_of(name)
@@ -130,7 +130,7 @@ def draw(path: Path, title: str, rows: Sequence[StudyRow], known: Floor) -> Path
     Parameters
     ----------
     path : Path
-        Where to write.
+        Output file.
     title : str
         Above all panels.
     rows : sequence of StudyRow
@@ -177,11 +177,11 @@ def draw_fronts(path: Path, rows: Sequence[StudyRow],
     Parameters
     ----------
     path : Path
-        Where to write.
+        Output file.
     rows : sequence of StudyRow
         All of one horizon.
     answers : iterable
-        Of errors wanted, with the row of ours that is named in the picture.
+        Requested errors, with our row that is named in the picture.
 
     """
     figure = Figure(figsize=(_WIDTH, 4.6), dpi=_DPI, facecolor='white', layout='constrained')
@@ -226,7 +226,7 @@ def _add_panel(figure: Figure, left: float, top: float) -> Axes:
 
 def _limits_of(panel: Panel, rows: Sequence[StudyRow], floor: float
                ) -> tuple[float, float, float, float] | None:
-    """Return what the panels of a row all show; None if no run arrived."""
+    """Return the common limits of the panels of a row; None if no run finished."""
     points = np.array([(getattr(row, panel.x), getattr(row, panel.y)) for row in rows
                        if row.finished]).reshape(-1, 2)
     points = points[(points[:, 0] > 0.0) & (points[:, 1] >= 0.0)]
@@ -251,7 +251,7 @@ def _begin_panel(ax: Axes, panel: Panel, limits: tuple[float, float, float, floa
 
 
 def _limits(values: np.ndarray, floor: float) -> tuple[float, float]:
-    """Return whole decades that hold all errors but those of lost runs."""
+    """Return whole decades that contain all errors except those of lost runs."""
     usual = values[(values > 0.0) & (values <= _LOST)]
     usual = usual if usual.size else np.array([_EPS, _LOST])
     low = usual.min() if math.isnan(floor) else min(usual.min(), floor / 3.0)

@@ -81,7 +81,7 @@ def prepare(arguments: argparse.Namespace, name: str, out: Path | None) -> Study
     arguments : argparse.Namespace
         The command line.
     name : str
-        Of a shipped scene, or the path of one.
+        Name of a shipped scene, or path of a scene.
     out : Path or None
         Folder of the results.
 

@@ -27,9 +27,9 @@ def write_report(results: ResultsFolder, name: str) -> list[Path]:
     Parameters
     ----------
     results : ResultsFolder
-        Of one scene; at least one row.
+        Results of one scene; at least one row.
     name : str
-        Of the scene.
+        Name of the scene.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def drift(results: Results, most: int | None = None) -> dict[str, Any]:
     Parameters
     ----------
     results : Results
-        Of a scene.
+        Results of a scene.
     most : int, optional
         Step sizes of each variant, evenly among those that are there; all by default.
 
