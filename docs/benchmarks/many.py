@@ -22,8 +22,7 @@ _TRAJECTORIES = 10_000
 # Trajectories that run one by one, each as long as the many.
 _ALONE = 50
 _MISS = ('a matrix product with the same operations alone takes {:.2f} of the time of one '
-         'trajectory. Blocks only save reading the weights from a slower cache, and need one '
-         'more gradient and energy at each end.')
+         'trajectory. Blocks need one more gradient and energy at each end.')
 
 
 def rows(settings: Settings) -> Iterator[Row]:

@@ -43,7 +43,7 @@ def test_machine_is_followed_as_well_as_the_page_says_and_by_others(name: str):
     case = MACHINES[name][0]
     references = CASES[case].references
     for horizon, rms in found.horizons.items():
-        assert ' and '.join(f'{value:.4f}' for value in rms) in text
+        assert ', '.join(f'{value:.4f}' for value in rms) in text
         reference = references.get(f'RMS error [rad] after {horizon} s, test')
         assert reference is None or (np.array(rms) <= reference).all()
     assert found.failed == 0
