@@ -3,7 +3,7 @@
 """
 The gallery: every shipped scene with its picture, its YAML and the command that runs it.
 
-`HNN_DOCS_GALLERY` is a comma-separated list of the scenes to draw: all by default, `none` for none.
+`HNN_DOCS_GALLERY` is a comma-separated list of the scenes to draw (default: all; `none` for none).
 A picture is made once for each version of its scene and its model.
 """
 
@@ -93,7 +93,7 @@ def draw(name: str, path: Path, folder: Path) -> str:
             run = simulate(scene, duration=_DURATIONS.get(name, _DURATION),
                            commands=_COMMANDS.get(name))
     except ModelError:
-        return 'its model is not shipped, since its data are not ours to give: train it first'
+        return 'its model is not shipped because of the licence of its data; train it first'
     print(f'gallery: {run}', file=sys.stderr)
     mechanism_picture(run).save(folder / f'{name}.png')
     run.plot().savefig(folder / f'{name}-series.png', dpi=90)
@@ -129,7 +129,7 @@ def scene_page(name: str, path: Path, folder: Path, why: str) -> str:
     else:
         text += [f'No picture: {why}.', '']
     command = f'hnn run {name} --duration {_DURATIONS.get(name, _DURATION):g} --plot {name}.png'
-    text += ['```bash', f'{command}    # Python alone', (
+    text += ['```bash', f'{command}    # without ROS', (
         f'ros2 run hnn_vi_ros simulator --ros-args -p scene:={name}'), '```', '',
         f'`config/scenes/{name}.yaml`:', '', '```yaml', path.read_text('utf-8').rstrip(), '```',
         '']

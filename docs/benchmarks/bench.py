@@ -101,8 +101,8 @@ def main(argv: list[str]) -> int:
     parser.add_argument('--out', type=Path, default=Path('docs'),
                         help='folder for benchmarks.md and benchmarks.json')
     parser.add_argument('--keep', type=Path, default=Path('bench'),
-                        help='folder where groups of rows are kept, by commit, so that an '
-                        'interruption loses none')
+                        help='folder that keeps groups of rows by commit after an '
+                        'interruption')
     arguments = parser.parse_args(argv)
     if missing := [name for name in _SINGLE_THREAD if name not in os.environ]:
         parser.error(f'{", ".join(missing)} must be set to keep the peers to one thread; '

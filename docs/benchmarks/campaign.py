@@ -274,7 +274,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--out', type=Path, required=True, help='JSON file of the rows')
     parser.add_argument('--table', type=Path, help='Markdown file to write the table to')
-    parser.add_argument('systems', nargs='*', help='names; all if none')
+    parser.add_argument('systems', nargs='*', help='names of systems (default: all)')
     options = parser.parse_args()
     rows = run(options.out, options.systems, lambda text: print(text, flush=True))
     if options.table:

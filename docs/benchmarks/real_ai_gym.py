@@ -187,7 +187,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--method', default='rk4')
     parser.add_argument('--hold', type=int, default=1, help='steps of the method in 0.02 s')
     parser.add_argument('--horizon', type=int, default=55, help='commands of 0.02 s')
-    parser.add_argument('--budget', type=float, default=0.0185, help='of a plan [s]')
+    parser.add_argument('--budget', type=float, default=0.0185, help='time budget of a plan [s]')
     parser.add_argument('--kinetic', type=float, default=0.01, help='weight of kinetic energy')
     chosen = parser.parse_args(argv)
     scores = []

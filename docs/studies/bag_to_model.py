@@ -172,5 +172,5 @@ def parser() -> Parser:
     found.add_argument('--out', type=Path, default=Path('bag_to_model'), metavar='DIR',
                        help='folder of the bag and the model (default: bag_to_model)')
     found.add_argument('--docs', type=Path, metavar='DIR',
-                       help='write the page bag-to-model.md and its picture there as well')
+                       help='also write the page bag-to-model.md and its picture to this folder')
     return found

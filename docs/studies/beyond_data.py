@@ -215,13 +215,13 @@ def parser() -> Parser:
     found.add_argument('--data', type=Path, default=Path(), metavar='DIR',
                        help='folder of the data sets')
     found.add_argument('--cases', nargs='+', default=cases, choices=cases,
-                       help='what is learned (default: all)')
+                       help='data sets to learn (default: all)')
     found.add_argument('--models', nargs='+', default=[*MODELS], choices=[*MODELS],
-                       help='how (default: all)')
+                       help='models to train (default: all)')
     found.add_argument('--seeds', nargs='+', type=int, default=[0, 1, 2],
-                       help='of the networks (default: 0 1 2)')
+                       help='seeds of the networks (default: 0 1 2)')
     found.add_argument('--out', type=Path, default=Path('beyond_data.jsonl'), metavar='FILE',
-                       help='a line is added for each model that is not in it')
+                       help='results; a line is added for each missing model')
     return found
 
 

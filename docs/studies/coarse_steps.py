@@ -244,10 +244,10 @@ def parser() -> Parser:
     found = Parser('coarse_steps', __doc__, [
         "make study NAME=coarse_steps ARGS='--out docs/studies/coarse_steps.jsonl'"])
     found.add_argument('--systems', nargs='+', default=[*SYSTEMS], choices=[*SYSTEMS],
-                       help='which (default: all)')
+                       help='systems to run (default: all)')
     found.add_argument('--methods', nargs='+', default=METHODS, choices=METHODS,
-                       help='which (default: all)')
-    found.add_argument('--out', type=Path, metavar='FILE', help='a line of JSON for each run')
+                       help='methods to run (default: all)')
+    found.add_argument('--out', type=Path, metavar='FILE', help='write one JSON line per run')
     return found
 
 

@@ -104,14 +104,14 @@ def parser() -> Parser:
     found = Parser('hard_cases', __doc__, [
         'make study NAME=hard_cases ARGS="--quick --out try"',
         'make study NAME=hard_cases ARGS="--case 3 7"'])
-    found.add_argument('--quick', action='store_true', help='short runs of few methods')
-    found.add_argument('--case', nargs='+', type=int, metavar='N', help='only these cases')
+    found.add_argument('--quick', action='store_true', help='run few methods for a short time')
+    found.add_argument('--case', nargs='+', type=int, metavar='N', help='run only these cases')
     found.add_argument('--out', type=Path, metavar='DIR', default=Path('hard_cases'), help=(
-        'folder of the results, from which an interrupted run goes on (default: hard_cases)'))
+        'folder of the results; an interrupted run continues there (default: hard_cases)'))
     found.add_argument('--jobs', type=int, default=usable_processors(), metavar='N',
-                       help='processes (default: one for each processor)')
+                       help='number of processes (default: one per processor)')
     found.add_argument('--docs', type=Path, metavar='DIR',
-                       help='folder to write the page hard-cases.md into as well')
+                       help='also write the page hard-cases.md to this folder')
     found.add_argument('--commit', action='store_true', help=(
-        'take what comes out for what is expected from now on'))
+        'save the results as the new expectations'))
     return found

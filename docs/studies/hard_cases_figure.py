@@ -32,7 +32,7 @@ _LABELS = {
 _SECOND = {
     'constraint': ('solid: length; dashed: its rate', (LENGTH, RATE)),
     'repeatability': (
-        'solid: repeated, and resumed at half;\ndashed: begun one rounding error off', ()),
+        'solid: repeated, and resumed midway;\ndashed: start with one rounding error', ()),
 }
 _LIMITS = ('limit of the length', 'limit of its rate')
 # Below this a difference is drawn on a linear axis, on which 0 has a place.

@@ -165,10 +165,10 @@ def parser() -> Parser:
         'make study NAME=identify_coverage ARGS="--logs 200 --seed 1"',
         'make study NAME=identify_coverage ARGS="--samples 100 1000 --noise white ar_0.8"'])
     found.add_argument('--logs', type=int, default=200, help='logs of each kind (default: 200)')
-    found.add_argument('--seed', type=int, default=1, help='of their noise (default: 1)')
-    found.add_argument('--scene', choices=[case.scene for case in CASES], help='only this one')
+    found.add_argument('--seed', type=int, default=1, help='seed of the noise (default: 1)')
+    found.add_argument('--scene', choices=[case.scene for case in CASES], help='only this scene')
     found.add_argument('--noise', nargs='+', default=['white'], choices=[*NOISES, QUANTISED],
                        help='kinds of noise (default: white)')
     found.add_argument('--samples', type=int, nargs='+', default=[],
-                       help='lengths of logs of a damped oscillation, in place of scenes')
+                       help='lengths of logs of a damped oscillation, instead of scenes')
     return found

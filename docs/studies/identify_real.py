@@ -214,7 +214,7 @@ def parser() -> Parser:
         'make study NAME=identify_real ARGS="dfki --data FOLDER"'])
     found.add_argument('case', choices=CASES, help='the machine')
     found.add_argument('--data', type=Path, required=True, help='folder of the data sets')
-    found.add_argument('--horizon', type=float, help='of the windows [s]')
-    found.add_argument('--speed', type=float, default=0.05, help='of dry friction [rad/s]')
-    found.add_argument('--robust', action='store_true', help='let outliers weigh less')
+    found.add_argument('--horizon', type=float, help='length of the windows [s]')
+    found.add_argument('--speed', type=float, default=0.05, help='speed of dry friction [rad/s]')
+    found.add_argument('--robust', action='store_true', help='reduce the weight of outliers')
     return found

@@ -193,10 +193,10 @@ def parser() -> Parser:
         '--picture FILE"'])
     found.add_argument('--data', type=Path, required=True, help='folder of the published data')
     found.add_argument('--models', type=Path, nargs='+', required=True,
-                       help=f'model files, of the names {", ".join(CASES)}')
-    found.add_argument('--end', type=float, default=1000.0, help='of the long runs [s]')
+                       help=f'model files with the names {", ".join(CASES)}')
+    found.add_argument('--end', type=float, default=1000.0, help='end of the long runs [s]')
     found.add_argument('--seeds', type=Path, help=(
-        'folder of models of other seeds, NAME-SEED.safetensors'))
-    found.add_argument('--json', type=Path, required=True, help='the table to write')
-    found.add_argument('--picture', type=Path, required=True, help='the picture to write')
+        'folder of models with other seeds, NAME-SEED.safetensors'))
+    found.add_argument('--json', type=Path, required=True, help='table to write')
+    found.add_argument('--picture', type=Path, required=True, help='picture to write')
     return found

@@ -90,13 +90,13 @@ def parser() -> Parser:
                             'supplement of Schmidt and Lipson, Science 324 (2009) (default: '
                             'here)')
     found.add_argument('--quick', action='store_true',
-                       help='a few steps of one seed: whether everything runs, no results')
+                       help='test run with a few steps of one seed; the results are meaningless')
     what = found.add_mutually_exclusive_group()
     what.add_argument('--page', action='store_true',
-                      help='measure nothing: write the page anew from the values in DIR')
+                      help='write the page again from the values in DIR, without measuring')
     what.add_argument('--machines', action='store_true',
-                      help='measure the models of machines alone, whose data sets are in folders '
-                           'of --data: lutter_peters_2021, dfki_double_pendulum, '
-                           'multiarm_pendulum, and of an arm that is simulated; the other values '
-                           'are those in DIR')
+                      help='measure only the models of machines and of a simulated arm; the data '
+                           'sets are in folders of --data: lutter_peters_2021, '
+                           'dfki_double_pendulum, multiarm_pendulum; other values are read from '
+                           'DIR')
     return found

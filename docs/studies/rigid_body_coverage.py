@@ -104,6 +104,6 @@ def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('rigid_body_coverage', __doc__, [
         'make study NAME=rigid_body_coverage ARGS="--runs 200 --seed 1"'])
-    found.add_argument('--runs', type=int, default=200, help='how many (default: 200)')
-    found.add_argument('--seed', type=int, default=1, help='of their noise (default: 1)')
+    found.add_argument('--runs', type=int, default=200, help='number of runs (default: 200)')
+    found.add_argument('--seed', type=int, default=1, help='seed of the noise (default: 1)')
     return found

@@ -247,5 +247,5 @@ def parser() -> Parser:
         'URDF of the UR10: robots/ur_description/urdf/ur10_robot.urdf of example-robot-data'))
     found.add_argument('--out', type=Path, default=Path('docs/learning'),
                        help='folder of the tables (default: docs/learning)')
-    found.add_argument('--robot', choices=list(ROBOTS_MEASURED), help='only this one')
+    found.add_argument('--robot', choices=list(ROBOTS_MEASURED), help='measure only this robot')
     return found

@@ -259,5 +259,5 @@ def parser() -> Parser:
         'make study NAME=turning_costs ARGS="--quick"'])
     found.add_argument('--docs', type=Path, default=Path('docs'), help=(
         'folder of turning-bodies.md and of accuracy/ (default: docs)'))
-    found.add_argument('--quick', action='store_true', help='a second, few rows: to try it')
+    found.add_argument('--quick', action='store_true', help='test run: few rows of one second')
     return found

@@ -81,7 +81,7 @@ def parser() -> Parser:
     """Return the parser of the command line."""
     found = Parser('twin', __doc__, [
         'make study NAME=twin ARGS="dfki_double_pendulum dfki_double_pendulum sysid.npz"'])
-    found.add_argument('scene', help='of the twin')
-    found.add_argument('config', help='configuration of the training')
-    found.add_argument('data', help='its data')
+    found.add_argument('scene', help='scene of the twin')
+    found.add_argument('config', help='training configuration')
+    found.add_argument('data', help='data of the training configuration')
     return found

@@ -215,7 +215,7 @@ def parser() -> Parser:
     found = Parser('uncertainty', __doc__, [
         'make study NAME=uncertainty ARGS="CONFIG.yaml MODEL.safetensors"'])
     found.add_argument('pairs', nargs='+', metavar='CONFIG MODEL', help=(
-        'a training configuration, and the ensemble of it'))
+        'a training configuration and its ensemble'))
     found.add_argument('--runs', nargs='+', default=[], metavar='FILE', help=(
-        'of machines, motions on which coverage is counted'))
+        'for machines: motions to count the coverage on'))
     return found

@@ -166,27 +166,27 @@ def parser() -> Parser:
         'make study NAME=work_precision ARGS="--scene pendulum --horizons 10 --runs 3"',
         'make study NAME=work_precision ARGS="--scene kepler --methods gauss8 yoshida4 --peers"'])
     what = found.add_mutually_exclusive_group(required=True)
-    what.add_argument('--scene', metavar='NAME', help='shipped name or file')
+    what.add_argument('--scene', metavar='NAME', help='name of a shipped scene, or file')
     what.add_argument('--all', action='store_true', help=(
         f'measure {", ".join(SCENES)}, and write the page on accuracy and cost'))
     what.add_argument('--draw', action='store_true', help=(
-        'measure nothing: write that page, its pictures and the page to explore of the rows that '
-        'are in the folder of --docs'))
+        'write that page, its pictures and the explorer from the rows in the folder of --docs, '
+        'without measuring'))
     found.add_argument('--methods', nargs='+', metavar='METHOD', help=(
-        'integrators; METHOD@1e-4 or METHOD@3 does not solve its equations further than a '
-        'residual or some iterations, METHOD@float32 takes gradients in single precision'))
+        'integrators; METHOD@1e-4 solves its equations only to this residual, METHOD@3 with 3 '
+        'iterations; METHOD@float32 computes gradients in single precision'))
     found.add_argument('--horizons', nargs='+', type=seconds, metavar='SECONDS', help=(
         'simulated times after which errors are measured'))
     found.add_argument('--steps', nargs='+', type=seconds, metavar='SECONDS', help=(
         f'step sizes (default: {LONGEST:g} times that of the scene, and {HALVINGS} halvings)'))
     found.add_argument('--out', type=Path, metavar='DIR', help=(
-        'folder of the results (default: work_precision/SCENE; with --all work_precision, with a '
-        'folder for each scene in it)'))
+        'folder of the results (default: work_precision/SCENE; with --all work_precision, with '
+        'one folder for each scene)'))
     found.add_argument('--docs', type=Path, metavar='DIR', default=Path('docs'),
                        help='folder of the page that --all writes (default: docs)')
     found.add_argument('--peers', action='store_true',
-                       help='measure scipy, torchdiffeq and diffrax as well')
+                       help='also measure scipy, torchdiffeq and diffrax')
     found.add_argument('--runs', type=int, help='timed runs at the shortest horizon')
     found.add_argument('--limit', type=seconds, metavar='SECONDS',
-                       help='a single run that would take longer is not begun')
+                       help='do not start a run that would take longer')
     return found
