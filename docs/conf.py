@@ -9,10 +9,10 @@ import sys
 from sphinx.application import Sphinx
 
 HERE = Path(__file__).resolve().parent
-# The package that was built, whose kernels are compiled, or else the sources.
+# The built package, with compiled kernels; otherwise the sources.
 sys.path[:0] = [str(HERE)] if find_spec('hnn_vi_ros') else [str(HERE), str(HERE.parent)]
 
-import generate  # noqa: E402, I100  it lies next to this file
+import generate  # noqa: E402, I100  in this folder
 
 from hnn_vi_ros.version import __version__  # noqa: E402, I201
 
@@ -29,7 +29,7 @@ myst_heading_anchors = 4
 myst_enable_extensions = ['attrs_block', 'colon_fence', 'deflist']
 numpydoc_show_class_members = False
 autodoc_typehints = 'none'
-# Extras, which only their own section of the Python API takes.
+# Extras, used only by their own section of the Python API.
 autodoc_mock_imports = [name for name in ('gymnasium', 'torch') if find_spec(name) is None]
 add_module_names = False
 pygments_style, pygments_dark_style = 'default', 'github-dark'

@@ -76,7 +76,7 @@ def markdown_table(table: Sequence[parameters.Specification]) -> str:
 
 
 def command_page() -> str:
-    """Return the page on the executables: what `--help` of each prints."""
+    """Return the page on the executables, with the output of `--help`."""
     text = ['# Commands', '', (
         'If the package was installed with pip, run `hnn NAME`. In a ROS workspace run `ros2 run '
         'hnn_vi_ros NAME`; `hnn` is in `lib/hnn_vi_ros`. `run`, `cost`, `doctor` and `completion` '
@@ -223,6 +223,6 @@ def _type(schema: dict[str, Any]) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file if that changes it: Sphinx then reads again only what is new."""
+    """Write a file only if it changes, so that Sphinx reads only new files again."""
     if not path.is_file() or path.read_text('utf-8') != text:
         path.write_text(text, encoding='utf-8')

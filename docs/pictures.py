@@ -147,7 +147,7 @@ def write_sweep(path: Path) -> None:
 
 
 def write_fit(path: Path) -> None:
-    """Draw what `identify` draws: a fit to noisy data of a damped, driven pendulum."""
+    """Draw the figure of `identify`: a fit to noisy data of a damped, driven pendulum."""
     run = simulate('exact_damped_driven_pendulum', 6.0, every=2)
     rng = np.random.default_rng(1)
     with TemporaryDirectory() as folder:
@@ -204,7 +204,7 @@ def write_learned(path: Path) -> None:
 
 
 def write_machines(path: Path) -> None:
-    """Draw the errors of models of machines over those that others reached."""
+    """Draw the errors of models of machines relative to those of others."""
     rows = [row for row in json.loads((HERE / 'learning' / 'machines.json').read_text('utf-8'))
             if row['measure'].startswith('RMS')]
     figure, (axes,) = _figure(0.3 * len(rows) + 1.0)
@@ -226,7 +226,7 @@ def write_machines(path: Path) -> None:
 
 
 def write_flow(path: Path) -> None:
-    """Draw what becomes of a scene: boxes by column and row, and the arrows between them."""
+    """Draw the architecture: boxes by column and row, and the arrows between them."""
     boxes = {
         'scene.yaml': (0, 1, ''), 'Scene': (1, 1, 'scene/'),
         'model.safetensors': (0, 0, ''),
@@ -289,7 +289,7 @@ def _learned(model: Path, **more: Any) -> Scene:
 
 
 def _figure(height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels above each other, and those."""
+    """Return a figure and its stacked panels."""
     figure = Figure(figsize=(8.0, height), layout='constrained')
     panels = list(figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0])
     for axes in panels:

@@ -27,7 +27,7 @@ _WINDOW, _WIDTH, _COLOURS = '1400x900', 1400, 256
 
 
 def write_screenshot(name: str, duration: float, path: Path) -> None:
-    """Simulate a scene, and keep what the viewer shows of its recording."""
+    """Simulate a scene, and save the viewer's picture of its recording."""
     with TemporaryDirectory() as folder:
         recording, shot = Path(folder) / f'{name}.rrd', Path(folder) / 'shot.png'
         simulate(name, duration).to_rerun(recording)

@@ -15,7 +15,7 @@ from benchmarks.report import (
     as_markdown, as_table, draw, Group, measured_here, read_groups, write_groups)
 from studies.results import commit
 
-# A group of rows: its module, and about how long it takes [s].
+# A group of rows: its module, and its approximate duration [s].
 GROUPS = {
     'gradient': ('benchmarks.gradient', 15.0),
     'adjoint': ('benchmarks.adjoint', 120.0),
@@ -93,7 +93,7 @@ def write(groups: Mapping[str, Group], folder: Path) -> None:
 
 
 def main(argv: list[str]) -> int:
-    """Run the groups that are asked for; what was hurried is not written."""
+    """Run the selected groups; results of --quick are not written."""
     parser = argparse.ArgumentParser(prog='bench', description=__doc__)
     parser.add_argument('--rows', nargs='+', choices=GROUPS, default=list(GROUPS),
                         metavar='GROUP', help=f'groups to measure: {", ".join(GROUPS)}')

@@ -20,7 +20,7 @@ def energy(parameters, q, p):
 
 
 def hessian_vector(parameters, q, p, v_q, v_p, product_q, product_p):
-    """Fill nothing: the first attempt at a step takes gradients alone."""
+    """Do nothing: the first attempt at a step needs only gradients."""
 
 
 def oscillator(parameters, q, p, dH_dq, dH_dp):

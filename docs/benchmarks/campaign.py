@@ -99,7 +99,7 @@ class Row:
 
     @property
     def good(self) -> bool:
-        """Tell whether the tolerance was held at 1.5 times the gradients of the best at most."""
+        """Return whether the tolerance was met with at most 1.5 times the best gradients."""
         if math.isnan(self.error):
             return math.isnan(self.best_gradients)
         return self.error <= self.allowed and not self.gradients > 1.5 * self.best_gradients
@@ -270,7 +270,7 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 
 def main() -> None:
-    """Run what is asked for."""
+    """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--out', type=Path, required=True, help='JSON file of the rows')
     parser.add_argument('--table', type=Path, help='Markdown file to write the table to')

@@ -62,7 +62,7 @@ def evaluate(bag: Path, names: list[str]) -> dict[str, object]:
 
 def starts(task: str, count: int, duration: float, seed: int, folder: Path
            ) -> tuple[list[dict[str, object]], list[str]]:
-    """Return the result of each start, and what the controller complained of."""
+    """Return the result of each start, and the warnings of the controller."""
     read, _, _ = load_task(task)
     names = ['angle'] if read.scene == 'motor_pendulum' else ['shoulder', 'elbow']
     rng = np.random.default_rng(seed)

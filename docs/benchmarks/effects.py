@@ -24,7 +24,7 @@ _H = 0.01
 # Long enough for the 2 % that the target resolves.
 _STEPS = {'exact_pendulum': 200_000, 'pendulum': 40_000}
 _ADDED_STEPS = 20_000
-# Each effect where it acts: system, state, and what the YAML would say.
+# Each effect with a suitable system, state and YAML options.
 _SYSTEMS = {
     'line': ('free_particle', {'names': ['z']}, [1.0], [0.0]),
     'plane': ('free_particle', {'names': ['x', 'z']}, [1.0, 0.0], [0.0, 0.5]),
@@ -79,7 +79,7 @@ def _conservative(name: str, steps: int, settings: Settings) -> Row:
 
 def bare(hamiltonian: Hamiltonian, method: Integrator, h: float, q: np.ndarray, p: np.ndarray,
          steps: int) -> tuple[Callable[[], None], Point]:
-    """Return a function that takes steps of a method over H and nothing else, and its state."""
+    """Return a function that takes steps of a method on H without effects, and its state."""
     kernel, n = by_address(hamiltonian.kernel), q.size
     z, z1, memory = Point.empty(n), Point.empty(n), method.memory(n)
     z.q[:], z.p[:] = q, p

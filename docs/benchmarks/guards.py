@@ -17,7 +17,7 @@ import numpy as np
 from rclpy.node import Node
 
 _SCENE = 'pendulum'
-# Many short turns: what else the machine does changes slowly against them.
+# Many short turns, because other load on the machine changes slowly.
 _TICKS, _TURNS = 200, 20
 
 
@@ -65,7 +65,7 @@ def _watched(ticks: Ticks, watching: list[float]) -> Callable[[], None]:
             begin = time.perf_counter()
             alarms = ticks.monitor.watch(sample, evaluated)
             end = time.perf_counter()
-            # Less what looking at the clock takes.
+            # Minus the time of reading the clock.
             watching.append(end - begin - (begin - before))
             if alarms:
                 raise RuntimeError(

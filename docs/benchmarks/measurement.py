@@ -88,7 +88,7 @@ class Settings:
 def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: bool = True,
                one_thread: bool = True) -> np.ndarray:
     """
-    Time the contestants in turns, so that whatever else the machine does hits all of them.
+    Time the contestants in turns, so that other load on the machine affects all of them.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def interleave(contestants: Sequence[Contestant], repetitions: int, *, warm_up: 
         repetitions = min(repetitions, _FEWEST)
     wall, processor = np.empty((2, repetitions, len(contestants)))
     for turn in range(repetitions):
-        # Every other turn backwards: nobody always comes first.
+        # Reverse the order in every other turn, so that no contestant is always first.
         order = range(len(contestants))
         for i in order if turn % 2 == 0 else reversed(order):
             wall[turn, i], processor[turn, i] = _seconds(contestants[i])

@@ -42,7 +42,7 @@ def rows(settings: Settings) -> Iterator[Row]:
     """Measure the growth over an hour of samples at 1 kHz, over resets, and over shards."""
     settings.say('an hour at 1 kHz, with bag and picture')
     ticks = _HOUR // 10 if settings.quick else _HOUR
-    # In a process of its own, as that of shards: what others have left could be used again.
+    # In a separate process, like the shards: memory of other rows could be reused.
     yield _row('an hour at 1 kHz, bag and picture: memory', float(run_apart(
         'memory', 'samples', ticks)),
                'the clock of the files is that of the samples, so that they are cut into the '
@@ -85,7 +85,7 @@ def samples(ticks: int) -> float:
     scene = load_scene(_SCENE).with_overrides(_STEP, None)
     simulation = build(scene)
     sampler = Sampler(simulation, 1.0 / _STEP)
-    # To the files, the samples come at the pace of the clock.
+    # The files receive the samples at the pace of the clock.
     clock = SimpleNamespace(monotonic=lambda: sampler.time, time_ns=time.time_ns)
     with own_node('bench') as (node, _), tempfile.TemporaryDirectory() as folder, \
             patch.object(mcap_sink, 'time', clock), patch.object(rerun_sink, 'time', clock):

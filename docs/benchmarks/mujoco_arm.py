@@ -22,7 +22,7 @@ _UNSTABLE = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL,
 
 class MujocoArm:
     """
-    MuJoCo's model of a robot, without what the URDF's limits, damping and friction do.
+    MuJoCo's model of a robot, without the limits, damping and friction of the URDF.
 
     Parameters
     ----------

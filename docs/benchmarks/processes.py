@@ -71,7 +71,7 @@ def running(command: list[str], folder: str | Path, output: Any = subprocess.DEV
 
 class Heard:
     """
-    A process, and what is heard of it.
+    A process and its received messages.
 
     Attributes
     ----------

@@ -152,7 +152,7 @@ def _path_row(arm: Arm, settings: Settings) -> Row:
 
 
 def _energy_row(arm: Arm, integrator: str, settings: Settings) -> Row:
-    """Compare energies where a simulated second takes ours as long as MuJoCo's, or less."""
+    """Compare energies at equal or smaller time per simulated second than MuJoCo's."""
     seconds = _SHORT if settings.quick else _LONG
     every = round(_EVERY / _MUJOCO_STEP)
     q, v = arm.mujoco.prepare(integrator, _MUJOCO_STEP, round(seconds / _EVERY), every)()

@@ -193,7 +193,7 @@ def _slower(results: _Results) -> dict[str, float]:
 
 
 def _first_order(results: _Results) -> list[dict[str, float]]:
-    """Return by scene the best path error of the paper's method, and what is as good."""
+    """Return for each scene the best path error of the paper's method, and an equal method."""
     found = []
     for name, horizon, rows in _cases(results):
         own = [row for row in rows if row.method == _PAPER and not math.isnan(row.path_error)]

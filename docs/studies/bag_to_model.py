@@ -40,7 +40,7 @@ RESULTS = 'learning/bag_to_model.json'
 
 
 def main(argv: Sequence[str]) -> int:
-    """Make what is missing, compare, and write the page; status 1 if a promise is not kept."""
+    """Make missing files, compare, and write the page; return 1 if a target is missed."""
     arguments = parser().parse_args(argv)
     bag, model = arguments.out / 'bag', arguments.out / f'{CONFIG}.safetensors'
     commands = _commands(bag, model)

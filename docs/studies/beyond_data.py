@@ -226,7 +226,7 @@ def parser() -> Parser:
 
 
 def main(argv: Sequence[str]) -> None:
-    """Measure what is asked for, and print a line for each model and seed."""
+    """Measure the selected models, and print a line for each model and seed."""
     given = parser().parse_args(argv)
     done = [json.loads(line) for line in given.out.read_text('utf-8').splitlines()] \
         if given.out.is_file() else []

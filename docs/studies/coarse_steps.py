@@ -110,7 +110,7 @@ class Run(NamedTuple):
 
     @property
     def judgement(self) -> str:
-        """Return 'wrong', 'right', or '' for what lies between."""
+        """Return 'wrong', 'right', or '' if neither."""
         if self.found != self.expected or not self.energy <= 0.1:
             return 'wrong'
         return 'right' if self.path < 0.01 else ''
@@ -118,7 +118,7 @@ class Run(NamedTuple):
 
 class Judge:
     """
-    Runs of one system, and the path that they are held against.
+    Runs of one system, and their reference path.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Judge:
         self._size = float(np.linalg.norm(spread, axis=1).max())
 
     def run(self, method: str, step_size: float) -> Run:
-        """Take all steps of a run under the eyes of the guards, and judge it."""
+        """Take all steps of a run with guards, and judge it."""
         simulation, steps = self._simulation(method, step_size)
         expected = self._counts(self._path)
         # Guards report diverging runs.

@@ -56,7 +56,7 @@ def read_cards(folder: Path) -> dict[str, Any]:
 
 def write_explorer(folder: Path) -> Path:
     """
-    Write one page that holds plotly.js and every row, and needs nothing else.
+    Write one self-contained page with plotly.js and every row.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def _or_none(value: float) -> float | None:
 
 
 def _plotly() -> str:
-    """Return plotly.js, from where the package keeps it: importing it takes seconds."""
+    """Return plotly.js from the files of the package, because its import takes seconds."""
     spec = find_spec('plotly')
     if spec is None or not spec.submodule_search_locations:
         raise ParameterError(f'{EXPLORER} needs the package plotly, which is not installed: '

@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
         write_expectations(expectations_file(), run, rows)
     expected = load_expectations(expectations_file(), run)
     rows = [judge(row, expected.get(row.key)) for row in rows]
-    # Imported late: matplotlib takes a second, which a mistake should not wait for.
+    # Imported late: matplotlib takes a second, and errors should appear at once.
     from studies.hard_cases_report import write_page, write_report
     cases = [case for case in plan.cases if case.number in {row.case for row in rows}]
     written = write_report(folder, cases, rows, expected)

@@ -68,7 +68,7 @@ def run_dissipation(job: Job) -> Measured:
 
 
 class _SetUp:
-    """Set-up of a job, the same for all methods: what the exact motion depends on."""
+    """Set-up of a job that determines the exact motion, the same for all methods."""
 
     def __init__(self, job: Job):
         self.job, self.key = job, (repr(job.set_up), job.steps)
@@ -186,7 +186,7 @@ def _resumed(job: Job, half: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def run_counts(job: Job) -> Measured:
-    """Run a set-up, every step seen by the guards: events come as often as by DOP853."""
+    """Run a set-up with guards at every step; compare the counts of events with DOP853."""
     simulation, measured = _start(job)
     watch, start = watch_of(job, simulation), simulation.energy
     z = np.concatenate([simulation.q, simulation.p])

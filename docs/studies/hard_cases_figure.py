@@ -107,7 +107,7 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
         if case.check != 'repeatability':
             # No error at all has no place on a logarithmic axis.
             error[error == 0.0] = math.nan
-        # Markers at other places on each line, so that lines on one another can be told apart.
+        # Markers at different places on each line, so that overlapping lines can be distinguished.
         step = max(1, t.size // _MARKS)
         ax.plot(t, error, markevery=(k * step // max(len(rows), 1), step), **_style(row.method))
         if row.other:
@@ -133,5 +133,5 @@ def _draw_panel(ax: Axes, case: Case, title: str, rows: Sequence[CaseRow]) -> No
                     textcoords='offset points', fontsize=8, color=FAINT)
     low, high = ax.get_ylim()
     if case.check == 'motion' and high < 10.0 * low:
-        # Without a power of ten to stand at, the ticks of a logarithmic axis cannot be read.
+        # A logarithmic axis without a power of ten has no readable ticks.
         ax.set_yscale('linear')

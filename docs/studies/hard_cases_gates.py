@@ -118,7 +118,7 @@ GATES = {'G1': g1_finite, 'G2': g2_solved, 'G3': g3_no_drift, 'G4': g4_reversibl
 
 def failed_gates(measured: Measured, names: list[str]) -> list[str]:
     """
-    Return the gates that a run does not pass, and what else the case forbids.
+    Return the gates and the claims of the case that a run violates.
 
     Parameters
     ----------

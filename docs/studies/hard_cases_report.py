@@ -135,7 +135,7 @@ def _parts(cases: Sequence[Case], rows: Sequence[CaseRow], expected: Mapping[Key
 
 
 def _short(rows: Sequence[CaseRow]) -> dict[str, Any]:
-    """Return for each set-up of a case how those runs ended that were not stable, and times."""
+    """Return for each set-up the ends of runs that were not stable, and Lyapunov times."""
     found: dict[str, dict[str, list[str]]] = {}
     times: dict[str, list[float]] = {}
     for row in sorted(rows, key=lambda row: -_VERDICTS.index(row.verdict)):

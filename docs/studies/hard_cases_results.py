@@ -104,7 +104,7 @@ class CaseRow:
 
 
 class Expectation(NamedTuple):
-    """Expectation of one row: its verdict, what it says first, limits by name."""
+    """Expectation of one row: its verdict, its first alarm, limits by name."""
 
     verdict: str
     alarm: str
@@ -113,7 +113,7 @@ class Expectation(NamedTuple):
 
 
 def make_row(job: Job, measured: Measured, seconds: float) -> CaseRow:
-    """Return the row of a job, not yet held against any expectation."""
+    """Return the row of a job, before the comparison with its expectation."""
     failed = failed_gates(measured, job.case.gates)
     said = [f'{alarm.kind} at step {alarm.step}' for alarm in measured.alarms]
     if measured.failure is not None:
@@ -169,7 +169,7 @@ def expectations_file() -> Path:
 
 def load_expectations(path: Path, run: str) -> dict[Key, Expectation]:
     """
-    Read what is committed for one kind of run, 'quick' or 'full'; nothing if there is no file.
+    Read the expectations of a 'quick' or 'full' run; none if there is no file.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def parse_values(text: str) -> dict[str, float]:
 
 
 def read_csv(path: Path) -> list[CaseRow]:
-    """Return the rows that ``Folder.write_csv`` wrote, without what is drawn of them."""
+    """Return the rows of ``Folder.write_csv``, without the data of the pictures."""
     kinds: dict[str, Callable[[str], Any]] = {
         'int': int, 'str': str, 'float': lambda text: float(text or math.nan)}
     with path.open(encoding='utf-8') as file:

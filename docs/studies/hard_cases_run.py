@@ -167,7 +167,7 @@ def summarise(error: np.ndarray, measured: Measured) -> None:
 
 def _measure(job: Job, simulation: Simulation, q: np.ndarray, p: np.ndarray,
              measured: Measured) -> None:
-    """Measure what the case asks for in every block."""
+    """Measure the values of the case in every block."""
     if job.case.measure == 'angular momentum':
         momenta = q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]
         (x, y), (p_x, p_y) = job.set_up.q, job.set_up.p
@@ -178,7 +178,7 @@ def _measure(job: Job, simulation: Simulation, q: np.ndarray, p: np.ndarray,
 
 def _finish(job: Job, simulation: Simulation, measured: Measured, judged: list[np.ndarray]
             ) -> None:
-    """Measure what the case asks for at the end, of H~ or H block by block where it is that."""
+    """Measure the final values of the case, of H~ or H per block if needed."""
     name, method = job.case.measure, simulation.integrator
     equations = len(method.unknowns(simulation.hamiltonian.dimension))
     if name == 'gradients' and getattr(method, 'scalar', False):

@@ -55,7 +55,7 @@ class Link:
 @dataclass(frozen=True)
 class Case:
     """
-    A real machine, what is free of it, and how it is judged.
+    A real machine, its free parameters, and its evaluation.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ CASES = {
     'single': Case(
         'multiarm_pendulum/single.npz',
         (Link('arm', 'joint', 0.1, -0.1, 1e-3, 0.0, 1e-4, 1e-4),),
-        # Without forces all numbers times any factor are the same motion: one is held.
+        # Without forces a common factor of all parameters changes no motion: one is fixed.
         ('arm.iyy', 'joint.damping', 'joint.friction'), '', 9.0,
         {'tau': None, 'interval': 0.01}, ('val_00', 'val_01'), relative=True,
         measure=multiarm_errors),
@@ -151,7 +151,7 @@ def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Run], list[Ru
 def _relative(file: Path, out: Path) -> Path:
     """Write runs whose angles are zero hanging down, each from the link before."""
     runs = Archive(file).arrays
-    # 1 kHz is far above what the arms can do: every tenth sample tells as much.
+    # 1 kHz is far above the bandwidth of the arms: every tenth sample is sufficient.
     np.savez(out, **{key: _steps(values[::_EVERY]) - np.pi * (key.endswith('/q') * (
         np.arange(values.shape[1]) == 0)) for key, values in runs.items() if values.ndim == 2})
     return out

@@ -85,7 +85,7 @@ def matrix_field(model: Checkpoint) -> tuple[Callable[[np.ndarray], np.ndarray],
 
 
 def long_runs(model: Checkpoint, step_size: float, end: float) -> dict[str, LongRun]:
-    """Return runs of a learned pendulum, by the name of what integrates it."""
+    """Return runs of a learned pendulum, by the name of the integrator."""
     half = 0.5 * ANGLE
     q, count = np.array([0.0, 0.0, np.sin(half), np.cos(half)]), round(end / _EVERY)
     t = _EVERY * np.arange(count + 1)

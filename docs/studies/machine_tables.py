@@ -40,7 +40,7 @@ _EVERY = 0.05
 DEFAULT, NETWORKS, WITH_PRIOR = 'default', 'networks', 'rigid body and networks'
 RIGID_BODY, PLAIN = 'rigid body', 'plain network'
 
-# Beside the file of the tables: what was measured of each model and seed.
+# In the folder of the tables: the measures of each model and seed.
 RUNS = 'machine_runs.json'
 
 # Values by the name of the measure; of several coordinates, one each.
@@ -49,7 +49,7 @@ Measure = Callable[[Predict, Sequence[Run], Path], Measures]
 
 
 class CaseMotions(NamedTuple):
-    """Motions to learn from, motions to judge by, and what they are."""
+    """Training motions, test motions, and their description."""
 
     train: list[Run]
     test: list[Run]
@@ -238,7 +238,7 @@ def measure_machines(data: Path, out: Path, seeds: Sequence[int], quick: bool) -
 
 
 def read_runs(file: Path) -> list[dict[str, Any]]:
-    """Read what was measured of each model and seed, or raise ParameterError."""
+    """Read the measures of each model and seed, or raise ParameterError."""
     try:
         runs: list[dict[str, Any]] = json.loads(file.read_text(encoding='utf-8'))
         for run in runs:
@@ -253,7 +253,7 @@ def read_runs(file: Path) -> list[dict[str, Any]]:
 
 
 def rows_of_runs(runs: Sequence[dict[str, Any]], out: Path) -> list[dict[str, Any]]:
-    """Return the rows of all runs, and those in a file of cases that have no run."""
+    """Return the rows of all runs, and the rows in a file for cases without runs."""
     rows = json.loads(out.read_text(encoding='utf-8')) if out.is_file() else []
     found = []
     for name, case in CASES.items():
@@ -343,7 +343,7 @@ def _quick(config: MachineConfig) -> MachineConfig:
 
 
 def letters_by_name(file: Path, out: Path) -> Path:
-    """Write the letters, which stand one after another, as runs that have their names."""
+    """Write the consecutive letters as named runs."""
     arrays = Archive(file).arrays
     ends = np.cumsum(arrays['length'])
     runs = {f'{label}/{key}': arrays[key][end - length:end]

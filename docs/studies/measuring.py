@@ -22,7 +22,7 @@ import numpy as np
 Solve = Callable[[np.ndarray, float, float], tuple[np.ndarray, int]]
 
 OK, ENERGY_ONLY, TOO_LONG = 'ok', 'energy only', 'too long'
-# States of a peer by which its energies are judged.
+# Number of states of a peer for its energy error.
 _LOOKS = 10
 
 
@@ -92,12 +92,12 @@ class StudyRow:
 
     @property
     def failed(self) -> bool:
-        """Return whether the run was begun and did not come to its end."""
+        """Return whether the run started and did not finish."""
         return not self.finished and self.was_run
 
 
 class RunFailure(Exception):
-    """A run ended before its horizon: why, at what time [s], after how many gradients."""
+    """A run ended before its horizon: reason, time [s] and number of gradients."""
 
     def __init__(self, reason: str, t: float, gradients: int):
         super().__init__(reason)

@@ -15,7 +15,7 @@ import numpy as np
 # As in the paper, section 5.
 STEP_SIZE, DURATION = 0.01, 100.0
 METHODS = {'explicit_euler': 'explicit Euler', 'variational_euler': 'variational integrator'}
-# Blue and orange as in the paper, told apart in grey as well.
+# Blue and orange as in the paper, distinguishable in grey.
 Q_COLOR, P_COLOR, ENERGY_COLOR = '#1f4e9c', '#f28e2b', '#222222'
 
 

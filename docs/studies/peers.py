@@ -127,7 +127,7 @@ def torch_field(checkpoint: Checkpoint) -> Callable:
     """
     Return (q', p') = (H_p, -H_q) as a torch function of t and (q, p), shape (2 d,).
 
-    The gradient is written out: torch's automatic differentiation takes several times as long.
+    The gradient is written out, because torch's automatic differentiation is several times slower.
     """
     import torch
     weights, biases = ([torch.tensor(part) for part in parts]

@@ -106,7 +106,7 @@ class Plane:
         return self.hamiltonian.energy(z[..., :1], z[..., 1:])
 
     def published_energy(self, z: np.ndarray) -> np.ndarray:
-        """Return q^2 + p^2, which the public code takes for the energy of both systems."""
+        """Return q^2 + p^2, the energy of both systems in the public code."""
         return (z * z).sum(axis=-1)
 
 

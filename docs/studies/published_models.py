@@ -25,12 +25,12 @@ COORDINATES = {1: ['q'], 4: ['x1', 'x2', 'y1', 'y2']}
 QUICK_STEPS = 20
 # Longer than any orbit [s]: a split keeps the whole orbit together.
 _WHOLE = 1e6
-# Stretches of this length of one long orbit are held out [s].
+# Length of held-out parts of one long orbit [s].
 _BLOCK = 5.0
 
 
 class Training(StrictModel):
-    """Training of one model of the tables; what it leaves open is as in any training."""
+    """Training of one model of the tables; other settings have their defaults."""
 
     seeds: list[int] = Field(min_length=1, description='of data, split and initial weights')
     hidden: list[int] = Field([64, 64], min_length=1, description='widths of the hidden layers')
@@ -141,7 +141,7 @@ def train_on_differences(training: Training, orbits: Orbits, seed: int, friction
 
 def _train(training: Training, seed: int, table: np.ndarray, family: dict[str, Any],
            loss: dict[str, Any], block: float | None = None) -> Model:
-    # Imported late: torch takes seconds, which a mistake should not wait for.
+    # Imported late: torch takes seconds, and errors should appear at once.
     from hnn_vi_ros.learning.data.sources import make_dataset
     from hnn_vi_ros.learning.fit.config import FieldConfig
     from hnn_vi_ros.learning.tasks.field import describe, FieldProblem

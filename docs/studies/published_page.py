@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The page docs/learning.md: every number in its tables comes from the results."""
+"""The page docs/learning.md, with all numbers of its tables from the results."""
 
 from collections.abc import Iterable, Iterator, Sequence
 import csv
@@ -95,7 +95,7 @@ def write_results(folder: Path, results: Sequence[Result]) -> Path:
 
 def read_results(folder: Path) -> list[Result]:
     """
-    Read what ``write_results`` wrote.
+    Read the file of ``write_results``.
 
     Raises
     ------

@@ -37,7 +37,7 @@ def main(argv: list[str]) -> int:
 
 def measure_on_machines(arguments: argparse.Namespace) -> Path:
     """Train and measure the models of machines, and write down every value; return the file."""
-    # Imported late: torch takes seconds, which a mistake should not wait for.
+    # Imported late: torch takes seconds, and errors should appear at once.
     from studies.machine_tables import measure_machines
     import torch
     torch.set_num_threads(1)
@@ -48,7 +48,7 @@ def measure_on_machines(arguments: argparse.Namespace) -> Path:
 
 
 def measure(arguments: argparse.Namespace) -> list[Result]:
-    """Train and measure what the command line asks for, and write down every value."""
+    """Train and measure the selected models, and write every value."""
     plan = read_yaml(Path(__file__).with_name('published_tables.yaml'), Plan, ParameterError)[0]
     if arguments.quick:
         plan = plan.quick()
@@ -66,9 +66,9 @@ def measure(arguments: argparse.Namespace) -> list[Result]:
 
 def run(plan: Plan, log: Path) -> Iterator[Result]:
     """Train and measure every model of a plan."""
-    # Imported late: torch takes seconds, which a mistake should not wait for.
+    # Imported late: torch takes seconds, and errors should appear at once.
     import torch
-    # Small networks gain nothing from more threads, and sums come out the same on any machine.
+    # Small networks do not benefit from more threads, and one thread makes sums reproducible.
     torch.set_num_threads(1)
     origin = commit(), machine()
     jobs = [(table, system, seed) for table, systems in plan for system in systems

@@ -84,7 +84,7 @@ class Floor:
 
 def make_reference(hamiltonian: Hamiltonian, q0: np.ndarray, p0: np.ndarray, horizon: float
                    ) -> PathReference:
-    """Return the path from an initial state up to a horizon [s], however long that takes."""
+    """Return the path from an initial state up to a horizon [s], without a time limit."""
     problem = InitialValueProblem(hamiltonian, (), q0, p0)
     known = survey(problem, horizon, horizon, EVERY_SURVEYOR)
     return best_reference(problem, horizon, known, math.inf)

@@ -72,7 +72,7 @@ class Results:
 
     @property
     def card(self) -> dict[str, Any]:
-        """Return the card that ``read`` takes with the rows."""
+        """Return the card that ``read`` expects with the rows."""
         return {'identity': self.identity, 'commits': self.commits,
                 'floors': {repr(horizon): floor.as_json()
                            for horizon, floor in self.floors.items()}}

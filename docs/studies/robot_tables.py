@@ -29,7 +29,7 @@ from studies.machine_tables import CASES, dfki_errors, predicted
 from studies.published_page import ROBOTS
 from tqdm import tqdm
 
-# Beside the tables: what was measured of each model.
+# In the folder of the tables: the measures of each model.
 RUNS = 'robot_runs.json'
 # Share of the UR10's samples that is learned from, and how many are left out behind it.
 _LEARNED, _GAP = 0.6, 60
@@ -116,7 +116,7 @@ MODELS: dict[str, list[str]] = {
 
 
 def main(argv: Sequence[str]) -> None:
-    """Measure what is not known yet, and write the tables."""
+    """Measure missing results, and write the tables."""
     options = parser().parse_args(argv)
     file = options.out / RUNS
     runs = read_runs(file)
@@ -152,7 +152,7 @@ def read_runs(file: Path) -> list[dict[str, Any]]:
 
 
 def rows_of(runs: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each robot, measure and model, with which model the choice would take."""
+    """Return a row for each robot, measure and model, and mark the chosen model."""
     by_use = {use: {(run['robot'], run['model']): run['measures'] for run in runs
                     if run['use'] == use} for use in ('choice', 'test')}
     rows = []
@@ -203,7 +203,7 @@ def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder
 
 
 def two_runs(file: Path, out: Path) -> Path:
-    """Write one run as two, what is learned from and what is tested with, apart by a gap."""
+    """Split one run into a training run and a test run with a gap between them."""
     arrays = Archive(file).arrays
     n = len(arrays['t'])
     first = int(_LEARNED * n)
@@ -219,7 +219,7 @@ def _joints(urdf: Path) -> Any:
 
 
 def _choice(train: list[Run]) -> tuple[list[Run], list[Run]]:
-    """Split what is learned from: the last quarter of each run is what the choice is made by."""
+    """Split the training data: the last quarter of each run selects the model."""
     from hnn_vi_ros.learning.data.runs import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
     pairs = list(zip(train, ends, strict=True))

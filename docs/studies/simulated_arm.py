@@ -34,7 +34,7 @@ _INTERVAL, _JITTER, _LOST = 0.004, 0.0004, 0.02
 # An encoder of 12 bits; the driver's own velocities; torques from currents.
 _Q_STEP, _V_NOISE, _V_STEP, _TAU_STEP = 2.0 * np.pi / 4096, 0.03, 0.01, 0.01
 _TRAINING, _TEST = 6, 4
-# Errors of this many standard deviations of a coordinate end what is followed.
+# A prediction is valid until its error exceeds this many standard deviations.
 _FOLLOWED = 0.4
 
 

@@ -162,7 +162,7 @@ def stationary_energy(hamiltonian: Hamiltonian, q: Sequence[float], p: Sequence[
         step = np.linalg.lstsq(hessian, -gradient)[0]
         z = z + step
         if np.abs(step).max() <= 1e-12 * max(1.0, np.abs(z).max()):
-            # A step of zero is also what a constant slope gives.
+            # A constant slope also gives a step of zero.
             if np.abs(gradient).max() <= 1e-9 * max(1.0, np.abs(hessian).max()):
                 return float(hamiltonian.energy(z[:d], z[d:]))
             break

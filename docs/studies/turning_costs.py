@@ -149,7 +149,7 @@ def drifts(case: Case, horizon: float) -> Iterator[list[str]]:
     z0, peers = np.concatenate([case.q, case.p]), turning_peers(case.hamiltonian)
     for name, setting in _LONG.items():
         for _ in states(case, name, setting, _LOOKS * setting, peers):
-            pass  # what is compiled
+            pass  # compile
         start = time.process_time()
         z = np.array([z0, *states(case, name, setting, horizon, peers)])
         taken = time.process_time() - start
@@ -211,7 +211,7 @@ def section(scene: str, results: Results) -> dict[str, Any]:
 
 
 def page_part(folder: Path) -> str:
-    """Return the part of the page on what accuracy costs, from the results in a folder."""
+    """Return the part of the page on accuracy and cost, from the results in a folder."""
     cards = read_cards(folder)
     sections = [section(case.scene, Results.read(
         cards[case.scene], rows_of(folder, case.scene)))
@@ -228,7 +228,7 @@ def page_part(folder: Path) -> str:
 
 def write(docs: Path, found: Mapping[str, Results], long: Sequence[Sequence[str]]) -> None:
     """Write rows, cards, pictures, the page to explore, and the part of the page."""
-    # Imported here: matplotlib takes a second, which a mistake should not wait for.
+    # Imported here: matplotlib takes a second, and errors should appear at once.
     from studies.accuracy_page import draw_pictures, keep_results
     page, folder = docs / PAGE, docs / FOLDER
     before, begin, rest = page.read_text(encoding='utf-8').partition(BEGIN)

@@ -52,7 +52,7 @@ def replay(twin: Twin, simulation: Accompanied, motion: Run, q: np.ndarray, v: n
 
 
 def main(argv: Sequence[str]) -> None:
-    """Print what the twin and evaluate say of each other."""
+    """Print the figures of the twin and of evaluate."""
     parser().parse_args(argv)
     scene, config = load_scene(argv[0]), load_machine(find_config(argv[1]))
     names = [coordinate.name for coordinate in config.coordinates]

@@ -20,14 +20,14 @@ SCENES = ('harmonic_oscillator', 'pendulum', 'double_pendulum', 'learned_kepler'
           'exact_double_pendulum', 'kepler', 'henon_heiles')
 # Timed runs at all but the shortest horizon.
 FEW_RUNS = 3
-# About what one gradient takes [s], for the progress bar before anything is known.
+# Estimated time of one gradient [s], for the first progress bar.
 _GRADIENT, _GRADIENTS_PER_STAGE = 1e-6, 6
 
 
 def main(argv: list[str]) -> int:
-    """Measure what is not measured yet, then write tables and pictures."""
+    """Measure missing rows, then write tables and pictures."""
     arguments = parser().parse_args(argv)
-    # Here and below: matplotlib and rerun take a second, which a mistake should not wait for.
+    # Imported late: matplotlib and rerun take a second, and errors should appear at once.
     if not arguments.draw:
         base = arguments.out or Path('work_precision')
         named = {arguments.scene: arguments.out} if arguments.scene is not None else {
@@ -114,7 +114,7 @@ def _seconds(study: Study, horizon: float, setting: Setting) -> float | None:
 
 
 def _expected(study: Study, horizon: float, i: int) -> float:
-    """Return about what a row will take [s]."""
+    """Return the estimated time of a row [s]."""
     setting = study.settings[i]
     seconds = _seconds(study, horizon, setting)
     if seconds is None:

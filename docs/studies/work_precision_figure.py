@@ -59,7 +59,7 @@ _FRONTS: tuple[tuple[str, dict[str, Any], Callable[[StudyRow], bool]], ...] = (
 
 
 class Panel(NamedTuple):
-    """Panel of a figure: two columns of StudyRow, and what they are called."""
+    """Panel of a figure: two columns of StudyRow, and their labels."""
 
     x: str
     y: str
@@ -101,7 +101,7 @@ def is_peer(name: str) -> bool:
 
 
 def group_of(name: str) -> str:
-    """Return in which column of panels a line stands."""
+    """Return the column of panels of a line."""
     return 'variants' if '@' in name else 'peers' if is_peer(name) else 'ours'
 
 

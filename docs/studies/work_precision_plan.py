@@ -46,7 +46,7 @@ class Grid(StrictModel):
 
 @dataclass(frozen=True)
 class Setting:
-    """One line of the plan: what makes its runs, and the key of its rows less the horizon."""
+    """One line of the plan: a factory of its runs, and the key of its rows without the horizon."""
 
     label: str
     step_size: float
@@ -74,7 +74,7 @@ class Study:
 
 def prepare(arguments: argparse.Namespace, name: str, out: Path | None) -> Study:
     """
-    Check everything that can be wrong, and load what results there are.
+    Check the whole plan, and load existing results.
 
     Parameters
     ----------

@@ -123,7 +123,7 @@ def _longest_steps(rows: Iterable[StudyRow], error: float) -> dict[str, float]:
 
 def cheapest(rows: Iterable[StudyRow], error: float, column: str = 'path_error'
              ) -> StudyRow | None:
-    """Return the row that takes the least time among those with at most this error."""
+    """Return the fastest row with at most this error."""
     good = [row for row in rows if row.finished and getattr(row, column) <= error]
     return min(good, key=lambda row: row.seconds_per_simulated_second, default=None)
 
