@@ -150,10 +150,7 @@ class Ilqr(Planner):
             if plan.gains is not None:
                 own[:self._horizon - since] = plan.gains[since:]
                 states[:self._horizon - since] = plan.states[since:-1]
-        states, commands = self._steps.rollout(
-            z, commands, gains, about, (self._low, self._high), t)
-        return [Plan(*parts) for parts in zip(
-            commands, states, self._costs(states, commands).tolist(), gains, strict=True)]
+        return self._rolled(z, commands, t, gains, about)
 
     def _fresh(self, z: np.ndarray, t: float) -> list[Plan]:
         """Return the best of plans with random commands that last a part of the horizon each."""

@@ -111,8 +111,11 @@ class Planner(ABC):
         total = running + self._final.value(states[:, -1], np.zeros_like(commands[:, 0]))
         return np.where(np.isfinite(total), total, np.inf)
 
-    def _rolled(self, z: np.ndarray, commands: np.ndarray, t: float) -> list[Plan]:
-        """Return the plans that m rows of commands make from a state, or from one for each."""
-        states, commands = self._steps.rollout(z, commands, limits=(self._low, self._high), time=t)
+    def _rolled(self, z: np.ndarray, commands: np.ndarray, t: float,
+                gains: np.ndarray | None = None, about: np.ndarray | None = None) -> list[Plan]:
+        """Return the plans of m rows of commands, with feedback, from a state or one for each."""
+        states, commands = self._steps.rollout(
+            z, commands, gains, about, (self._low, self._high), t)
         return [Plan(*parts) for parts in zip(
-            commands, states, self._costs(states, commands).tolist(), strict=True)]
+            commands, states, self._costs(states, commands).tolist(),
+            len(commands) * [None] if gains is None else gains, strict=True)]

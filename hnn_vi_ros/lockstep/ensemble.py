@@ -177,9 +177,7 @@ class LockstepEnsemble:
                 state, rows = state.of(chosen), rows[left]
             if steps in samples:
                 out[samples.index(steps)][:, rows] = state.z.cpu().numpy()
-        for k, steps in enumerate(samples):
-            if steps == 0:
-                out[k] = z.cpu().numpy()
+        out[[k for k, steps in enumerate(samples) if steps == 0]] = z.cpu().numpy()
         q_out, p_out = out.transpose(0, 2, 1)[..., :d], out.transpose(0, 2, 1)[..., d:]
         return Recorded(np.ascontiguousarray(q_out), np.ascontiguousarray(p_out), failures, counts)
 
