@@ -40,9 +40,9 @@ def local_error(simulation: Simulation) -> float:
     """
     if any(label.partition('_')[0] == 'thermostat' for label in simulation.works):
         return math.nan
-    h, start = simulation.step_size, simulation.snapshot()
+    h, start = simulation.step_size, simulation.row
     try:
-        once, twice = (np.concatenate(simulation.trial(start, h / parts, parts))
+        once, twice = (np.hstack(simulation.trial(start, h / parts, every=parts))
                        for parts in (1, 2))
     except StepFailure:
         return math.nan

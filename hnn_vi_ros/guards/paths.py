@@ -97,8 +97,9 @@ class PathGuard(BlockGuard):
         """Return the error over the length of the path, and the largest derivatives on it."""
         simulation, h, start = self._simulation, self._simulation.step_size, np.append(q, p)
         try:
-            path, better = (np.vstack([start, np.hstack(simulation.trial_path(
-                q, p, h / parts, _STEPS, parts))]) for parts in (1, 2))
+            row, = simulation.rows(start[None])
+            path, better = (np.vstack([start, np.hstack(simulation.trial(
+                row, h / parts, _STEPS, parts))]) for parts in (1, 2))
         except (StepFailure, RescuePending):
             # A step that fails in the run is told there.
             return 0.0, np.zeros(start.size)

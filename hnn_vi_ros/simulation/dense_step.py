@@ -74,7 +74,7 @@ class DenseStep:
     def __init__(self, simulation: 'Simulation', plain: bool, cuts: Callable[[], int]):
         self._simulation, self._plain, self.step = simulation, plain, simulation.steps
         rescued, uncut = simulation.rescued, cuts()
-        self._before, self._start = simulation.snapshot(), _look(simulation)
+        self._before, self._start = simulation.row, _look(simulation)
         simulation.advance(1)
         self._end, self._slopes, self._smooth = _look(simulation), None, cuts() == uncut
         stages = getattr(simulation.integrator, 'stages', 0)
@@ -84,12 +84,12 @@ class DenseStep:
         if (plain and isinstance(simulation.integrator, Gauss) and stages >= _STAGES
                 and simulation.rescued == rescued):
             # H_q and H_p at the stages, which the step leaves for the start of the next solve.
-            H_q, H_p = np.split(simulation.snapshot()['memory0.0.slopes'], 2)
+            H_q, H_p = np.split(simulation.state.named['memory0.0.slopes'], 2)
             self._slopes = np.hstack([H_p.reshape(stages, -1), -H_q.reshape(stages, -1)])
 
     def undo(self) -> None:
         """Put the simulation back to where it was before the step."""
-        self._simulation.restore(self._before)
+        self._simulation.put(self._before)
 
     @cached_property
     def _knots(self) -> tuple[np.ndarray, list[_Look]]:
@@ -170,7 +170,8 @@ class DenseStep:
         if self._plain and self.polynomial.order >= simulation.integrator.order:
             q, p = self.polynomial(theta)
             return q.reshape(simulation.q.shape), p.reshape(simulation.p.shape)
-        return simulation.trial(self._before, time)
+        q, p = simulation.trial(self._before, time)
+        return q[0], p[0]
 
     def outline(self, theta: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """

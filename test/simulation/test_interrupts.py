@@ -11,14 +11,13 @@ import sys
 from threading import Event, main_thread, Thread, Timer
 import time
 
-from hnn_vi_ros import simulation as stepping
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.processors import in_threads
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation import Simulation, simulation as stepping
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.events import watched
@@ -73,7 +72,7 @@ def ctrl_c(monkeypatch):
     lambda scene: simulate(scene, DURATION, times=[0.1, DURATION]),
     lambda scene: simulate_many(scene, *STATES, DURATION, threads=1),
     lambda scene: simulate_many(scene, *STATES, DURATION, threads=2),
-    lambda scene: (one := build(load_scene(scene))).trial(one.snapshot(), 1e-3, 10**14),
+    lambda scene: (one := build(load_scene(scene))).trial(one.row, 1e-3, every=10**14),
 ], ids=['samples', 'work', 'times', 'block', 'threads', 'trial'])
 def test_ctrl_c_ends_a_run_of_years(run, scene, ctrl_c):
     with pytest.raises(KeyboardInterrupt):
@@ -116,7 +115,7 @@ def test_ctrl_c_while_threads_compile_ends_those_who_wait(compiler):
 RUN = """
 import os, signal, sys
 from hnn_vi_ros.cli import main
-from hnn_vi_ros import simulation as stepping
+from hnn_vi_ros.simulation import simulation as stepping
 
 def press_ctrl_c():
     stepping.heed = lambda: None

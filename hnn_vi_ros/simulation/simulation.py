@@ -1,0 +1,646 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""A scene compiled into one kernel that advances the state by whole steps."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+import math
+from operator import itemgetter
+import time
+from typing import Any, NoReturn
+import warnings
+
+from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects.commands import Command, NUMBERS, Observation, whole_turns
+from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators.arithmetic import is_finite
+from hnn_vi_ros.integrators.base import (
+    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS, step_failure)
+from hnn_vi_ros.integrators.dense_output import DenseOutput
+from hnn_vi_ros.integrators.taylor import TaylorWork
+from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.processors import heed
+from hnn_vi_ros.simulation.assembly import advance, Loop
+from hnn_vi_ros.simulation.dense_step import DenseStep
+from hnn_vi_ros.simulation.following import follow_each, Law
+from hnn_vi_ros.simulation.rescue import Rescue
+from hnn_vi_ros.simulation.state import State
+from hnn_vi_ros.simulation.system import System
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+# Relative to a state: solutions that are further apart are not the same one, to round-off.
+_SAME, _FIRST = 1e-8, itemgetter(0)
+# Wall time that compiled code runs at a stretch [s]: signals are handled between two stretches,
+# whose calls cost some microseconds. One has at most so many times the steps of that before.
+_STRETCH, _GROWTH = 0.02, 16.0
+
+
+class RescuePending(Exception):
+    """Refusal of a step that fails while what takes such steps is still being compiled."""
+
+
+class Simulation:
+    """
+    A Hamiltonian, an integrator and a state that advances by whole steps.
+
+    Time is the count of steps times the step size, never a sum of floats. A failed step leaves
+    the last good state in place.
+
+    Parameters
+    ----------
+    hamiltonian : Hamiltonian
+        Of d degrees of freedom; d columns of q where some are rotations.
+    integrator : Integrator
+        The one-step map.
+    step_size : float
+        h > 0 [s].
+    q, p : sequence of float, shape (d,) or (m, d)
+        Initial state, or m initial states of trajectories that step together; p and all that
+        belongs to it have one column less for each rotation.
+    effects : sequence of Effect
+        Effects on the system in addition to H.
+    on_failure : str
+        Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``; see
+        Rescue.
+
+    Attributes
+    ----------
+    hamiltonian : Hamiltonian
+        H with the potentials among the effects.
+    effects : tuple of Effect
+        What acts beside H.
+    conservative, takes_commands : bool
+        Whether no effect does work, and whether one takes commands that are plain numbers.
+    command_size, command_names : int, sequence of str
+        How many numbers such a command has, and the names of the numbers, if they have names.
+    motors : Motors
+        The effects that take commands.
+    system : System
+        H with the effects and the method, as they are compiled.
+    steps : int
+        Steps taken since the initial state.
+    q, p : np.ndarray, shape (d,) or (m, d)
+        The state, in the shape of the initial one; copy it before the next ``advance``.
+    dH_dq, dH_dp : np.ndarray, of the shape of q
+        -p' and q' there: the gradient of H, less the forces that join it at the method's nodes.
+    rescued, several_solutions : int
+        Steps that were taken in parts, or by the implicit midpoint rule instead; and those where a
+        solver came to another solution than that which is connected to h = 0.
+    residual : float
+        Relative residual of the last implicit step [1].
+    gradients, usual_gradients : int
+        Gradients and Hessian-vector products evaluated in steps since the initial state, and how
+        many a step takes at most as a rule, 0 without a rule.
+    costliest : tuple of (int, int)
+        How many the costliest step took, and the number of steps at its end.
+    rescue_ready : bool
+        Whether a step that fails compiles what it needs where that is not there yet. Set to False
+        by who has ``compile_rescue`` run in another thread, which sets it to True at its end: such
+        a step raises RescuePending meanwhile, and all is as before the step.
+
+    Raises
+    ------
+    UnsupportedSystem
+        The integrator cannot integrate this Hamiltonian with these effects.
+    EffectError, ValueError
+        An effect, the step size or the state is not usable.
+    StepFailure
+        H has no finite gradient at the initial state.
+
+    """
+
+    def __init__(self, hamiltonian: Hamiltonian, integrator: Integrator, step_size: float,
+                 q: ArrayLike, p: ArrayLike, effects: Sequence[Effect] = (),
+                 on_failure: str = 'substep'):
+        if not (np.isfinite(step_size) and step_size > 0.0):
+            raise ValueError(f'step_size = {step_size} must be a positive number of seconds')
+        self.system = system = System(hamiltonian, effects, integrator)
+        self._kernel, self.step_size = system.kernel, float(step_size)
+        self.hamiltonian, self.integrator = system.hamiltonian, integrator
+        self._rescue, self.rescue_ready = Rescue(system, on_failure), True
+        # Keyed by the active method: a loop that may never be needed is compiled on first use.
+        self._loops = {0: Loop(advance, self._kernel, self._rescue.methods[0])}
+        self._most = 1  # steps at a stretch
+        self.effects = tuple(effects)
+        self.conservative, self.motors = system.conservative, system.motors
+        self.takes_commands = NUMBERS in self.motors.takes
+        self.command_names, self.command_size = self.motors.names, self.motors.size
+        timeout = min((getattr(effect, 'timeout', np.inf) for effect in effects
+                       if NUMBERS in getattr(effect, 'takes', ())), default=np.inf)
+        if timeout < self.step_size:
+            warnings.warn(f'external_force: a command acts in whole steps of {step_size:g} s, '
+                          f'longer than its timeout of {timeout:g} s; use a smaller step_size',
+                          stacklevel=2)
+        self.usual_gradients = system.integrator.usual_gradients
+        self._follow: Loop | None = None
+        self._most_followed = 1
+        if not self._kernel.compiled:
+            warnings.warn(
+                f'{type(hamiltonian).__name__} is not a tanh network of ours: its gradient comes '
+                'from plain Python or autograd in every step, which is slower', stacklevel=2)
+        self.restart(q, p)
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled."""
+        raise TypeError('a simulation cannot be copied: compiled code holds the addresses of its '
+                        'arrays; build another one, and give its restore() the snapshot() of this')
+
+    def _begin(self, n: int, step: int) -> None:
+        """Make room for a state of n unknowns, and count from a step on."""
+        self.steps, self.gradients, self.residual = step, 0, 0.0
+        self.rescued, self.several_solutions, self.costliest = 0, 0, (0, step)
+        self._z, self._z1 = Point.empty(n), Point.empty(n)
+        self._active, self._memories = 0, self._rescue.memories(n)
+        self.state = State(self._arrays(), self._z)
+        # Not the point's own: what a step finds there must not depend on when it was looked at.
+        self._dH_dq, self._dH_dp = np.empty((2, n))
+
+    def restart(self, q: ArrayLike, p: ArrayLike, stream: int = 0, step: int = 0,
+                held: dict[str, np.ndarray] | None = None) -> None:
+        """Restart at a step, or raise as the constructor; commands of a snapshot are held."""
+        q, p = self.system.check_state(q, p)
+        self.system.effect_state.reset(stream, step * self.step_size, held)
+        if held is None:
+            self.motors.begin()
+        self._begin(q.size // self.hamiltonian.dimension * self._kernel.dimension, step)
+        self._shape, self._momenta = q.shape, p.shape[-1]
+        self.q, self.p = self._state(self._z.q), self._state(self._z.p)[..., :self._momenta]
+        self.q[:], self.p[:] = q, p
+        self.dH_dq = self._state(self._dH_dq)
+        self.dH_dp = self._state(self._dH_dp)[..., :self._momenta]
+        self._evaluate_gradient()
+        if not is_finite(self._z):
+            raise StepFailure(REASONS[NOT_FINITE], 0.0, self.step_size, np.nan, 0,
+                              'start elsewhere: H has no finite gradient there')
+        self._update_gradient()
+        self._energy0 = self.energy
+
+    def take_numbers(self, hamiltonian: Hamiltonian, effects: Sequence[Effect]) -> bool:
+        """Have other numbers from the next ``restart`` on, or return False; see System."""
+        taken = self.system.take_numbers(hamiltonian, effects)
+        self.hamiltonian, self.motors = self.system.hamiltonian, self.system.motors
+        return taken
+
+    def check_state(self, q: ArrayLike, p: ArrayLike) -> None:
+        """Raise StateError if nothing can begin at a state."""
+        self.system.check_state(q, p)
+
+    def _state(self, array: np.ndarray) -> np.ndarray:
+        """Return the view of arrays of n unknowns, (..., n), without the channels of forces."""
+        before = array.shape[:-1]
+        view = array.reshape(*before, *self._shape[:-1], self._kernel.dimension)
+        return view[..., :self.hamiltonian.dimension]
+
+    def set_command(self, command: Command, limited: bool = True) -> None:
+        """Set forces, or what joints are to do, from now on, or raise ValueError and leave it."""
+        q = self.q.reshape(-1, self.hamiltonian.dimension)[0]
+        if isinstance(command, Observation) and self.system.turning.any():
+            command = self._at_nearest_turns(command, q + command.delay * self.dH_dp[:q.size])
+        self.motors.command(command, q, limited)
+        self._evaluate_gradient()
+        self._update_gradient()
+
+    def _at_nearest_turns(self, seen: Observation, q: np.ndarray) -> Observation:
+        """Return an observation with angles that turn over at the turns nearest to these."""
+        names = columns(self.hamiltonian.coordinates)[0]
+        own = [names.index(name) if name in names else -1 for name in seen.names]
+        turning = np.array([k >= 0 and self.system.turning[k] for k in own])
+        return seen._replace(position=seen.position - whole_turns(seen.position - q[own], turning))
+
+    @property
+    def connected(self) -> bool:
+        """Return whether, of several solutions, the one connected to h = 0 has to be chosen."""
+        return self.system.integrator.no_solution != '' and not self.hamiltonian.separable
+
+    @property
+    def energy(self) -> float:
+        """Return H(q, p) [J], summed over several trajectories."""
+        return sum(self.system.energies(self._z))
+
+    @property
+    def works(self) -> dict[str, float]:
+        """Return the work that each effect has done on the system since the initial state [J]."""
+        works = self.system.effect_state.work.sum(axis=1).tolist()
+        return dict(zip(self.system.labels, works, strict=True))
+
+    @property
+    def work(self) -> float:
+        """Return the work of all effects [J]."""
+        return float(self.system.effect_state.work.sum()) if self.system.labels else 0.0
+
+    @property
+    def energy_balance(self) -> float:
+        """Return H - H0 - W [J], which closes at the order of the method."""
+        return self.energy - self._energy0 - self.work
+
+    @property
+    def energies(self) -> tuple[float, float | None]:
+        """Return the energy and the modified energy, for little more than one of them costs."""
+        energy, more = self.energy, self.modification
+        return energy, None if more is None else energy + more
+
+    @property
+    def modification(self) -> float | None:
+        """Return the modified energy less the energy [J], None if none is known."""
+        if self.system.integrator is not self.integrator:
+            return None
+        value = self.integrator.modified_energy(
+            self.hamiltonian, self.step_size, self.q, self.p, 0.0, self.dH_dq, self.dH_dp)
+        return None if value is None else float(value.sum())
+
+    @property
+    def modified_energy(self) -> float | None:
+        """Return the energy that the integrator nearly conserves [J], None if none is known."""
+        return self.energies[1]
+
+    def snapshot(self) -> dict[str, np.ndarray]:
+        """Return copies of all that the next steps depend on, by name; see ``restore``."""
+        # 'way' and 'live': as the files of bags recorded so far have them.
+        counts = {'steps': self.steps, 'energy0': self._energy0, 'way': self._active}
+        return {name: np.array(value) for name, value in counts.items()} | {
+            name: array.copy() for name, array in self.state.named.items()}
+
+    def restore(self, snapshot: dict[str, np.ndarray]) -> None:
+        """Go back to a snapshot of such a simulation: the same steps will follow, bit by bit."""
+        self.put(self.state.row_of(snapshot))
+
+    @property
+    def row(self) -> np.ndarray:
+        """Return a snapshot as numbers one after another, shape (R,); see State."""
+        return self.state.row(self._energy0, self.steps, self._active)
+
+    def put(self, row: np.ndarray) -> None:
+        """Go back to a row of such a simulation: the same steps will follow, bit by bit."""
+        self._energy0, self.steps, self._active = float(row[0]), int(row[1]), max(int(row[2]), 0)
+        self.state.put(row)
+        if row[2] < 0.0:
+            self._evaluate_gradient()
+        self._update_gradient()
+
+    def rows(self, z: np.ndarray, time: ArrayLike = 0.0, step: ArrayLike = 0) -> np.ndarray:
+        """Return rows, (m, R), of states (q, p), (m, 2 d), before steps at times [s]."""
+        time = np.asarray(time) + np.asarray(step) * self.step_size
+        return self.state.fresh(z, self.hamiltonian.dimension, time, step)
+
+    def work_in(self, rows: np.ndarray) -> float:
+        """Return the work of all effects in rows [J]."""
+        first = 3 + 6 * self._kernel.dimension + 2
+        return float(rows[:, first:first + self.system.effect_state.work.size].sum())
+
+    def follow(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
+               law: Law | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of many states, each with commands of its own, in one compiled loop.
+
+        What comes of one row depends on no other, and equals the steps of a simulation that was
+        put there, bit by bit. This simulation is elsewhere afterwards.
+
+        Parameters
+        ----------
+        rows : np.ndarray, shape (m, R)
+            See ``row`` and ``rows``; afterwards where each ends, or before a step that fails.
+        commands : np.ndarray, shape (m, N, c) or (m, N, 0)
+            Of plain numbers, that do not expire; with 0 of them what a row holds acts on.
+        hold : int, optional
+            Steps that each command lasts.
+        law : Law, optional
+            Feedback that is added to the commands, which are changed, and their limits.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (m, N + 1, 2 d) and (m,)
+            States (q, p), NaN after a step that fails; and the steps taken.
+
+        """
+        rows_in, count, c = commands.shape
+        path = np.empty((rows_in, count + 1, 2 * self.hamiltonian.dimension))
+        taken = np.empty(rows_in, dtype=np.int64)
+        if self._follow is None:
+            self._follow = Loop(follow_each, self._kernel, self._rescue.methods[0])
+        law, first, steps = law or Law.none(c), 0, max(1, hold * count)
+        while first < rows_in:
+            part = slice(first, first + max(1, self._most_followed // steps))
+            begin, first = time.perf_counter(), part.stop
+            self._follow(self.step_size, hold, count, self._z, self._z1, self._memories[0],
+                         self.state.flat, rows[part], self.system.effect_state.command,
+                         self.system.places, law.of(part), commands[part], path[part],
+                         taken[part])
+            if first < rows_in:
+                seconds = time.perf_counter() - begin
+                self._most_followed = max(1, int(
+                    self._most_followed * min(_GROWTH, _STRETCH / seconds)))
+                heed()
+        return path, taken
+
+    def follow_on(self, rows: np.ndarray, commands: np.ndarray, hold: int = 1,
+                  strict: bool = True) -> np.ndarray:
+        """
+        Return the path of ``follow``, where steps that fail are taken by fallbacks.
+
+        One that none can take raises StepFailure, or if that is not strict the row is lost: it is
+        NaN, and so is its path from there on.
+        """
+        before = rows.copy()
+        path, taken = self.follow(rows, commands, hold)
+        for m in np.flatnonzero((taken < hold * commands.shape[1]) & ~np.isnan(before[:, 2])):
+            self.put(before[m])
+            path[m, 1:] = np.nan
+            try:
+                for n, command in enumerate(commands[m]):
+                    if command.size:
+                        self.set_command(command)
+                    self.advance(hold)
+                    path[m, n + 1, :self.q.size + self.p.size] = np.append(self.q, self.p)
+                rows[m] = self.row
+            except StepFailure:
+                if strict:
+                    raise
+                rows[m] = np.nan
+        return path
+
+    def trial(self, row: np.ndarray, step_size: float, samples: int = 1, every: int = 1
+              ) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take steps of another length from a row, and go back to where the simulation stands.
+
+        Parameters
+        ----------
+        row : np.ndarray, shape (R,)
+            Of this simulation; see ``row`` and ``rows``.
+        step_size : float
+            In place of h [s].
+        samples, every : int, optional
+            See ``record``.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (samples, d) or (samples, m, d)
+            q and p after each ``every`` steps.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite.
+
+        """
+        # Steps of another length are no guide to the start of this one's equations.
+        with self._elsewhere(self.state.without_counts(row)):
+            self.step_size = step_size
+            return self.record(samples, every)
+
+    def clock_trial(self, row: np.ndarray, elapsed: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return q and p at a time after a row [s], of a method whose steps are its own.
+
+        Those are of the same length as in a whole step of the clock, whatever the time.
+        """
+        with self._elsewhere(row) as own:
+            own.own_step[0], self.step_size = self.step_size, elapsed
+            self.advance(1)
+            return self.q.copy(), self.p.copy()
+
+    def own_states(self, row: np.ndarray) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """
+        Return the states in which a method's own steps end within a step of the clock.
+
+        Parameters
+        ----------
+        row : np.ndarray, shape (R,)
+            Of this simulation, at the start of the step.
+
+        Returns
+        -------
+        list of (float, np.ndarray, np.ndarray)
+            Time after that [s], q and p of shape (d,).
+
+        """
+        found: list[tuple[float, np.ndarray, np.ndarray]] = []
+        h, elapsed = self.step_size, 0.0
+        with self._elsewhere(row) as own:
+            ahead, n = own.kept, self._z.q.size
+            own.own_step[0] = h
+            while True:
+                lead = float(ahead.clock[1]) if ahead.count[0] else 0.0
+                end = elapsed + lead
+                if end >= h:
+                    return found
+                if end > 0.0:
+                    found.append((end, ahead.state.q[:n].copy(), ahead.state.p[:n].copy()))
+                # The shortest step of the clock for which one of the method's own is taken.
+                self.step_size = math.nextafter(lead, math.inf)
+                self.advance(1)
+                elapsed += self.step_size
+
+    @contextmanager
+    def _elsewhere(self, row: np.ndarray) -> Iterator[Any]:
+        """Go to a row, and back at the end; lend the workspace of steps that are its own."""
+        h, now, costs = self.step_size, self.row, self._costs()
+        self.put(row)
+        begin = self.steps
+        own = next((workspace for workspace in self._memories[self._active]
+                    if hasattr(workspace, 'own_step')), None)
+        try:
+            yield own
+        except StepFailure as failure:
+            failure.h = h
+            raise failure.dated(begin * h) from None
+        finally:
+            if own is not None:
+                own.own_step[0] = 0.0
+            self.step_size = h
+            self.put(now)
+            vars(self).update(costs)
+
+    def advance(self, n: int, until: float = math.inf) -> int:
+        """
+        Take n steps, or raise StepFailure; see ``record``.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        until : float, optional
+            What ``time.perf_counter`` returns when it is time to take no more [s].
+
+        Returns
+        -------
+        int
+            How many were taken: at least one of them.
+
+        """
+        before, (q, p) = self.steps, np.empty((2, 1, self._z.q.size))
+        self._take(n, q, p, until)
+        return self.steps - before
+
+    def dense_step(self) -> DenseStep:
+        """Take one step, and return it with the states inside of it, or raise StepFailure."""
+        return DenseStep(self, self.system.integrator is self.integrator
+                         and self._kernel.channels == 0 and not self.hamiltonian.rotations,
+                         lambda: self.system.cuts)
+
+    def series(self, state: np.ndarray) -> DenseOutput:
+        """Return the Taylor series through a step from (q, p), shape (2 d,), of such a method."""
+        work: TaylorWork = self._memories[0][0]
+        return work.path(self._kernel, self.step_size, state)
+
+    def record(self, samples: int, every: int) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Take samples times every steps.
+
+        Returns
+        -------
+        tuple of np.ndarray, shape (samples, d) or (samples, m, d)
+            q and p after each ``every`` steps.
+
+        Raises
+        ------
+        StepFailure
+            A step did not converge or is not finite; the state is that before the step.
+
+        """
+        q_out, p_out = np.empty((2, samples, self._z.q.size))
+        self._take(every, q_out, p_out)
+        return (np.ascontiguousarray(self._state(q_out)),
+                np.ascontiguousarray(self._state(p_out)[..., :self._momenta]))
+
+    @property
+    def time(self) -> float:
+        """Return the simulated time since the initial state [s]."""
+        return self.steps * self.step_size
+
+    def compile(self) -> float:  # noqa: A003
+        """Compile the kernel now, not in the first step; return the wall time it took [s]."""
+        start = time.perf_counter()
+        self._take(0, *np.empty((2, 0, self._z.q.size)))
+        return time.perf_counter() - start
+
+    def compile_rescue(self) -> None:
+        """Compile all that may take a step that fails, now; another thread may take steps."""
+        try:
+            n = self._z.q.size
+            for active, memory in enumerate(self._rescue.memories(n)):
+                self._loop(active).compile(
+                    self.step_size, 0, 1, Point.empty(n), Point.empty(n), memory,
+                    *np.empty((2, 1, n)), 1)
+            self._rescue.compile(self.step_size, n)
+        finally:
+            self.rescue_ready = True
+
+    def _loop(self, active: int) -> Loop:
+        """Return the loop over a method, the same each time."""
+        if active not in self._loops:
+            self._loops[active] = Loop(advance, self._kernel, self._rescue.methods[active])
+        return self._loops[active]
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return, by name, all arrays that the next steps depend on."""
+        groups: dict[str, Any] = {'point': self._z, 'live': self.system.effect_state} | {
+            f'memory{active}.{k}': workspace.kept for active, memory in enumerate(self._memories)
+            for k, workspace in enumerate(memory) if hasattr(workspace, 'kept')}
+        return {name: array for place, group in groups.items()
+                for name, array in arrays_of(place, group)}
+
+    def _evaluate_gradient(self) -> None:
+        self._kernel.gradient(
+            self._kernel.parameters, self._z.q, self._z.p, self._z.dH_dq, self._z.dH_dp)
+
+    def _update_gradient(self) -> None:
+        """Make the public gradient that of the state."""
+        if self._rescue.methods[self._active].keeps_gradient:
+            self._dH_dq[:], self._dH_dp[:] = self._z.dH_dq, self._z.dH_dp
+        else:
+            self._kernel.gradient(
+                self._kernel.parameters, self._z.q, self._z.p, self._dH_dq, self._dH_dp)
+
+    def _take(self, every: int, q_out: np.ndarray, p_out: np.ndarray, until: float = math.inf
+              ) -> None:
+        """Take the steps to the last sample, or to that in which the time comes, or raise."""
+        done, changed, last = 0, -1, len(q_out) * every
+        begun, before, costs = done, self.row, self._costs()
+        while True:
+            outcome, done, residual, spent = self._run(done, last, every, q_out, p_out)
+            if outcome != OK and not self.rescue_ready:
+                self._go_back(before, costs, done - begun)
+                raise RescuePending
+            if outcome == BEYOND and (self._active == 0 or done > changed):
+                self._change_method()
+                changed = done
+                continue
+            if outcome != OK:
+                failure = self._take_failed_step(outcome, residual, spent)
+                if failure is not None:
+                    # A replay knows only the steps that were taken: one that was not must leave
+                    # no trace in what the next ones start from.
+                    costs = self._costs()
+                    self._go_back(before, costs, done - begun)
+                    vars(self).update(costs)
+                    raise failure
+                done += 1
+                if done % every == 0:
+                    q_out[done // every - 1], p_out[done // every - 1] = self._z.q, self._z.p
+            if done >= last or time.perf_counter() >= until:
+                break
+            heed()
+            begun, before, costs = done, self.row, self._costs()
+        self._update_gradient()
+
+    def _run(self, done: int, last: int, every: int, q_out: np.ndarray, p_out: np.ndarray
+             ) -> tuple[int, int, float, int]:
+        """Take a stretch; return outcome, steps done, residual and gradients of the last step."""
+        begin, loop = time.perf_counter(), self._loop(self._active)
+        outcome, now, gradients, self.residual, spent, most, costliest = loop(
+            self.step_size, done, every, self._z, self._z1, self._memories[self._active],
+            q_out, p_out, min(last, done + self._most))
+        if now - done == self._most:
+            seconds = time.perf_counter() - begin
+            self._most = max(1, int(self._most * min(_GROWTH, _STRETCH / seconds)))
+        self.costliest = max(self.costliest, (most, self.steps + costliest + 1 - done), key=_FIRST)
+        self.steps, self.gradients = self.steps + now - done, self.gradients + gradients
+        self.rescued += (now - done) * (self._active != 0)
+        return outcome, now, self.residual, spent
+
+    def _costs(self) -> dict[str, Any]:
+        """Return what steps have cost, by its attribute."""
+        return {name: getattr(self, name) for name in (
+            'gradients', 'rescued', 'several_solutions', 'residual', 'costliest')}
+
+    def _go_back(self, row: np.ndarray, costs: dict[str, Any], done: int) -> None:
+        """Go to where the steps that were done end: what one that failed has left is gone."""
+        self.put(row)
+        vars(self).update(costs)
+        self._take(done, *np.empty((2, 1, self._z.q.size)))
+
+    def _change_method(self) -> None:
+        """Go on by the other method, from a state like an initial one."""
+        self._active = 1 - self._active
+        forget(self._memories[self._active])
+        self._evaluate_gradient()
+        self.gradients += 1
+
+    def _take_failed_step(self, outcome: int, residual: float, spent: int) -> StepFailure | None:
+        """Take one step by a fallback; return what came of the first one if none will do."""
+        z, z1 = self._z, self._z1
+        doubtful = np.append(z1.q, z1.p)
+        taken = self._rescue.take_step(
+            self._active, self.step_size, z, z1, self._memories[self._active])
+        if outcome == IN_DOUBT:
+            outcome, residual = taken.outcome, taken.residual
+            self.several_solutions += taken.ok and not (taken.rescued or np.allclose(
+                doubtful, np.append(z.q, z.p), _SAME, _SAME * abs(doubtful).max()))
+        self.gradients += taken.gradients
+        self.rescued += taken.rescued or (taken.ok and self._active != 0)
+        self.residual = self.residual if np.isnan(taken.residual) else taken.residual
+        spent += taken.gradients
+        if not taken.ok:
+            outcome = taken.outcome if taken.outcome == NO_SOLUTION else outcome
+            reason = self.system.reason(outcome)
+            if taken.given_up:
+                reason += f', given up after {taken.given_up} gradients in sub-steps'
+            return step_failure(outcome, self.time, self.step_size, residual, spent, reason)
+        self.steps += 1
+        self.costliest = max(self.costliest, (spent, self.steps), key=_FIRST)
+        return None

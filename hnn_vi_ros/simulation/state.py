@@ -1,0 +1,121 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""The state of a simulation: all that its next steps depend on, and a sample of it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hnn_vi_ros.integrators.base import Point
+import numpy as np
+from numpy.typing import ArrayLike
+
+# Before the numbers of the arrays come the energy at the start, the steps so far and which method
+# is active; -1: the first, and H' of the point is not known yet.
+HEAD = 3
+
+
+class State:
+    """
+    Arrays that the next steps depend on, by name, and as one row of R numbers.
+
+    A row holds the energy at the start, the steps so far, and which method is active (-1: the
+    first, and H' of the point is not known yet); then the arrays, in numbers of 64 bits, whatever
+    they are.
+
+    Parameters
+    ----------
+    named : mapping of str to np.ndarray
+        The arrays, of which that of the point is the first, as they are before the first step.
+    point : Point
+        The point among them.
+
+    """
+
+    def __init__(self, named: Mapping[str, np.ndarray], point: Point):
+        self.named = named
+        # The same memory.
+        self.flat = tuple(array.reshape(-1).view(np.float64) for array in named.values())
+        self._fresh = self.row(np.nan, 0, -1)
+        self._counts = HEAD + np.flatnonzero(np.concatenate([
+            np.full(part.size, name.endswith('.count'))
+            for name, part in zip(named, self.flat, strict=True)]))
+        self._n = point.q.size
+        # After the point comes the clock.
+        self._clock = HEAD + sum(array.size for array in point)
+
+    def row(self, energy0: float, steps: int, active: int) -> np.ndarray:
+        """Return all of it, shape (R,)."""
+        return np.concatenate([[energy0, steps, active], *self.flat])
+
+    def put(self, row: np.ndarray) -> None:
+        """Write the numbers of a row into the arrays."""
+        place = HEAD
+        for part in self.flat:
+            part[:] = row[place:place + part.size]
+            place += part.size
+
+    def row_of(self, snapshot: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the row of named arrays; see ``Simulation.snapshot``."""
+        head = [snapshot['energy0'], snapshot['steps'], snapshot['way']]
+        return np.concatenate([head, *(
+            np.ascontiguousarray(snapshot[name]).reshape(-1).view(np.float64)
+            for name in self.named)])
+
+    def fresh(self, z: np.ndarray, d: int, time: ArrayLike, step: ArrayLike) -> np.ndarray:
+        """Return rows, (m, R), of states (q, p), (m, 2 d), before steps at times [s]."""
+        rows = np.tile(self._fresh, (len(z), 1))
+        rows[:, 1], rows[:, HEAD:HEAD + d] = step, z[:, :d]
+        rows[:, HEAD + self._n:HEAD + self._n + d] = z[:, d:]
+        rows[:, self._clock] = time
+        return rows
+
+    def without_counts(self, row: np.ndarray) -> np.ndarray:
+        """Return a row of which no equation starts from earlier solutions."""
+        row = row.copy()
+        row[self._counts] = 0.0
+        return row
+
+
+@dataclass(frozen=True)
+class Sample:
+    """
+    The state after a whole number of steps, with the energies that belong to it.
+
+    Parameters
+    ----------
+    step : int
+        Steps since the start of the run.
+    stamp : int
+        Simulated time since the start of the run [ns].
+    q, p : np.ndarray, shape (d,)
+        Generalised coordinates and conjugate momenta.
+    dH_dq, dH_dp : np.ndarray, shape (d,)
+        -p' and q' at (q, p): minus the generalised force, and the velocity. Without forces they
+        are the gradient of H.
+    energy : float
+        H(q, p) [J].
+    modified_energy : float
+        The energy that the integrator nearly conserves [J]; NaN if none is known.
+    energy_error : float
+        (H - H0 - W) / |H0|, or H - H0 - W [J] where H0 is zero.
+    work : float
+        W that the scene's effects have done on the system since the start [J].
+    motors : np.ndarray, shape (d,), or None
+        The generalised forces that commands make [N] or [N m]; None for none.
+    spread : np.ndarray, shape (2 d,), or None
+        Half-widths of the bands around q, then p, of an ensemble; None for no members.
+
+    """
+
+    step: int
+    stamp: int
+    q: np.ndarray
+    p: np.ndarray
+    dH_dq: np.ndarray
+    dH_dp: np.ndarray
+    energy: float
+    modified_energy: float
+    energy_error: float
+    work: float = 0.0
+    motors: np.ndarray | None = None
+    spread: np.ndarray | None = None
