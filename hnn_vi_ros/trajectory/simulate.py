@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 import warnings
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.effects.commands import LARGEST
 from hnn_vi_ros.errors import optional, StepFailure
@@ -19,6 +18,7 @@ from hnn_vi_ros.guards.watch import energies_of, show_many, tell, tell_many, Wat
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.scene import load_scene, Parts, Scene
+from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
@@ -169,7 +169,7 @@ def changed_parts(scene: Scene | Parts | str | Path, step_size: float | None = N
                   effects: Sequence[Mapping[str, Any]] | None = None) -> Parts:
     """Return the parts of a resolved scene, with others where given; see ``simulate``."""
     own = scene.scene if isinstance(scene, Parts) else _scene(scene)
-    changed, _ = resolve(own.with_overrides(
+    changed = _resolved(own.with_overrides(
         step_size, integrator, _state(initial_state), _listed(effects)))
     return scene if isinstance(scene, Parts) and changed is own else changed.parts()
 
@@ -221,6 +221,15 @@ def record_one(simulation: Simulation, duration: float, every: int,
                       tuple(watch.alarms), tuple(
                           event for event in getattr(simulation, 'events', ())
                           if event.t <= t[-1]), work=work)
+
+
+def _resolved(scene: Scene) -> Scene:
+    """Return a scene that names its method and its step size."""
+    if not isinstance(scene.integrator, AutoChoice):
+        return scene
+    # Imported here: few scenes ask for a choice.
+    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    return resolve(scene)[0]
 
 
 def _scene(scene: Scene | str | Path) -> Scene:
@@ -349,7 +358,7 @@ def simulate_many(scene: Scene | str | Path, q: ArrayLike, p: ArrayLike, duratio
     check_count('samples', samples)
     if threads is not None:
         check_count('threads', threads)
-    scene, _ = resolve(_scene(scene))
+    scene = _resolved(_scene(scene))
     if scene.events:
         raise ValueError('simulate_many watches for no events: leave the events out of '
                          f'{scene.name}, or simulate one trajectory at a time')
