@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two pendulums on one another, driven by one motor through a belt."""
 
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -16,7 +16,7 @@ BELT = {'coordinates': [{'name': 'a', 'q_unit': 'rad'}, {'name': 'b', 'q_unit': 
         'data': {'kind': 'arrays'}, 'hidden': [8], 'family': FAMILY}
 
 
-def motion_by_a_belt(seed: int, seconds: float = 6.0) -> Run:
+def motion_by_a_belt(seed: int, seconds: float = 6.0) -> EvenMotion:
     """Return a motion under one motor, every 10 ms, with exact accelerations."""
     rng = np.random.default_rng(seed)
     sizes, phases = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
 from hnn_vi_ros.learning.fit.config import (
@@ -156,7 +156,8 @@ def step(machine: Machine, q: np.ndarray, v: np.ndarray, tau: np.ndarray, h: flo
     return q + h * v + h**2 / 6.0 * (a1 + a2 + a3), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
-def motions_of(case: str, data: Path) -> tuple[MachineConfig, list[Run], list[Run], str]:
+def motions_of(case: str, data: Path
+               ) -> tuple[MachineConfig, list[EvenMotion], list[EvenMotion], str]:
     """Return configuration, slow motions, fast motions and description of a case."""
     config = load_machine(find_config('dfki_double_pendulum'))
     names = [coordinate.name for coordinate in config.coordinates]
@@ -201,7 +202,7 @@ def measure(case: str, model: str, seed: int, data: Path) -> dict[str, Any]:
             'minutes': (time.process_time() - begin) / 60.0}
 
 
-def _judged(predict: Predict, test: Sequence[Run]) -> dict[str, Any]:
+def _judged(predict: Predict, test: Sequence[EvenMotion]) -> dict[str, Any]:
     found = score(predict, test, [0.1, 0.5], _EVERY, _LONGEST)
     return {'rms': {f'{horizon:g}': rms.tolist() for horizon, rms in found.horizons.items()},
             'followed': found.valid_prediction_time}

@@ -17,7 +17,7 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.scene_numbers.fit import fit
 from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
 from hnn_vi_ros.learning.scene_numbers.intervals import (
@@ -92,7 +92,8 @@ def measured(kind: str, values: np.ndarray, noise: float, random: np.random.Gene
     return values + noise * NOISES[kind](random, (_BEFORE + before, *rest))[_BEFORE:]
 
 
-def synthetic_log(case: Case, kind: str, random: np.random.Generator) -> tuple[Run, np.ndarray]:
+def synthetic_log(case: Case, kind: str, random: np.random.Generator
+                  ) -> tuple[EvenMotion, np.ndarray]:
     """Return a log of a scene from an initial state that chance chooses, and that state."""
     scene = load_scene(case.scene)
     q, p = np.array(scene.initial_state.q), scene.initial_state.p
@@ -117,7 +118,7 @@ def held(case: Case, kind: str, logs: int, seed: int) -> Iterator[tuple[bool, ..
             truth = np.array([number.start for number in true.numbers])
             off = truth * (1.0 + _OFF * random.uniform(-1.0, 1.0, truth.size))
             free = true.starting_at(off)
-            solution, problem, _ = fit(free, [motion], True, case.duration, False)
+            solution, problem, _ = fit(free, [motion], case.duration, False)
             found = estimates_of(solution, problem, free, coordinates, True).estimates
         yield tuple(one.low is not None and one.high is not None and one.low <= value <= one.high
                     for one, value in zip(found, [*truth, *start], strict=True))

@@ -14,7 +14,7 @@ import time
 
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
-from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
 from hnn_vi_ros.learning.scene_numbers.fit import fit
@@ -138,7 +138,7 @@ def scene_of(case: Case, folder: Path, speed: float) -> Scene:
     return load_scene(folder / 'scene.yaml')
 
 
-def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[Run], list[Run]]:
+def motions_of(case: Case, data: Path, folder: Path) -> tuple[list[EvenMotion], list[EvenMotion]]:
     """Return the motions to fit and the motions to test with."""
     file, names = data / case.file, [link.joint for link in case.links]
     if case.relative:
@@ -162,12 +162,12 @@ def _steps(angles: np.ndarray) -> np.ndarray:
     return np.diff(angles, axis=-1, prepend=0.0)
 
 
-def predicted(scene: Scene, case: Case, test: Sequence[Run]) -> Predict:
+def predicted(scene: Scene, case: Case, test: Sequence[EvenMotion]) -> Predict:
     """Return the predictions of a scene; angles are absolute if those of the case are."""
     hamiltonian, integrator = scene.create_hamiltonian(), scene.create_integrator()
     effects, variance = scene.create_effects(), variance_of(test)
 
-    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         simulation = simulation_of(hamiltonian, integrator, effects, [motion],
                                    scene.known_step_size)
         own = simulated(simulation, motion.spacing, _FOREVER, variance)
@@ -189,7 +189,7 @@ def main(argv: Sequence[str]) -> None:
         train, test = motions_of(case, options.data, folder)
         free = free_scene(scene.parts(), case.free, {}, folder, bool(case.data['tau']))
         start = time.process_time()
-        solution, problem, stages = fit(free, train, True, options.horizon or case.horizon,
+        solution, problem, stages = fit(free, train, options.horizon or case.horizon,
                                         options.robust)
         seconds = time.process_time() - start
         estimates = estimates_of(solution, problem, free, (), False)

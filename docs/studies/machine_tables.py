@@ -15,7 +15,7 @@ from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
@@ -45,14 +45,14 @@ RUNS = 'machine_runs.json'
 
 # Values by the name of the measure; of several coordinates, one each.
 Measures = dict[str, list[float]]
-Measure = Callable[[Predict, Sequence[Run], Path], Measures]
+Measure = Callable[[Predict, Sequence[EvenMotion], Path], Measures]
 
 
 class CaseMotions(NamedTuple):
     """Training motions, test motions, and their description."""
 
-    train: list[Run]
-    test: list[Run]
+    train: list[EvenMotion]
+    test: list[EvenMotion]
     description: str
 
 
@@ -95,7 +95,7 @@ class Case:
     longer: bool = False
 
 
-def valid_times(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
+def valid_times(predict: Predict, test: Sequence[EvenMotion], folder: Path) -> Measures:
     """Return the valid prediction time of each letter [s], as published."""
     variance = variance_of(test)
     times = []
@@ -109,7 +109,7 @@ def valid_times(predict: Predict, test: Sequence[Run], folder: Path) -> Measures
             'valid prediction time [s], e, q and v': [float(np.mean(times))]}
 
 
-def dfki_errors(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
+def dfki_errors(predict: Predict, test: Sequence[EvenMotion], folder: Path) -> Measures:
     """Return errors at the end of horizons, on the test runs and on runs of later."""
     found = score(predict, test, [0.1, 0.5], _EVERY, 0.5).horizons
     measures = {f'RMS error [rad] after {horizon:g} s, test': found[horizon].tolist()
@@ -127,7 +127,7 @@ def dfki_errors(predict: Predict, test: Sequence[Run], folder: Path) -> Measures
     return measures
 
 
-def multiarm_errors(predict: Predict, test: Sequence[Run], folder: Path) -> Measures:
+def multiarm_errors(predict: Predict, test: Sequence[EvenMotion], folder: Path) -> Measures:
     """
     Return errors over the first seconds of each segment, the mean over all segments.
 
@@ -320,8 +320,8 @@ def run_case(case: Case, model: str, motions: CaseMotions, data: Path, seed: int
         return case.measure(predicted(case, file, checkpoint, *motions[:2]), motions.test, data)
 
 
-def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[Run],
-              test: Sequence[Run]) -> Predict:
+def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[EvenMotion],
+              test: Sequence[EvenMotion]) -> Predict:
     """Return the predictions of a saved model, simulated as in a scene."""
     names = [coordinate.name for coordinate in checkpoint.card.coordinates]
     driven = any(motion.tau.any() for motion in train)
@@ -329,7 +329,7 @@ def predicted(case: Case, model: Path, checkpoint: Checkpoint, train: Sequence[R
         [ExternalForce(names, timeout=_FOREVER)] if driven else [])]
     hamiltonian, variance = MechanicalHamiltonian(checkpoint), variance_of(test)
 
-    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion],
                                    motion.spacing / case.steps)
         return simulated(simulation, motion.spacing, _FOREVER, variance)(motion, starts, count)

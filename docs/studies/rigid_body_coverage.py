@@ -18,7 +18,7 @@ import time
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identify
@@ -37,7 +37,7 @@ _NOISE, _MEMORY = 0.02, 5
 _DATA = {'kind': 'excitation', 'runs': 2, 'duration': 10.0, 'interval': 0.01}
 
 
-def noisy(motion: Run, random: np.random.Generator) -> Run:
+def noisy(motion: EvenMotion, random: np.random.Generator) -> EvenMotion:
     """Return a motion whose forces have noise that decays by 1/e in _MEMORY samples."""
     keep = np.exp(-1.0 / _MEMORY)
     white = random.normal(size=(len(motion.t) + 20 * _MEMORY, motion.tau.shape[1]))

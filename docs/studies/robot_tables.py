@@ -17,7 +17,7 @@ from typing import Any
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.learning.data.arrays import Archive
-from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -76,20 +76,20 @@ class Robot:
 
     file: str
     settings: dict[str, Any]
-    measure: Callable[[MechanicalNetwork, MachineConfig, list[Run], list[Run], Path],
+    measure: Callable[[MechanicalNetwork, MachineConfig, list[EvenMotion], list[EvenMotion], Path],
                       Measures]
     chosen_by: str
     references: Measures
 
 
-def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
-            test: list[Run], data: Path) -> Measures:
+def _forces(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMotion],
+            test: list[EvenMotion], data: Path) -> Measures:
     """Return the squared error of the force of each joint over its variance."""
     return {_FORCES: force_errors(network, test)[0]}
 
 
-def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
-           test: list[Run], data: Path) -> Measures:
+def _paths(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMotion],
+           test: list[EvenMotion], data: Path) -> Measures:
     """Return errors of free simulations, as of the other models of this machine."""
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:
@@ -188,7 +188,7 @@ def measure(name: str, model: str, use: str, data: Path, ur10: Path | None) -> M
 
 
 def read_robot(robot: Robot, residual: list[str], urdf: Path, file: Path, folder: Path
-               ) -> tuple[MachineConfig, list[Run]]:
+               ) -> tuple[MachineConfig, list[EvenMotion]]:
     """Return the configuration of a robot and its motions; the UR10's in two runs."""
     settings = dict(robot.settings)
     if not settings['data'].get('test_runs'):
@@ -218,17 +218,17 @@ def _joints(urdf: Path) -> Any:
     return RigidBodyTree(str(urdf)).joints
 
 
-def _choice(train: list[Run]) -> tuple[list[Run], list[Run]]:
+def _choice(train: list[EvenMotion]) -> tuple[list[EvenMotion], list[EvenMotion]]:
     """Split the training data: the last quarter of each run selects the model."""
-    from hnn_vi_ros.learning.data.runs import part_of
+    from hnn_vi_ros.learning.data.motions import part_of
     ends = [round((1.0 - _CHOICE) * len(motion.t)) for motion in train]
     pairs = list(zip(train, ends, strict=True))
     return ([part_of(motion, slice(None, end)) for motion, end in pairs],
             [part_of(motion, slice(end + _GAP, None)) for motion, end in pairs])
 
 
-def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[Run],
-                 test: list[Run]) -> list[float]:
+def _short_error(network: MechanicalNetwork, config: MachineConfig, train: list[EvenMotion],
+                 test: list[EvenMotion]) -> list[float]:
     from hnn_vi_ros.learning.judging.evaluation import score
     checkpoint = describe(network, config, train, '', {}, 'robot', '')
     with tempfile.TemporaryDirectory() as folder:

@@ -11,7 +11,7 @@ from hnn_vi_ros.effects.joint_friction import JointFriction
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.judging.evaluation import Predict, variance_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
@@ -95,7 +95,7 @@ def _run(simulation: Simulation, rng: np.random.Generator) -> dict[str, np.ndarr
             'tau': _TAU_STEP * np.round(torques(at) / _TAU_STEP)}
 
 
-def followed_times(predict: Predict, test: Sequence[Run], folder: Path
+def followed_times(predict: Predict, test: Sequence[EvenMotion], folder: Path
                    ) -> dict[str, list[float]]:
     """
     Return the mean and the smallest valid prediction time of runs [s].

@@ -15,7 +15,7 @@ from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.companions.members import Accompanied
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import Observation
-from hnn_vi_ros.learning.data.runs import Run, train_and_test
+from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.learning.judging.evaluation import (
@@ -38,7 +38,7 @@ def observing(scene: Scene, names: Sequence[str], spacing: float, variance: np.n
         *(effect.model_dump() for effect in scene.effects), observer]})
 
 
-def replay(twin: Twin, simulation: Accompanied, motion: Run, q: np.ndarray, v: np.ndarray
+def replay(twin: Twin, simulation: Accompanied, motion: EvenMotion, q: np.ndarray, v: np.ndarray
            ) -> list[float]:
     """Return the valid prediction times [s] of a twin that observes q and v along a motion."""
     steps = round(motion.spacing / simulation.step_size)

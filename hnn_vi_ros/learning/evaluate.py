@@ -20,7 +20,7 @@ from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bags import BagMotions
-from hnn_vi_ros.learning.data.runs import delayed, Run, RunData, train_and_test
+from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, MotionData, train_and_test
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
 from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
@@ -134,7 +134,7 @@ def _check_options(arguments: Namespace) -> None:
             check_new(f'--{option}', path)
 
 
-def _whole(errors: Sequence[np.ndarray], motions: Sequence[Run], names: Sequence[str],
+def _whole(errors: Sequence[np.ndarray], motions: Sequence[EvenMotion], names: Sequence[str],
            first: int) -> str:
     """Return the errors over whole runs as a Markdown table."""
     lines = [f'Simulated once, from sample {first} of each run to its end:', '',
@@ -161,7 +161,7 @@ def _write(arguments: Namespace, numbers: dict[str, Any], text: str, fans: Seque
 
 
 def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
-                effects: Sequence[Effect], motions: Sequence[Run], step_size: float | None
+                effects: Sequence[Effect], motions: Sequence[EvenMotion], step_size: float | None
                 ) -> Simulation:
     """Return the simulation of the command line, or raise DataError."""
     try:
@@ -185,7 +185,7 @@ def _left_out(effects: Sequence[Effect]) -> str:
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
-             ) -> tuple[list[Run], str, RunData]:
+             ) -> tuple[list[EvenMotion], str, MotionData]:
     """Return measured motions, read as the options or a configuration say; what these say."""
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
@@ -200,7 +200,7 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
                                  'out')
         if isinstance(config, FieldConfig):
             _check_format(arguments, config.data)
-            runs = RunData.model_validate(changes)
+            runs = MotionData.model_validate(changes)
             return *motions_of(make_dataset(config.data, config.seed, source, given), runs), runs
         if isinstance(config, BodyConfig):
             raise DataError(f'{source}: its data are motions of a body that turns, and '

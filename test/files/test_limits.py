@@ -39,12 +39,12 @@ except HnnViRosError as problem:
 print(peak() - before, file=sys.stderr)
 """
 LOG = """\
-from hnn_vi_ros.learning.data.text import MeasuredData, read_measured_log
+from hnn_vi_ros.learning.data.text import MeasuredData, read_text
 data = MeasuredData(kind='measured', columns=['t', 'q', 'p', 'v', 'f'], time='t', q=['q'],
                     p=['p'], dq_dt=['v'], dp_dt=['f'])
 """
 MOTIONS = """\
-from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.text import LogMotions, read_text
 data = LogMotions(columns=['t', 'q'], time='t', q=['q'])
 """
 AXIS = """\
@@ -58,8 +58,8 @@ simulation = build(load_scene('exact_pendulum'))
 """
 READERS = {
     'arrays': ('from hnn_vi_ros.learning.data.arrays import Archive', 'Archive(path)'),
-    'log': (LOG, 'read_measured_log(path, data)'),
-    'motions': (MOTIONS, 'read_log_motions(path, data)'),
+    'log': (LOG, 'read_text(path, data)'),
+    'motions': (MOTIONS, 'read_text(path, data)'),
     'axis': (AXIS, "file_axis(path, 'axis')"),
     'posterior': ('from hnn_vi_ros.sweeps.axes import read_posterior',
                   "read_posterior(path, 'posterior')"),

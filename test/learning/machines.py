@@ -5,7 +5,8 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning.data.sources import MotionSource, read_motions
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import describe
@@ -14,6 +15,11 @@ from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 import torch
+
+
+def from_file(path: Path | str, data: MotionSource, d: int = 2) -> tuple[list[EvenMotion], str]:
+    """Return the motions of d coordinates in a file, and what is told of them."""
+    return read_motions(Path(), data, d * ['q'], [str(path)])
 
 
 def driven(simulation: Simulation, tau: np.ndarray, steps: int = 1
@@ -47,7 +53,7 @@ def shaken(network: MechanicalNetwork) -> MechanicalNetwork:
     return network
 
 
-def compiled(network: MechanicalNetwork, motions: Sequence[Run], folder: Path,
+def compiled(network: MechanicalNetwork, motions: Sequence[EvenMotion], folder: Path,
              **family: object) -> tuple[MechanicalHamiltonian, str]:
     """Return what simulates a network of coordinates x0, x1, ..., and its file."""
     config = MachineConfig.model_validate({

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from bag_files import ARRAY, array, JOINTS, Message, state, write
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.bags import (
-    BagData, BagMotions, BLOCKS, read_bag_motions, read_bags)
+from hnn_vi_ros.learning.data.bags import BagData, BagMotions, BLOCKS
+from hnn_vi_ros.learning.data.dataset import Dataset
+from hnn_vi_ros.learning.data.sources import make_dataset, read_motions
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.neural import NeuralHamiltonian
@@ -32,6 +33,10 @@ DERIVATIVES = {'kind': 'savitzky_golay', 'window': 0.09, 'degree': 4}
 def bag(**changes) -> BagData:
     return BagData.model_validate({
         'kind': 'bag', 'joints': ['swing'], 'derivatives': DERIVATIVES, **changes})
+
+
+def dataset(paths: list[Path], data: BagData) -> Dataset:
+    return make_dataset(data, 0, Path(), paths)
 
 
 def joints(t: np.ndarray, velocity: bool = True, topic: str = '/joint_states',
@@ -61,18 +66,18 @@ TOLERANCE = 1e-3
 
 def test_joint_states_and_a_mass_give_momenta_and_rates(tmp_path):
     path = write(tmp_path / 'a.mcap', joints(T))
-    data = read_bags([path], bag(mass=[MASS]))
+    data = dataset([path], bag(mass=[MASS]))
     assert_oscillates(shifted(data, T[0]), TOLERANCE)
-    assert 'a.mcap (480 rows, sha256 ' in data.description
+    assert 'a (480 samples, sha256 ' in data.description
     assert len(np.unique(data.block)) == BLOCKS
     assert (data.trajectory == 0).all()
 
 
 def test_velocities_that_are_not_recorded_are_estimated(tmp_path):
-    recorded = read_bags([write(tmp_path / 'a.mcap', joints(T))], bag(mass=[MASS]))
+    recorded = dataset([write(tmp_path / 'a.mcap', joints(T))], bag(mass=[MASS]))
     for more in ({}, {'estimate_velocity': True}):
         path = write(tmp_path / f'b{len(more)}.mcap', joints(T, velocity=bool(more)))
-        estimated = read_bags([path], bag(mass=[MASS], **more))
+        estimated = dataset([path], bag(mass=[MASS], **more))
         assert_oscillates(shifted(estimated, T[0]), 10.0 * TOLERANCE)
         assert not np.array_equal(estimated.dq_dt, recorded.dq_dt)
 
@@ -84,7 +89,7 @@ def test_arrays_at_other_times_are_brought_to_common_even_ones(tmp_path):
         *array(uneven, np.stack([uneven, np.sin(OMEGA * uneven)], axis=-1), '/robot/q'),
         *array(other, np.stack([other, MASS * OMEGA * np.cos(OMEGA * other)], axis=-1),
                '/robot/p')])
-    data = read_bags([path], bag(q='q', p='/robot/p', columns=[1], spacing=0.01))
+    data = dataset([path], bag(q='q', p='/robot/p', columns=[1], spacing=0.01))
     assert np.allclose(np.diff(data.t), 0.01, rtol=1e-9)
     # 0.1 s less than ten rows from the first message of q.
     assert_oscillates(shifted(data, uneven[0]), TOLERANCE)
@@ -96,14 +101,14 @@ def test_stamps_of_headers_count_unless_the_log_is_asked_for(tmp_path):
     late = [(topic, kind, time + late, data) for (topic, kind, time, data), late
             in zip(joints(T), jitter, strict=True)]
     path = write(tmp_path / 'a.mcap', late)
-    assert_oscillates(shifted(read_bags([path], bag(mass=[MASS])), T[0]), TOLERANCE)
-    by_log = read_bags([path], bag(mass=[MASS], stamps='log'))
+    assert_oscillates(shifted(dataset([path], bag(mass=[MASS])), T[0]), TOLERANCE)
+    by_log = dataset([path], bag(mass=[MASS], stamps='log'))
     assert np.abs(by_log.t[0] - T[10]) > 1e-4
 
 
 def test_a_gap_begins_a_new_trajectory(tmp_path):
     path = write(tmp_path / 'a.mcap', joints(np.concatenate([T, T + 10.0])))
-    data = read_bags([path], bag())
+    data = dataset([path], bag())
     assert [int(np.sum(data.trajectory == i)) for i in range(2)] == [480, 480]
     assert set(data.block[data.trajectory == 0]).isdisjoint(data.block[data.trajectory == 1])
     assert np.abs(data.dp_dt).max() < 1.01 * OMEGA**2
@@ -114,7 +119,7 @@ def test_nothing_is_made_up_where_one_topic_has_a_gap(tmp_path):
     path = write(tmp_path / 'a.mcap', sorted([
         *joints(T), *array(some, MASS * OMEGA * np.cos(OMEGA * some), '/p')],
         key=lambda message: message[2]))
-    data = shifted(read_bags([path], bag(p='p')), T[0])
+    data = shifted(dataset([path], bag(p='p')), T[0])
     assert not ((data.t > 1.5) & (data.t < 3.0)).any()
     assert set(data.trajectory) == {0, 1}
     assert_oscillates(data, TOLERANCE)
@@ -122,13 +127,13 @@ def test_nothing_is_made_up_where_one_topic_has_a_gap(tmp_path):
 
 def test_several_bags_are_joined_and_split_by_blocks_of_time(tmp_path):
     paths = [write(tmp_path / f'{i}.mcap', joints(T, amplitude=1.0 + i)) for i in range(2)]
-    data = read_bags(paths, bag(block=0.5))
+    data = dataset(paths, bag(block=0.5))
     assert len(data.q) == 960 and set(data.trajectory) == {0, 1}
     assert len(np.unique(data.block)) == 20
     train, validation = data.split(0.2, seed=3)
     assert len(np.unique(validation.block)) == 4
     assert set(train.block).isdisjoint(validation.block)
-    assert '0.mcap (480 rows' in data.description and '1.mcap (480 rows' in data.description
+    assert data.description.startswith('0, 1 (960 samples')
 
 
 def test_rosbag2_folder_by_another_writer_is_read(tmp_path):
@@ -142,28 +147,28 @@ def test_rosbag2_folder_by_another_writer_is_read(tmp_path):
             numbers = np.sin(OMEGA * time), OMEGA * np.cos(OMEGA * time)
             message = kind(header, ['swing'], *[np.array([x]) for x in numbers], np.empty(0))
             writer.write(connection, round(time * 1e9), store.serialize_cdr(message, JOINTS))
-    ours = read_bags([write(tmp_path / 'a.mcap', joints(T))], bag(stamps='log'))
-    assert np.array_equal(read_bags([tmp_path / 'bag'], bag(stamps='log')).q, ours.q)
+    ours = dataset([write(tmp_path / 'a.mcap', joints(T))], bag(stamps='log'))
+    assert np.array_equal(dataset([tmp_path / 'bag'], bag(stamps='log')).q, ours.q)
 
 
 def test_whole_name_of_a_topic_is_preferred_to_the_end_of_another(tmp_path):
     both = [*joints(T), *joints(T, topic='/b/joint_states', amplitude=2.0)]
     path = write(tmp_path / 'a.mcap', sorted(both, key=lambda message: message[2]))
-    assert np.abs(read_bags([path], bag(q='joint_states')).q).max() <= 1.0
-    assert np.abs(read_bags([path], bag(q='b/joint_states')).q).max() > 1.5
+    assert np.abs(dataset([path], bag(q='joint_states')).q).max() <= 1.0
+    assert np.abs(dataset([path], bag(q='b/joint_states')).q).max() > 1.5
 
 
 def test_messages_without_the_joint_are_passed_over(tmp_path):
     foreign = [state(time + 0.005, ['gripper'], [1.0]) for time in T]
     path = write(tmp_path / 'a.mcap', [*foreign, *joints(T)])
-    alone = read_bags([write(tmp_path / 'b.mcap', joints(T))], bag())
-    assert np.array_equal(read_bags([path], bag()).q, alone.q)
+    alone = dataset([write(tmp_path / 'b.mcap', joints(T))], bag())
+    assert np.array_equal(dataset([path], bag()).q, alone.q)
 
 
 def test_commands_hold_until_the_next(tmp_path):
     path = write(tmp_path / 'a.mcap', [
         *joints(T), *array(np.array([2.0, 3.0]), np.array([[1.0, 5.0], [2.0, 6.0]]), '/commands')])
-    data = read_bags([path], bag(commands='commands', stamps='log'))
+    data = dataset([path], bag(commands='commands', stamps='log'))
     t = data.t + T[0]
     assert np.array_equal(data.commands[t < 1.995], np.zeros((np.sum(t < 1.995), 2)))
     assert (data.commands[(t > 2.005) & (t < 2.995)] == [1.0, 5.0]).all()
@@ -180,27 +185,27 @@ def assert_exact(data, scene, tolerance: float) -> None:
 def test_bag_of_the_simulator_holds_exact_states_even_when_unfinished(tmp_path, close):
     scene = load_scene('exact_double_pendulum')
     path = record_run(tmp_path / 'bag', scene, 300, close=close)
-    data = read_bags([path], bag(
+    data = dataset([path], bag(
         joints=['angle1', 'angle2'], p='p', dp_dt='state', derivatives=None))
     assert_exact(data, scene, 1e-12)
     assert len(data.q) == 280
 
 
 @pytest.mark.parametrize('begin', [None, 0])
-def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_path, begin, caplog):
+def test_force_of_a_command_that_is_not_in_the_bag_is_not_taken_for_none(tmp_path, begin):
     scene = load_scene('exact_pendulum').with_overrides(0.01, 'implicit_midpoint', effects=[
         {'kind': 'external_force', 'coordinates': ['angle'], 'timeout': 10.0}])
     path = record_run(tmp_path / 'bag', scene, 200,
                       commands={0: [[0.5]], 100: [[-0.5]]}, begin=begin)
-    data = read_bags([path], bag(joints=['angle'], commands='commands', stamps='log'))
+    data = dataset([path], bag(joints=['angle'], commands='commands', stamps='log'))
     # Of the rows that are left at each end as margins nothing is asked.
     assert set(np.unique(data.commands)) == ({0.5, -0.5} if begin is None else {-0.5})
-    assert caplog.text.count('is left out') == (begin == 0)
-    motions, told = read_bag_motions([path], BagMotions(), ['angle'])
+    motions, told = read_motions(Path(), BagMotions(), ['angle'], [path])
     assert set(np.unique(np.concatenate([motion.tau for motion in motions]))) == (
         {0.5, -0.5} if begin is None else {-0.5})
     # Samples at steps 1 to 99.
-    assert ('an unknown force for 99 samples' in told) == (begin == 0)
+    for description in (data.description, told):
+        assert ('an unknown force for 99 samples' in description) == (begin == 0)
 
 
 def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_recorders(tmp_path):
@@ -210,12 +215,12 @@ def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_r
     # Each of these jitters would spoil a pairing by the times of reception.
     for path in (own, *(as_received(own, tmp_path / f'{jitter}.mcap', jitter=jitter)
                         for jitter in (0.0004, 0.004, 0.04))):
-        data = read_bags([path], config)
+        data = dataset([path], config)
         assert len(data.q) == 280
         assert_exact(data, scene, 1e-12)
     for without, other in ((['joint_states'], config), (['p', 'energy'], bag(
             joints=['angle1', 'angle2'], p='state', dp_dt='state', derivatives=None))):
-        data = read_bags([as_received(own, tmp_path / 'a.mcap', without=without)], other)
+        data = dataset([as_received(own, tmp_path / 'a.mcap', without=without)], other)
         # Estimated velocities: of some rad/s, whose rates change within a tenth of a second.
         assert_exact(data, scene, 0.1 if without == ['joint_states'] else 1e-12)
 
@@ -225,13 +230,13 @@ def test_state_of_the_simulator_is_preferred_in_its_bags_and_in_those_of_other_r
 def test_stamped_and_unstamped_topics_that_disagree_in_time_are_an_error(tmp_path, changes):
     own = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 300)
     config = bag(joints=['angle'], derivatives=None, **changes)
-    assert len(read_bags([own], config).q) == 280
+    assert len(dataset([own], config).q) == 280
     for jitter in (0.0005, 0.01):
         path = as_received(own, tmp_path / f'{jitter}.mcap', jitter=jitter)
         with refused(DataError):
-            read_bags([path], config)
+            dataset([path], config)
     # Who says so takes them as they are.
-    assert len(read_bags([path], config.model_copy(update={'stamps': 'log'})).q) > 100
+    assert len(dataset([path], config.model_copy(update={'stamps': 'log'})).q) > 100
 
 
 EMPTY = Float64MultiArray()
@@ -242,14 +247,14 @@ EMPTY = Float64MultiArray()
     ([*joints(T, topic='/a/joint_states'), *joints(T, topic='/b/joint_states')], {}),
     (joints(T), {'joints': ['knee']}), (joints(T), {'p': 'joint_states'}),
     ([('/q', 'std_msgs/msg/Float64', t, serialize_message(Float64())) for t in T], {'q': 'q'}),
-    (joints(np.concatenate([T, T])), {'stamps': 'header'}),
+    (joints(np.concatenate([T, T])), {'on_bad': 'fail'}),
     (joints(T[::-1] * 0.0 + 1.0), {'stamps': 'log'}),
     (array(T, np.where(T > 2.0, np.nan, T), '/q'), {'q': 'q'}),
     (array(T, np.stack([T, T], axis=-1), '/q'), {'q': 'q'}),
     (array(T, T, '/q'), {'q': 'q', 'columns': [1]}),
     (array(T, T, '/q'), {'q': 'q', 'stamps': 'header'}),
     (joints(T, velocity=False), {'velocity': 'joint_states'}), (joints(T[:20]), {}),
-    (joints(T[:40]), {'derivatives': {'kind': 'savitzky_golay', 'window': 0.3}}),
+    (joints(T[:40]), {'derivatives': {'kind': 'savitzky_golay', 'window': 0.5}}),
     ([('/q', ARRAY, t, serialize_message(EMPTY)[:9]) for t in T], {'q': 'q'}),
     ([('/joint_states', JOINTS, t, serialize_message(JointState(
         name=['swing'], position=[1.0]))) for t in T], {'stamps': 'log'}),
@@ -257,7 +262,7 @@ EMPTY = Float64MultiArray()
 def test_unusable_bag_gives_one_line_that_says_what_is_in_it(tmp_path, messages, changes):
     path = write(tmp_path / 'a.mcap', sorted(messages, key=lambda message: message[2]))
     with refused(DataError):
-        read_bags([path], bag(**changes))
+        dataset([path], bag(**changes))
 
 
 @given(share=st.floats(0.0, 1.0))
@@ -268,11 +273,11 @@ def test_bag_cut_off_at_any_byte_gives_a_beginning_or_one_line(tmp_path_factory,
     cut = folder / 'cut.mcap'
     cut.write_bytes(whole[:round(share * len(whole))])
     try:
-        data = read_bags([cut], bag())
+        data = dataset([cut], bag())
     except DataError as problem:
         assert '\n' not in str(problem)
     else:
-        expected = read_bags([folder / 'whole.mcap'], bag())
+        expected = dataset([folder / 'whole.mcap'], bag())
         assert np.array_equal(data.q, expected.q[:len(data.q)])
 
 
@@ -280,7 +285,7 @@ def test_what_is_no_bag_is_refused(tmp_path):
     (tmp_path / 'notes.mcap').write_text('notes')
     for path in (tmp_path / 'none', tmp_path / 'notes.mcap', tmp_path / 'empty'):
         with refused(DataError):
-            read_bags([path], bag())
+            dataset([path], bag())
 
 
 @pytest.mark.parametrize('changes', [
@@ -333,22 +338,22 @@ def positions(t: np.ndarray, q: np.ndarray) -> list[Message]:
     return [state(time, ['swing'], [position]) for time, position in zip(t, q, strict=True)]
 
 
-def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path, caplog):
+def test_angles_of_a_bag_that_are_kept_within_a_turn_go_on(tmp_path):
     """A wheel at 7 rad/s, that swings by 0.5 rad; read as states and as runs of a machine."""
     q = 7.0 * T + 0.5 * np.sin(OMEGA * T)
     wrapped = (q + np.pi) % (2.0 * np.pi) - np.pi
-    whole = read_bags([write(tmp_path / 'a.mcap', positions(T, q))], bag())
-    assert not caplog.text
-    data = read_bags([write(tmp_path / 'b.mcap', positions(T, wrapped))], bag())
+    whole = dataset([write(tmp_path / 'a.mcap', positions(T, q))], bag())
+    data = dataset([write(tmp_path / 'b.mcap', positions(T, wrapped))], bag())
     # 35 rad, counted from another turn, to their rounding, which the rates take 1e2 times.
     assert np.ptp(data.q - whole.q) < 1e-12 and np.abs(data.dp_dt - whole.dp_dt).max() < 1e-8
-    assert caplog.text.count('turns of swing counted') == 1
+    for one in (whole, data):
+        assert ('turns of coordinate 1 counted' in one.description) == (one is data)
 
 
 @pytest.mark.parametrize('other', [2, 10])
 @pytest.mark.parametrize('read', [
-    lambda path: read_bags([path], bag()),
-    lambda path: read_bag_motions([path], BagMotions(kind='bag'), ['swing'])],
+    lambda path: dataset([path], bag()),
+    lambda path: read_motions(Path(), BagMotions(kind='bag'), ['swing'], [path])],
     ids=['states', 'runs'])
 def test_second_publisher_of_positions_in_a_bag_is_told(tmp_path, caplog, read, other):
     """It sends zeros, each second or tenth message; noise and one outlier are no publisher."""

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import delayed, Run, smoothed
+from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.steps import simulated
 from hnn_vi_ros.learning.tasks.machine import (
@@ -24,7 +24,7 @@ WINDOWS = [{'duration': 0.2, 'steps': 1}, {'duration': 1.0, 'steps': 1}]
 
 @cache
 def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE, load: float = 0.0,
-          size: float = 3.0) -> Run:
+          size: float = 3.0) -> EvenMotion:
     """Return 20 s of a drive on a rail, by the classical method with 10 steps a sample."""
     rng, t = np.random.default_rng(seed), SPACING * np.arange(2001)
     rates, phases = rng.uniform(0.5, 6.0, 6), rng.uniform(0.0, 6.0, 6)
@@ -47,7 +47,7 @@ def drive(seed: int = 0, offset: float = OFFSET, fade: float = FADE, load: float
         states.append(z)
     q, v = np.array(states).T[..., None]
     run = smoothed('drive', t, q, v, tau[:, None], 40.0)
-    return Run(**(vars(run) | {'held': True}))
+    return EvenMotion(**(vars(run) | {'held': True}))
 
 
 def config(friction: object, data: object = None, **loss: object) -> MachineConfig:
@@ -140,7 +140,7 @@ def test_delay_is_estimated_in_samples_and_parts():
 
 
 def test_delay_without_forces_is_refused():
-    free = Run(**(vars(drive()) | {'tau': np.zeros((2001, 1))}))
+    free = EvenMotion(**(vars(drive()) | {'tau': np.zeros((2001, 1))}))
     with refused(DataError):
         estimated_delay(config({'coulomb': 1}), [free])
 

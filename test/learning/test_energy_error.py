@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import StateError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.base import EnergyFamily
 from hnn_vi_ros.learning.judging.evaluation import (
     balance, energy_mismatch, friction_work, momentum, unaccounted)
@@ -161,7 +161,7 @@ def test_card_of_a_measured_motion_tells_the_energy_that_work_accounts_for(
 RATE, GRAVITY = 0.4, 9.81
 
 
-def exact_motion(spacing: float) -> Run:
+def exact_motion(spacing: float) -> EvenMotion:
     """Return a pendulum, damped and driven by 2 sin(2 t), to 1e-11, as it is without a filter."""
     def rates(t: float, z: np.ndarray) -> list[float]:
         return [z[1], -GRAVITY * np.sin(z[0]) - RATE * z[1] + 2.0 * np.sin(2.0 * t)]
@@ -172,7 +172,7 @@ def exact_motion(spacing: float) -> Run:
     return replace(motion, q_smooth=q, v_smooth=v)
 
 
-def mismatch(motion: Run, effects: list[Effect], horizon: float = 1.0) -> float:
+def mismatch(motion: EvenMotion, effects: list[Effect], horizon: float = 1.0) -> float:
     found = balance(HAMILTONIANS['pendulum'](), effects, motion)
     return energy_mismatch([found], motion.spacing, [horizon])[horizon]
 

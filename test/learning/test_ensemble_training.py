@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import DataError, ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning import evaluate
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.judging import ensemble as module
 from hnn_vi_ros.learning.judging.ensemble import (
     conformal_factors, kept_and_held, resampled, resampled_blocks)
@@ -104,7 +104,7 @@ def test_ensemble_that_cannot_be_trained_is_refused(tmp_path: Path, words: list)
               *words])
 
 
-def swing(seconds: float, name: str = 'run') -> Run:
+def swing(seconds: float, name: str = 'run') -> EvenMotion:
     t = 0.01 * np.arange(round(seconds / 0.01))
     q = np.sin(3.0 * t)[:, None]
     return smoothed(name, t, q, 3.0 * np.cos(3.0 * t)[:, None], 0.0 * q, 40.0)

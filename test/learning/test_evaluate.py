@@ -14,14 +14,14 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate, train
-from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.judging.evaluation import (
     constant_velocity, Fan, linear_model, score, whole_records)
 from hnn_vi_ros.learning.judging.report import shown
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
-from machines import driven
+from machines import driven, from_file
 from messages import refused
 import numpy as np
 import pytest
@@ -95,7 +95,7 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
     assert 0.0 < outside['share'] < 1.0 and outside['errors'].keys() == {'inside', 'outside'}
     assert f'outside of what the model has seen: {outside["beyond"][0]}' in said
     assert written | {'baselines': None} == found.model_dump() | {'baselines': None}
-    (motion,), _ = read_arrays(Path(data), ArraysData(), 1, ['c'])
+    (motion,), _ = from_file(f'{Path(data)}:c', ArraysData(), 1)
     still = score(constant_velocity, [motion], [0.1, 0.5], 0.05, 2.0)
     assert set(written['energy_mismatch']) == {'0.1', '0.5'}
     # Hardly trained, it is far better than no model.
@@ -117,7 +117,7 @@ def test_model_is_judged_in_a_second_command(made, tmp_path, capsys):
         evaluate.main([str(out), '--data', f'{data}:a,b', '--config', made.config, '--held-out'])
 
 
-def check_report(folder: Path, motions: list[Run]) -> None:
+def check_report(folder: Path, motions: list[EvenMotion]) -> None:
     """Check the files of an evaluation of what made the motions, of the horizon 0.5 s."""
     page = (folder / 'report.md').read_text()
     for words in ('| model |', 'The model follows the machine for at least 2 s',
@@ -167,7 +167,7 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(made, drawn, tmp_
     report = tmp_path / 'new' / 'report'
     evaluate.main([str(tmp_path / 'scene.yaml'), '--data', data, '--json',
                    str(tmp_path / 'scene.json'), '--out', str(report)])
-    check_report(report, read_arrays(Path(data), ArraysData(), 1)[0])
+    check_report(report, from_file(Path(data), ArraysData(), 1)[0])
     written = json.loads((tmp_path / 'scene.json').read_text())
     # What is left is what the filter at 40 Hz does to the first states, near the ends of runs.
     assert max(written['horizons']['0.1']) < 1e-2 and max(written['horizons']['0.5']) < 3e-2
@@ -253,14 +253,14 @@ def test_coordinate_that_never_moves_does_not_count_in_the_valid_prediction_time
     still = replace(motion, **{name: np.hstack([values, np.zeros_like(values)])
                                for name, values in vars(motion).items() if np.ndim(values) == 2})
 
-    def off(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def off(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
         return motion.q[at] + [0.0, 1e-9]
     with np.errstate(all='raise'):
         assert score(off, [still], [0.5], 0.1, 1.0).censored == 1.0
 
 
-def linear_motion(seed: int) -> Run:
+def linear_motion(seed: int) -> EvenMotion:
     """Return q'' = -4 q + tau by its exact solution for tau = sin(t)."""
     t = 0.01 * np.arange(400)
     a, b = np.random.default_rng(seed).normal(size=2)
@@ -276,7 +276,7 @@ def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the
     assert linear.horizons[0.5] < 0.02 * still.horizons[0.5]
     assert still.starts[0.5] == 35  # every 0.1 s of 3.99 s, with 0.5 s to come
 
-    def off_by_one_percent(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def off_by_one_percent(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         at = np.minimum(starts[:, None] + np.arange(count + 1), len(motion.t) - 1)
         return motion.q[at] + 0.01 * (np.arange(count + 1) >= 30)[:, None]
     found = score(off_by_one_percent, test_motions, [0.2, 0.5], 0.1, 1.0)
@@ -288,7 +288,7 @@ def test_linear_model_is_right_for_a_linear_system_and_errors_are_counted_at_the
 def test_whole_runs_are_simulated_once_from_the_sample_that_is_named():
     motion, calls = linear_motion(1), []
 
-    def off(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def off(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         calls.append((starts.tolist(), count))
         return motion.q[starts[0]:][None] + 0.01
     # Two bags may have one name.
@@ -298,7 +298,7 @@ def test_whole_runs_are_simulated_once_from_the_sample_that_is_named():
 
 
 def test_failed_simulations_are_counted_and_no_number_is_made_up_for_them():
-    def fails(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def fails(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         q = constant_velocity(motion, starts, count)
         q[0, 10:] = np.nan
         return q

@@ -6,7 +6,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.priors import ExactPrior
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.tasks.machine import describe, learn
@@ -75,7 +75,7 @@ def test_systems_that_are_not_mechanical_are_refused_in_one_line(monkeypatch):
         config('kepler', 'xy', input_map='learned')
 
 
-def oscillator(seed: int) -> Run:
+def oscillator(seed: int) -> EvenMotion:
     """Return a driven oscillator of 1.7 kg, 12 N/m and 0.4 N s/m, every 10 ms."""
     simulation = Simulation(
         HAMILTONIANS['harmonic_oscillator'](1.7, 12.0), INTEGRATORS['implicit_midpoint'](),

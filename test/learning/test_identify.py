@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
-from hnn_vi_ros.learning.data.runs import Run, smoothed, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
 from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
@@ -35,7 +35,8 @@ NOISE = 0.01, 0.05
 
 
 def measured(scene: Scene, motion: Trajectory, tau: np.ndarray | None = None,
-             random: np.random.Generator | None = None, noise: tuple[float, float] = NOISE) -> Run:
+             random: np.random.Generator | None = None, noise: tuple[float, float] = NOISE
+             ) -> EvenMotion:
     """Return the log of a motion of a scene, with forces and with white noise, if any."""
     q, v = motion.q, scene.create_hamiltonian().gradient(motion.q, motion.p)[1]
     if random is not None:
@@ -44,7 +45,7 @@ def measured(scene: Scene, motion: Trajectory, tau: np.ndarray | None = None,
     return smoothed('log', motion.t, q, v, np.zeros_like(q) if tau is None else tau, 40.0)
 
 
-def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> Run:
+def swing(scene: Scene, duration: float, every: int, seed: int | None = 0) -> EvenMotion:
     """Return a log of a scene from its initial state, with white noise unless without a seed."""
     return measured(scene, hnn_vi_ros.simulate(scene, duration, every=every),
                     random=None if seed is None else np.random.default_rng(seed))
@@ -56,9 +57,9 @@ def freed(scene: Scene, folder: Path, **starts: float) -> FreeScene:
     return free_scene(scene.parts(), names, {}, folder, True).starting_at([*starts.values()])
 
 
-def estimated(free: FreeScene, motion: Run, robust: bool = False,
+def estimated(free: FreeScene, motion: EvenMotion, robust: bool = False,
               horizon: float | None = None) -> Estimates:
-    solution, problem, _ = fit(free, [motion], True, horizon, robust)
+    solution, problem, _ = fit(free, [motion], horizon, robust)
     return estimates_of(solution, problem, free, (), False)
 
 
@@ -102,7 +103,7 @@ def test_exact_tangents_are_differences_of_simulations(name, numbers, tmp_path, 
             'kind': 'quadratic_drag', 'coordinates': ['angle1'], 'coefficient': 0.2}]})
     free = freed(scene, tmp_path, **numbers)
     values = np.array([*numbers.values()])
-    windows = windows_of([swing(scene, 0.5, 5)], 0.3, True)
+    windows = windows_of([swing(scene, 0.5, 5)], 0.3)
     assert_exact_slopes(free, values, windows, scene.initial_state.q, monkeypatch)
 
 
@@ -144,7 +145,7 @@ def test_exact_tangents_of_driven_windows_are_differences_of_simulations(tmp_pat
              'periodic_drive.frequency', DELAY)
     free = free_scene(scene.parts(), names, {DELAY: (0.0, 0.1)}, tmp_path, True)
     values = np.array([number.start for number in free.numbers])
-    windows = windows_of([log, late], 0.3, True)
+    windows = windows_of([log, late], 0.3)
     exact = assert_exact_slopes(free, values, windows, [0.5, -0.3], monkeypatch)
     # Windows differ by their forces and by the phase of the drive.
     assert len(np.unique(exact[0][:, 5, 1])) == len(windows.run) == 4
@@ -165,7 +166,7 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
         'kind': 'joint_friction', 'damping': {'angle': 0.1}, 'friction': {'angle': start},
         'speed': 0.5}]})
     free = free_scene(scene.parts(), ['joint_friction.friction.angle'], {}, tmp_path, False)
-    windows = windows_of([swing(pendulum, 0.2, 4)], 0.2, True)
+    windows = windows_of([swing(pendulum, 0.2, 4)], 0.2)
     starts = np.tile([0.5, 0.1], (len(windows.run), 1))
     tiny, zero = (Prediction(free, np.array([value]), windows).by_numbers(starts)
                   for value in (1e-21, 0.0))
@@ -174,7 +175,7 @@ def test_number_that_has_all_but_vanished_has_the_slope_of_zero(start, pendulum,
 
 def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
     free = freed(pendulum, tmp_path, length=1.0)
-    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1)
     starts = np.tile([0.5, 0.1], (len(windows.run), 1))
     whole = Prediction(free, np.ones(1), windows).by_starts(starts)
     starts[1] = np.inf
@@ -187,7 +188,7 @@ def test_one_window_that_fails_leaves_the_others(pendulum, tmp_path):
 def test_mistake_in_the_derivatives_of_windows_is_no_window_that_fails(
         pendulum, tmp_path, monkeypatch):
     free = freed(pendulum, tmp_path, length=1.0)
-    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1)
     monkeypatch.setattr(DifferentiableRun, 'push_forward', lambda run, changes: np.zeros(2) @ [1])
     with pytest.raises(ValueError, match='matmul'):
         Prediction(free, np.ones(1), windows).by_starts(
@@ -243,7 +244,7 @@ def test_every_degeneracy_leaves_its_numbers_without_an_interval(kind, starts, u
 
 def test_numbers_that_no_data_tell_stay_where_the_search_begins(pendulum, tmp_path):
     free = freed(pendulum, tmp_path, mass=1.2, length=1.05)
-    solution, *_ = fit(free, [swing(pendulum, 1.0, 4)], True, None, False)
+    solution, *_ = fit(free, [swing(pendulum, 1.0, 4)], None, False)
     # Along the mass there is rounding alone, which once led to some 1e17 kg.
     assert solution.values[0] == pytest.approx(1.2, rel=1e-6)
     assert solution.values[1] == pytest.approx(1.0, rel=0.02)
@@ -279,7 +280,7 @@ LATE = 0.035
 
 
 @pytest.fixture(scope='module')
-def held_log() -> Run:
+def held_log() -> EvenMotion:
     """Return what a pendulum does by commands that are held for 80 ms and come 35 ms late."""
     scene = commanded('gauss4', 0.001)
     force = np.repeat(3.0 * np.random.default_rng(1).normal(size=21), 4)
@@ -300,7 +301,7 @@ def test_held_forces_act_from_the_moment_of_their_command_on(
     assert delay == pytest.approx(LATE, abs=1e-7)
 
 
-def identified(folder: Path, log: Run, capsys: pytest.CaptureFixture, *options: str
+def identified(folder: Path, log: EvenMotion, capsys: pytest.CaptureFixture, *options: str
                ) -> tuple[str, dict]:
     """Return what is said of the delay and the damping of such a pendulum, and the numbers."""
     np.savez(folder / 'log.npz', t=log.t, q=log.q, dq=log.v, tau=log.tau)
@@ -354,7 +355,7 @@ def test_what_acted_before_a_record_is_found_with_the_delay(idle, tmp_path, caps
 
 
 def test_windows_that_are_done_are_not_simulated_and_change_no_others(pendulum, tmp_path):
-    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1, True)
+    windows = windows_of([swing(pendulum, 0.4, 4)], 0.1)
     prediction = Prediction(freed(pendulum, tmp_path, length=1.0), np.ones(1), windows)
     starts = np.random.default_rng(2).normal(size=(len(windows.run), 2))
     only = np.arange(len(starts)) % 2 == 1
@@ -381,7 +382,7 @@ def test_outliers_move_a_robust_fit_less(pendulum, tmp_path, monkeypatch):
     monkeypatch.setattr(Problem, '_evaluate', lambda *arguments: (
         searches.append(searches.pop() + 1), evaluate(*arguments))[1])
     solution, _, _ = fit(freed(pendulum, tmp_path, length=1.05),
-                         [swing(damped, 2.0, 4, None)], True, 0.5, True)
+                         [swing(damped, 2.0, 4, None)], 0.5, True)
     # Each start ends by itself.
     assert max(searches) <= _INNER // 2
     assert solution.misfit < 3.0
@@ -395,7 +396,7 @@ def test_clock_of_a_log_that_is_a_little_off_asks_for_no_further_step(spacing, s
 
 def test_profile_of_a_number_is_its_interval_where_all_is_nearly_linear(pendulum, tmp_path):
     free = freed(pendulum, tmp_path, length=1.0)
-    solution, problem, _ = fit(free, [swing(pendulum, 2.0, 4)], True, None, False)
+    solution, problem, _ = fit(free, [swing(pendulum, 2.0, 4)], None, False)
     one, = estimates_of(solution, problem, free, (), False).estimates
     told = profile(solution, problem, free, one)
     # Curvature is of the relative size of the interval, some 1 %; the search ends at 1e-3.
@@ -412,7 +413,7 @@ def test_profile_is_as_wide_as_the_interval_where_noise_is_correlated(
         noise[k] = 0.9 * noise[k - 1] + 4e-3 * white
     free = freed(pendulum, tmp_path, length=1.0)
     solution, problem, _ = fit(
-        free, [replace(log, q=log.q + noise)], False, None, robust)
+        free, [replace(log, q=log.q + noise, v=None)], None, robust)
     found = estimates_of(solution, problem, free, (), False)
     one, = found.estimates
     assert found.coloured[0] > 4.0
@@ -425,7 +426,7 @@ def test_initial_state_is_as_uncertain_as_correlated_noise_makes_it(pendulum, tm
     log, random, share = swing(pendulum, 24.0, 2, None), np.random.default_rng(3), 0.8
     noise = lfilter([4e-3], [1.0, -share], random.normal(size=len(log.q)))[:, None]
     free = freed(pendulum, tmp_path, length=1.0)
-    solution, problem, _ = fit(free, [replace(log, q=log.q + noise)], False, None, False)
+    solution, problem, _ = fit(free, [replace(log, q=log.q + noise, v=None)], None, False)
     slopes = np.concatenate([solution.by_numbers, solution.by_starts], axis=3)[0, :, 0]
     lags = np.arange(len(slopes))
     inverse = np.linalg.inv(slopes.T @ slopes)

@@ -12,8 +12,8 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning import evaluate
-from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.data.runs import smoothed
+from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning.data.motions import smoothed
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -26,7 +26,7 @@ from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
-from machines import compiled, machine_config, shaken
+from machines import compiled, from_file, machine_config, shaken
 from mechanical_models import random_mechanical, saved
 from messages import misfit, refused
 import numpy as np
@@ -197,8 +197,8 @@ def test_logs_and_arrays_may_hold_fewer_motors_than_joints(tmp_path):
     for shape, fits in (((40, 1), True), ((40, 2), True), ((40, 3), False), ((40, 0), False)):
         np.savez(tmp_path / 'belt.npz', t=t, q=q, dq=v, tau=np.ones(shape))
         if fits:
-            (motion,), _ = read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
+            (motion,), _ = from_file(tmp_path / 'belt.npz', ArraysData(), 2)
             assert motion.tau.shape == shape
             continue
         with refused(DataError):
-            read_arrays(tmp_path / 'belt.npz', ArraysData(), 2)
+            from_file(tmp_path / 'belt.npz', ArraysData(), 2)

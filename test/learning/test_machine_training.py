@@ -11,8 +11,8 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.runs import Run, smoothed, train_and_test
+from hnn_vi_ros.learning.data.arrays import ArraysData, split_runs
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, train_and_test
 from hnn_vi_ros.learning.families.choices import combination, FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_
 from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.learning.tasks.machine import fix_scale
 from hnn_vi_ros.simulation import Simulation
-from machines import compiled, driven, machine_config, shaken
+from machines import compiled, driven, from_file, machine_config, shaken
 from messages import misfit, refused
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ CONFIG = {
 }
 
 
-def random_motions(d: int, seed: int = 0) -> list[Run]:
+def random_motions(d: int, seed: int = 0) -> list[EvenMotion]:
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(60)
     rates = rng.uniform(1.0, 5.0, (3, d))
@@ -128,7 +128,7 @@ def test_runge_kutta_converges_with_order_4():
 
 
 @cache
-def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
+def driven_pendulum(seed: int, seconds: float = 12.0) -> EvenMotion:
     """Return a pendulum with Coulomb friction under random forces, every 10 ms."""
     simulation = Simulation(
         HAMILTONIANS['pendulum'](), INTEGRATORS['implicit_midpoint'](), 0.01, [0.5], [0.0],
@@ -142,7 +142,7 @@ def driven_pendulum(seed: int, seconds: float = 12.0) -> Run:
     return smoothed(f'run{seed}', t, *driven(simulation, tau), tau, 40.0)
 
 
-def fitted(motions: list[Run], hidden: int, loss: dict, **family: object
+def fitted(motions: list[EvenMotion], hidden: int, loss: dict, **family: object
            ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return networks of a pendulum that were trained, and their losses."""
     config = machine_config(more={'hidden': [hidden], 'loss': loss},
@@ -221,7 +221,7 @@ def eccentric(q: np.ndarray) -> np.ndarray:
     return 0.3 + 0.2 * np.cos(q)
 
 
-def motion_of_an_eccentric_pendulum(seed: int) -> Run:
+def motion_of_an_eccentric_pendulum(seed: int) -> EvenMotion:
     rng = np.random.default_rng(seed)
     h, n = 0.01, 800
     amplitude, phase = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
@@ -332,26 +332,26 @@ def write(path: Path, **changes) -> Path:
 def test_arrays_that_cannot_be_used_are_refused_in_one_line(tmp_path, changes):
     path = write(tmp_path / 'arm.npz', **changes)
     with refused(DataError):
-        read_arrays(path, ArraysData(), 1)
+        from_file(path, ArraysData(), 1)
 
 
 def test_runs_that_are_not_there_and_files_that_are_none_are_named(tmp_path):
     path = write(tmp_path / 'arm.npz')
     with refused(DataError):
-        read_arrays(path, ArraysData(), 1, ['two'])
+        from_file(f'{path}:two', ArraysData(), 1)
     (tmp_path / 'folder.npz').mkdir()
     whole = path.read_bytes()
     for name, content in (('text.npz', b'hello'), ('empty.npz', b''), ('cut.npz', whole[:-40]),
                           ('damaged.npz', whole[:300] + bytes(40) + whole[340:])):
         (tmp_path / name).write_bytes(content)
         with refused(DataError) as no:
-            read_arrays(tmp_path / name, ArraysData(), 1)
+            from_file(tmp_path / name, ArraysData(), 1)
         assert 'pickle' not in str(no.value)
         # What keys there are is asked before, when nothing is said of them.
         assert _arrays(tmp_path / name, ArraysData()) == ArraysData()
     for name in ('nothing.npz', 'folder.npz'):
         with refused(DataError):
-            read_arrays(tmp_path / name, ArraysData(), 1)
+            from_file(tmp_path / name, ArraysData(), 1)
     assert split_runs(f'{path}:a,b') == (path, ['a', 'b'])
     assert split_runs(str(path)) == (path, [])
     names = [f'run{k}' for k in range(100)]  # longer than any name of a file
@@ -362,20 +362,20 @@ def test_accelerations_that_were_measured_are_taken_and_choose_the_loss(tmp_path
     config = MachineConfig.model_validate(CONFIG)
     t = 0.01 * np.arange(40)[:, None]
     path = write(tmp_path / 'arm.npz', q=t**2, dq=2.0 * t, ddq=np.full((40, 1), 2.0))
-    (estimated,), _ = read_arrays(path, ArraysData(), 1)
-    (measured,), _ = read_arrays(path, ArraysData(a='ddq', smoothing=10.0), 1)
+    (estimated,), _ = from_file(path, ArraysData(), 1)
+    (measured,), _ = from_file(path, ArraysData(a='ddq', smoothing=10.0), 1)
     assert np.abs(measured.a_smooth - 2.0).max() < 1e-12
-    assert not estimated.accelerations and config.loss_of(False).kind == 'trajectory'
-    assert measured.accelerations and config.loss_of(True).kind == 'forward'
+    assert config.loss_of([estimated]).kind == 'trajectory'
+    assert config.loss_of([measured]).kind == 'forward'
     with refused(DataError):
-        read_arrays(write(tmp_path / 'arm2.npz'), ArraysData(a='ddq'), 1)
+        from_file(write(tmp_path / 'arm2.npz'), ArraysData(a='ddq'), 1)
 
 
 def test_runs_without_times_come_at_an_interval(tmp_path):
     path = write(tmp_path / 'arm.npz', t=None)
     with refused(DataError):
-        read_arrays(path, ArraysData(), 1)
-    (motion,), _ = read_arrays(path, ArraysData(interval=0.01), 1)
+        from_file(path, ArraysData(), 1)
+    (motion,), _ = from_file(path, ArraysData(interval=0.01), 1)
     assert motion.name == 'one' and motion.spacing == pytest.approx(0.01, rel=1e-12)
     assert np.abs(motion.q[:, 0] - np.sin(0.01 * np.arange(40))).max() < 1e-12
 
@@ -383,7 +383,7 @@ def test_runs_without_times_come_at_an_interval(tmp_path):
 def test_samples_that_come_too_seldom_for_the_filter_are_taken_as_they_are(tmp_path):
     t = 0.04 * np.arange(40)
     path = write(tmp_path / 'arm.npz', t=t, q=np.sin(t)[:, None], dq=np.cos(t)[:, None])
-    (motion,), _ = read_arrays(path, ArraysData(), 1)
+    (motion,), _ = from_file(path, ArraysData(), 1)
     assert np.array_equal(motion.q_smooth, motion.q)
     assert np.abs(motion.v_smooth[:, 0] - np.cos(motion.t)).max() < 1e-12
     # A spline's slope inside, of samples h apart: h^4 / 180 at most, more at the ends.
@@ -395,7 +395,7 @@ def test_late_samples_are_put_on_even_times(tmp_path):
     late = t + 0.004 * (np.arange(400) % 7 == 3)
     path = write(tmp_path / 'arm.npz', t=late, q=np.sin(late)[:, None], dq=np.cos(late)[:, None],
                  tau=np.zeros((400, 1)))
-    (motion,), _ = read_arrays(path, ArraysData(), 1)
+    (motion,), _ = from_file(path, ArraysData(), 1)
     assert np.ptp(np.diff(motion.t)) < 1e-9
     # A cubic between samples 14 ms apart at most: (0.014)^4 / 384.
     assert np.abs(motion.q[:, 0] - np.sin(motion.t)).max() < 1e-9

@@ -7,14 +7,15 @@ from pathlib import Path
 
 from bag_files import array, Message, state, write
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays
-from hnn_vi_ros.learning.data.bags import BagMotions, read_bag_motions
-from hnn_vi_ros.learning.data.runs import (
-    even_runs, increasing, MeasuredRun, RunData, unexplained, unwound)
+from hnn_vi_ros.learning.data.arrays import ArraysData
+from hnn_vi_ros.learning.data.bags import BagMotions
+from hnn_vi_ros.learning.data.motions import (
+    even_motions, increasing, Motion, MotionData, Recording, unexplained, unwound)
 from hnn_vi_ros.learning.data.sources import guessed, read_motions
-from hnn_vi_ros.learning.data.text import LogMotions, read_log_motions
+from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.machine import scales_of
+from machines import from_file
 from messages import misfit, refused
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def driver(rows: Sequence[int] = range(len(T))) -> list[Message]:
 
 
 def read(path: Path, **changes) -> tuple:
-    return read_bag_motions([path], BagMotions(**changes), ['a', 'b'])
+    return read_motions(Path(), BagMotions(**changes), ['a', 'b'], [path])
 
 
 def test_joints_of_a_bag_are_found_by_name_in_any_order(tmp_path):
@@ -86,7 +87,8 @@ def test_velocities_that_a_joint_never_has_are_estimated_and_efforts_are_none(tm
     assert not motion.tau.any()
     # Of the filter, flat to (f / 40 Hz)^4 at 0.5 Hz, and central differences: h^2 / 6 times 3^3.
     inner = slice(40, -40)
-    assert np.abs(motion.v - V)[inner].max() < 0.01**2 / 6.0 * 27.0 + 1e-5
+    assert motion.v is None
+    assert np.abs(motion.v_smooth - V)[inner].max() < 0.01**2 / 6.0 * 27.0 + 1e-5
 
 
 def test_commands_are_the_forces_where_they_are_named(tmp_path):
@@ -129,7 +131,7 @@ def test_arrays_that_lack_numbers_are_read_without_them(tmp_path):
     q, dq = Q.copy(), np.full_like(V, np.nan)
     q[10], q[200, 1] = np.nan, np.inf
     np.savez(tmp_path / 'a.npz', t=T, q=q, dq=dq, tau=TAU)
-    (motion,), description = read_arrays(tmp_path / 'a.npz', ArraysData(), 2)
+    (motion,), description = from_file(tmp_path / 'a.npz', ArraysData())
     assert '2 that lack a number' in description and 'velocities estimated' in description
     assert np.abs(motion.q - Q).max() < 1e-6  # cubic splines over 0.02 s: 0.02^4 3^4 5 / 384
 
@@ -145,7 +147,7 @@ def test_log_of_positions_and_torques_is_read_run_by_run(tmp_path):
             a = '' if (number, i) == (1, 30) else f'{Q[i, 0]:.12f}'
             lines.append(f'{number},{T[i]:.6f},{a},{Q[i, 1]:.12f},{TAU[i, 0]},{TAU[i, 1]}')
     (tmp_path / 'log.csv').write_text('\n'.join(lines))
-    motions, description = read_log_motions(tmp_path / 'log.csv', LogMotions(**LOG))
+    motions, description = from_file(tmp_path / 'log.csv', LogMotions(**LOG))
     assert [motion.name for motion in motions] == ['1', '2']
     assert '1 that lack a number' in description and 'velocities estimated' in description
     assert np.abs(motions[0].q - Q).max() < 1e-6
@@ -185,11 +187,11 @@ def test_velocities_of_arrays_are_called_dq_or_v_and_without_any_the_remedy_is_n
     np.savez(path, t=T, q=Q, tau=TAU, **({} if key is None else {key: V}))
     if key is None:
         with refused(DataError):
-            read_arrays(path, ArraysData(), 2)
-    (motion,), _ = read_arrays(path, ArraysData(v=key), 2)
+            from_file(path, ArraysData())
+    (motion,), _ = from_file(path, ArraysData(v=key))
     assert np.abs(motion.v_smooth - V).max() < (1e-3 if key else 0.1)
     if key:
-        (motion,), _ = read_arrays(path, ArraysData(), 2)
+        (motion,), _ = from_file(path, ArraysData())
         assert np.abs(motion.v - V).max() < 1e-12
 
 
@@ -198,16 +200,16 @@ def test_columns_of_a_log_are_those_of_its_header(tmp_path):
     rows = [f'{t:.17g},note,{q[0]:.17g},{v[0]:.17g}' for t, q, v in zip(T, Q, V, strict=True)]
     path.write_text('\n'.join(['# by hand', 'time,"remark",angle,rate', *rows]))
     data = LogMotions(delimiter='comma', time='time', q=['angle'], v=['rate'])
-    (motion,), _ = read_log_motions(path, data)
+    (motion,), _ = from_file(path, data)
     assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
     with refused(DataError):
-        read_log_motions(path, data.model_copy(update={'q': ['angel']}))
+        from_file(path, data.model_copy(update={'q': ['angel']}))
     with refused(DataError):
-        read_log_motions(path, data.model_copy(update={'delimiter': 'tab'}))
+        from_file(path, data.model_copy(update={'delimiter': 'tab'}))
     # Spaces in names do not hide the commas, where one name is misspelt.
     path.write_text('Time (s),Pole angle (rad),Pole rate (rad/s)\n0,1,2\n1,2,3\n')
     with refused(DataError):
-        read_log_motions(path, LogMotions(time='Time', q=['Pole angle (rad)']))
+        from_file(path, LogMotions(time='Time', q=['Pole angle (rad)']))
 
 
 def test_columns_in_degrees_become_radians_and_are_not_taken_for_them(tmp_path):
@@ -216,12 +218,12 @@ def test_columns_in_degrees_become_radians_and_are_not_taken_for_them(tmp_path):
         T, np.degrees(Q[:, 0]), np.degrees(V[:, 0]), strict=True)]
     path.write_text('\n'.join([','.join(['t', *named]), *rows]))
     data = {'time': 't', 'q': named[:1], 'v': named[1:]}
-    (motion,), _ = read_log_motions(path, LogMotions(**data, degrees=named))
+    (motion,), _ = from_file(path, LogMotions(**data, degrees=named))
     assert np.abs(motion.q[:, 0] - Q[:, 0]).max() < 1e-12
     assert np.abs(motion.v[:, 0] - V[:, 0]).max() < 1e-12
     with refused(DataError):
-        read_log_motions(path, LogMotions(**data))
-    (motion,), _ = read_log_motions(path, LogMotions(**data, degrees=[]))
+        from_file(path, LogMotions(**data))
+    (motion,), _ = from_file(path, LogMotions(**data, degrees=[]))
     assert np.abs(motion.q[:, 0] - np.degrees(Q[:, 0])).max() < 1e-10
 
 
@@ -258,12 +260,12 @@ def test_times_that_are_no_seconds_are_refused(tmp_path, name, times):
     path.write_text('\n'.join([f'{name},angle', *(
         f'{t},{q:.17g}' for t, q in zip(times, Q[:, 0], strict=True))]))
     with refused(DataError):
-        read_log_motions(path, LogMotions(time=name, q=['angle']))
+        from_file(path, LogMotions(time=name, q=['angle']))
 
 
 def motions(t=T, q=Q, v=V, tau=TAU, a=None, **changes) -> tuple:
-    run = MeasuredRun('run', 'log: run', t, q, v, tau, a=a)
-    return even_runs([run], RunData(**changes), 'log', 'digest')
+    motion = Motion('run', 'log: run', t, q, v, tau, a)
+    return even_motions(Recording([motion], 'log', 'digest'), MotionData(**changes))
 
 
 def test_most_samples_are_kept_whose_times_increase():
@@ -300,7 +302,7 @@ def test_angle_that_is_kept_within_a_turn_is_unwound():
     assert 'turns of coordinate 1 counted' in described
     assert np.abs(motion.q - turning).max() < 1e-6
     (motion,), _ = motions(q=wrapped, v=None)
-    assert np.abs(motion.v[40:-40, 0] - 9.0).max() < 0.01
+    assert np.abs(motion.v_smooth[40:-40, 0] - 9.0).max() < 0.01
     # Rates tell the turns between two samples that are far apart: 1.5 of them.
     few = slice(None, None, 105)
     assert np.abs(np.diff(unwound(T[few], wrapped[few], v[few])[0][:, 0])
@@ -416,8 +418,8 @@ def test_motor_of_an_array_that_is_never_commanded_is_told(tmp_path):
     messages = [(*message[:3], state(T[i], ['a', 'b', 'c'], [*Q[i], Q[i, 0]],
                                      [*V[i], V[i, 0]])[3]) for i, message in enumerate(driver())]
     path = write(tmp_path / 'a.mcap', sorted([*messages, *given], key=lambda item: item[2]))
-    (motion,), described = read_bag_motions(
-        [path], BagMotions(forces='motors'), ['a', 'b', 'c'])
+    (motion,), described = read_motions(
+        Path(), BagMotions(forces='motors'), ['a', 'b', 'c'], [path])
     assert 'no effort of motor 2' in described
     assert motion.tau.shape[1] == 2 and not motion.tau[:, 1].any()
 
@@ -454,14 +456,14 @@ def test_stamps_that_are_all_alike_name_their_remedy(tmp_path):
 def test_rows_of_a_log_that_cannot_be_read_name_line_and_remedy(tmp_path, fields):
     (tmp_path / 'log.csv').write_text(f'{fields}\n1;0.02;0.1;0.2;0;0\n')
     with refused(DataError):
-        read_log_motions(tmp_path / 'log.csv', LogMotions(**(LOG | {'delimiter': 'semicolon'})))
+        from_file(tmp_path / 'log.csv', LogMotions(**(LOG | {'delimiter': 'semicolon'})))
 
 
 def test_runs_of_large_numbers_keep_their_names(tmp_path):
     (tmp_path / 'log.csv').write_text('\n'.join(
         f'{number},{T[i]},{Q[i, 0]},{Q[i, 1]},0,0' for number in (20240101, 20240102)
         for i in range(40)))
-    found, _ = read_log_motions(tmp_path / 'log.csv', LogMotions(**LOG))
+    found, _ = from_file(tmp_path / 'log.csv', LogMotions(**LOG))
     assert [motion.name for motion in found] == ['20240101', '20240102']
 
 

@@ -7,7 +7,7 @@ from functools import cache
 from helpers import alarm_of
 from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -26,7 +26,7 @@ CART, POLE, LENGTH, GRAVITY, VISCOUS = 1.3, 0.4, 0.6, 9.81, 0.2
 
 
 @cache
-def cart_and_pole(seed: int) -> Run:
+def cart_and_pole(seed: int) -> EvenMotion:
     """Return a cart with a pole that is driven, by (x, angle from hanging), every 10 ms."""
     t = 0.01 * np.arange(600)
     force = np.interp(np.arange(600), np.arange(0, 600, 20),
@@ -133,7 +133,7 @@ def test_auto_takes_the_rigid_body_of_a_machine_that_is_one():
 
 
 @cache
-def carriage(seed: int, back: float) -> Run:
+def carriage(seed: int, back: float) -> EvenMotion:
     """Return a carriage of 2 kg, whose friction is 1 N ahead, and another back, every 10 ms."""
     t = 0.01 * np.arange(500)
     rng = np.random.default_rng(seed)

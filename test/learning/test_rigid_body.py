@@ -8,7 +8,7 @@ from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -35,7 +35,7 @@ FRICTION = 0.05
 SHARE = 0.02
 
 
-def motions(*, forced: bool = True, noise: float = 0.0) -> list[Run]:
+def motions(*, forced: bool = True, noise: float = 0.0) -> list[EvenMotion]:
     """Return motions of a double pendulum with friction, every 10 ms, from three states."""
     effects = [EFFECTS['external_force'](['angle1', 'angle2'], timeout=100.0),
                *(EFFECTS['dry_friction'](name, 0.2, 0.05) for name in ('angle1', 'angle2'))]

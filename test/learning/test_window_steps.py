@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from helpers import long
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
@@ -39,7 +39,7 @@ STRUCTURES = {
 }
 
 
-def motion_of(d: int) -> Run:
+def motion_of(d: int) -> EvenMotion:
     rates = np.random.default_rng(0).uniform(1.0, 5.0, (2, d))
     t = H * np.arange(60)[:, None]
     return smoothed('random', t[:, 0], np.sin(rates[0] * t), rates[0] * np.cos(rates[0] * t),
@@ -180,7 +180,7 @@ CONFIG = machine_config(more={'hidden': [8], 'loss': {
     mass='constant', friction={'coulomb': 1, 'network': True})
 
 
-def pendulum(seed: int) -> Run:
+def pendulum(seed: int) -> EvenMotion:
     """Return 6 s of a driven pendulum with friction, every 20 ms."""
     rates, phases = np.random.default_rng(seed).uniform(0.5, 4.0, (2, 3))
     tau = np.sin(T[:, None] * rates + phases).sum(axis=1)

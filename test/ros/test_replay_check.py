@@ -66,7 +66,7 @@ def test_run_from_an_initial_command_agrees_bit_by_bit(tmp_path, driven, begin):
                      commands={80: [[-1.0]]}, begin=begin)
     assert_agrees(bag)
     # Its topics do not hold that force.
-    assert SignalReader(bag, ['angle1', 'angle2'], [], 'header').commanded_before
+    assert SignalReader(bag, ['angle1', 'angle2']).commanded_before
 
 
 def test_bag_without_samples_is_not_confirmed_and_says_why(tmp_path, driven):

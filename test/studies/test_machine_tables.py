@@ -5,7 +5,7 @@
 import json
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.learning.data.runs import Run, smoothed
+from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.fit import rigid_body
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from studies.machine_tables import (
 FREE = 'real free double pendulum'
 
 
-def motion(name: str, n: int = 3000, spacing: float = 0.001) -> Run:
+def motion(name: str, n: int = 3000, spacing: float = 0.001) -> EvenMotion:
     t = spacing * np.arange(n)
     q = np.stack([np.sin(t), np.cos(2.0 * t)], axis=-1)
     return smoothed(name, t, q, np.stack([np.cos(t), -2.0 * np.sin(2.0 * t)], axis=-1),

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData, TEST_RUNS
+from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording, TEST_RUNS
 from hnn_vi_ros.models.attitude_features import turn_matrices
 import numpy as np
 from pydantic import Field
@@ -24,7 +24,7 @@ _NAMED = '; name them by --keys, or in the data of a configuration'
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
 
 
-class ArraysData(RunData):
+class ArraysData(MotionData):
     """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
 
     kind: Literal['arrays'] = 'arrays'
@@ -229,10 +229,9 @@ def split_runs(data: str) -> tuple[Path, list[str]]:
     return Path(file), runs.split(',')
 
 
-def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
-                ) -> tuple[list[Run], str]:
+def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) -> Recording:
     """
-    Read runs of a machine, and put each on even times.
+    Read the motions of a machine, one for each run.
 
     Parameters
     ----------
@@ -244,11 +243,6 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
         Number of coordinates.
     runs : sequence of str
         The runs to take, instead of ``data.runs``.
-
-    Returns
-    -------
-    list of Run and str
-        The runs, and a description of them for the model card.
 
     Raises
     ------
@@ -270,9 +264,9 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()
                 for key in (archive.velocities(name, data.v), data.a))
         tau = None if data.tau is None else archive.array(
             name + data.tau, len(t), [d], fewer=True)
-        found.append(MeasuredRun(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a=a))
+        found.append(Motion(run or path.stem, f'{path}: {name}{data.q}', t, q, v, tau, a))
     named = ', '.join(run for run in wanted if run)
-    return even_runs(found, data, f'{path.name}: {named}' if named else path.name, archive.digest)
+    return Recording(found, f'{path.name}: {named}' if named else path.name, archive.digest)
 
 
 def read_bodies(path: Path, data: BodyArrays | BodyWindows, kind: str

@@ -5,11 +5,11 @@
 from collections.abc import Callable, Iterator, Sequence
 import logging
 from pathlib import Path
-from typing import final, NamedTuple, TypeVar
+from typing import final, TypeVar
 
 from hnn_vi_ros.bags.bag_metadata import qos_profiles
 from hnn_vi_ros.bags.cdr import (
-    decode_float64_multi_array, decode_joint_state, JointStates, MOMENTUM)
+    decode_float64_multi_array, decode_joint_state, MOMENTUM)
 from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import DataError, listed, RecordingError
 from hnn_vi_ros.run.held_state import STATE_FILE
@@ -19,6 +19,8 @@ import safetensors.numpy
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
+# Types that a topic of states may have.
+STATES = f'{ARRAY} or {JOINT_STATE}'
 # Times agree with stamps that are off by less than this, in mean intervals.
 _DISAGREEMENT = 0.01
 # Steps this many times as large as usual, there and back, and how many of them are no chance.
@@ -27,23 +29,6 @@ _JUMP, _JUMPS = 10.0, 3
 _LOGGER = logging.getLogger(__name__)
 
 Decoded = TypeVar('Decoded')
-
-
-class Signal(NamedTuple):
-    """
-    Values of a topic over time.
-
-    Parameters
-    ----------
-    t : np.ndarray, shape (N,)
-        Increasing instants, since the first of the signal that was read first [s].
-    values : np.ndarray, shape (N, d)
-        The values at these instants.
-
-    """
-
-    t: np.ndarray
-    values: np.ndarray
 
 
 @final
@@ -58,16 +43,15 @@ class SignalReader:
     joints : sequence of str
         Names of the joints, in the order of the coordinates.
     columns : sequence of int
-        Which numbers of an array belong to them.
-    stamps : str
-        ``'header'`` or ``'log'``: what counts as a message's time.
+        Which numbers of an array belong to them; none for all.
 
     Attributes
     ----------
     bag : BagReader
         The bag.
     stamps : str
-        As above; may be set before the first signal is read.
+        ``'header'`` or ``'log'``: what counts as a message's time. It may be set before the first
+        signal is read.
 
     Raises
     ------
@@ -76,13 +60,13 @@ class SignalReader:
 
     """
 
-    def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int], stamps: str):
+    def __init__(self, path: Path, joints: Sequence[str], columns: Sequence[int] = ()):
         try:
             self.bag = BagReader(path)
         except RecordingError as problem:
             raise DataError(str(problem)) from problem
         self.path = self.bag.path
-        self._joints, self._columns, self.stamps = tuple(joints), list(columns), stamps
+        self._joints, self._columns, self.stamps = tuple(joints), list(columns), 'header'
         self._origin: int | None = None
         self._topics: dict[str, list[int]] = {}
         for number, channel in self.bag.channels.items():
@@ -119,7 +103,7 @@ class SignalReader:
         first = next(messages, None)
         if first is None or kind != JOINT_STATE:
             return False
-        names = self._joint_state(topic, first).names
+        names = self._decoded(topic, first, decode_joint_state).names
         return {MOMENTUM + joint for joint in self._joints} <= set(names)
 
     def check_resets(self, state: str) -> None:
@@ -145,7 +129,7 @@ class SignalReader:
         Then messages of a topic without stamps cannot be assigned to states.
         """
         times = np.array([
-            (message.time, self._joint_state(topic, message).stamp)
+            (message.time, self._decoded(topic, message, decode_joint_state).stamp)
             for message in self._found(topic)[2]])
         log, stamps = (times - times[:1]).T * 1e-9
         largest = np.abs(log - stamps).max(initial=0.0)
@@ -180,72 +164,27 @@ class SignalReader:
                 'warning: %s: %s: %s; if those are two sources of the same joints, record one of '
                 'them, or remap the other', self.path, name, ', and '.join(seen))
 
-    def has(self, topic: str, field: str) -> bool:
-        """Return whether the first message of a topic of joint states fills a field."""
-        first = next(self._found(topic)[2], None)
-        return first is not None and len(getattr(self._joint_state(topic, first), field)) > 0
-
-    def read(self, topic: str, field: str, prefix: str = '') -> Signal:
+    def read(self, topic: str, prefix: str = '', expected: str = STATES
+             ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return a signal.
+        Return the messages of a topic that hold a joint, complete or not.
 
         Parameters
         ----------
         topic : str
             Its name, or the end of it, if only one topic ends so.
-        field : str
-            Of joint states: ``'position'``, ``'velocity'`` or ``'effort'``; empty for a topic
-            that must be an array, ``'*'`` for an array of any length.
         prefix : str
             What stands before the joints in the names of joint states.
-
-        Raises
-        ------
-        DataError
-            There is no such topic, it has another type, or a message cannot be used.
-
-        """
-        expected = {'': f'{ARRAY} or ~/state of the simulator', '*': ARRAY}
-        name, kind, messages = self._found(
-            topic, expected.get(field, f'{ARRAY} or {JOINT_STATE}'))
-        stamps, rows = [], list[np.ndarray]()
-        if kind == ARRAY:
-            for message in messages:
-                stamps.append(message.time)
-                rows.append(self._from_array(name, message, field == '*'))
-        for stamp, state, places in [] if kind == ARRAY else self._of_joints(name, prefix):
-            values = getattr(state, field)
-            if None in places:
-                continue
-            if len(values) != len(state.names):
-                raise DataError(
-                    f'{self.path}: {name}: a message has {len(values)} {field} values for '
-                    f'{len(state.names)} joints; leave {field} out of data')
-            stamps.append(stamp)
-            rows.append(values[places])
-        if len(rows) < (1 if field == '*' else 2):
-            raise DataError(f'{self.path}: {name} has {len(rows)} messages with the joints '
-                            f'{listed(self._joints)}; record for longer, or name joints that '
-                            'it has in data.joints')
-        if len({len(row) for row in rows}) != 1:
-            raise DataError(f'{self.path}: {name}: its messages have different lengths')
-        return self._checked(name, stamps, np.array(rows))
-
-    def states(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
-        """
-        Return the messages of a topic of joint states that hold a joint, complete or not.
-
-        Parameters
-        ----------
-        topic : str
-            Its name, or the end of it, if only one topic ends so.
+        expected : str
+            Its possible types, separated by ``or``.
 
         Returns
         -------
         t : np.ndarray, shape (N,)
             Since the first [s], in the order of the recording: late ones come late.
         values : np.ndarray, shape (N, 3, d)
-            Positions, velocities and efforts; not a number where a message has none of a joint.
+            Positions, velocities and efforts of joint states, NaN where a message has none of a
+            joint; an array is all three.
 
         Raises
         ------
@@ -253,14 +192,19 @@ class SignalReader:
             There is no such topic, it has another type, or a message cannot be read.
 
         """
-        name, stamps, rows, seen = self._joint_rows(topic)
-        if not set(self._joints) <= seen:
-            raise DataError(f'{self.path}: {name} has no joint '
-                            f'{next(joint for joint in self._joints if joint not in seen)!r}; '
-                            f'its joints: {listed(sorted(seen)) or "none"}')
+        name, kind, messages = self._found(topic, expected)
+        if kind == ARRAY:
+            found = [(message.time, self._from_array(name, message)) for message in messages]
+            values = np.array([row for _, row in found]).reshape(-1, 1, len(self._joints))
+            return self._times(name, [stamp for stamp, _ in found]), values.repeat(3, axis=1)
+        stamps, rows, seen = self._joint_rows(name, prefix)
+        for joint in self._joints:
+            if prefix + joint not in seen:
+                raise DataError(f'{self.path}: {name} has no joint {prefix + joint!r}; its joints:'
+                                f' {listed(sorted(seen)) or "none"}')
         return self._times(name, stamps), np.array(rows)
 
-    def forces(self, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    def forces(self, topic: str, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
         Return the commands of a topic, complete or not.
 
@@ -269,15 +213,16 @@ class SignalReader:
         topic : str
             Its name, or the end of it, if only one topic ends so; of joint states with efforts,
             or of arrays.
+        columns : sequence of int
+            Which numbers of an array are forces; none for all.
 
         Returns
         -------
         t : np.ndarray, shape (N,)
-            As in ``states``.
+            As in ``read``.
         values : np.ndarray, shape (N, m)
-            Efforts of the joints, or the numbers of an array, selected by ``columns`` if there
-            are any; NaN where a message has no effort of a joint, or an array has another length
-            than most.
+            Efforts of the joints, or the numbers of an array; NaN where a message has no effort
+            of a joint, or an array has another length than most.
 
         Raises
         ------
@@ -285,69 +230,52 @@ class SignalReader:
             There is no such topic, it has another type, or a message cannot be read.
 
         """
-        if self.type_of(topic) == JOINT_STATE:
-            name, stamps, rows, _ = self._joint_rows(topic)
+        name, kind, messages = self._found(topic, STATES)
+        if kind == JOINT_STATE:
+            stamps, rows, _ = self._joint_rows(name)
             efforts = np.array([effort for _, _, effort in rows]).reshape(-1, len(self._joints))
             return self._times(name, stamps), efforts
-        name, _, messages = self._found(topic, ARRAY)
-        found = [(message.time, self._from_array(name, message, True)) for message in messages]
+        found = [(message.time, self._decoded(name, message, decode_float64_multi_array))
+                 for message in messages]
         lengths = [len(values) for _, values in found]
         usual = max(set(lengths), key=lengths.count, default=0)
         values = np.array([values if len(values) == usual else np.full(usual, np.nan)
                            for _, values in found]).reshape(-1, usual)
-        if self._columns:
-            if max(self._columns) >= usual:
+        if columns:
+            if max(columns) >= usual:
                 raise DataError(f'{self.path}: {name}: a message has {usual} numbers, and '
-                                f'data.columns names number {max(self._columns)}, counted from 0')
-            values = values[:, self._columns]
+                                f'data.columns names number {max(columns)}, counted from 0')
+            values = values[:, columns]
         return self._times(name, [stamp for stamp, _ in found]), values
 
-    def _of_joints(self, topic: str, prefix: str = ''
-                   ) -> Iterator[tuple[int, JointStates, list[int | None]]]:
-        """Yield stamp and content of each joint state, and where the joints are in it."""
+    def _joint_rows(self, name: str, prefix: str = ''
+                    ) -> tuple[list[int], list[list[list[float]]], set[str]]:
+        """Return stamps and numbers of a topic's messages, and the names of joints in them."""
         names = [prefix + joint for joint in self._joints]
-        for message in self._found(topic, JOINT_STATE)[2]:
-            state = self._joint_state(topic, message)
-            yield (state.stamp if self.stamps == 'header' else message.time, state,
-                   [state.names.index(name) if name in state.names else None for name in names])
-
-    def _joint_rows(self, topic: str) -> tuple[str, list[int], list[list[list[float]]], set[str]]:
-        """Return a topic's name, and of its messages stamps, numbers, and names of joints."""
-        name = self._found(topic, JOINT_STATE)[0]
         stamps, rows, seen = [], [], set[str]()
-        for stamp, state, places in self._of_joints(name):
+        for message in self._found(name)[2]:
+            state = self._decoded(name, message, decode_joint_state)
             seen.update(state.names)
+            places = [state.names.index(one) if one in state.names else None for one in names]
             if any(place is not None for place in places):  # else it is of another driver
-                stamps.append(stamp)
+                stamps.append(state.stamp if self.stamps == 'header' else message.time)
                 rows.append([[
                     np.nan if place is None or len(values) != len(state.names) else values[place]
                     for place in places]
                     for values in (state.position, state.velocity, state.effort)])
-        return name, stamps, rows, seen
+        return stamps, rows, seen
 
     def _times(self, name: str, stamps: list[int]) -> np.ndarray:
         """Return times since the first of the signal that was read first [s]."""
         if len(stamps) > 1 and len(set(stamps)) == 1:
+            other = 'header' if self.stamps == 'log' else \
+                'log, the times at which its messages were recorded'
             raise DataError(f'{self.path}: {name}: all its stamps are {stamps[0]} ns; take '
-                            'data.stamps: log, the times at which its messages were recorded')
+                            f'data.stamps: {other}')
         if self._origin is None and stamps:
             self._origin = stamps[0]
         origin = self._origin or 0
         return np.array([stamp - origin for stamp in stamps]) * 1e-9
-
-    def _checked(self, name: str, stamps: list[int], values: np.ndarray) -> Signal:
-        backward = np.flatnonzero(np.diff(stamps) <= 0)
-        if backward.size:
-            at = backward[0] + 1
-            other = 'log' if self.stamps == 'header' else 'header'
-            raise DataError(f'{self.path}: {name}: the stamp of message {at + 1}, {stamps[at]} ns,'
-                            f' is not after the one before, {stamps[at - 1]} ns; try data.stamps: '
-                            f'{other}, or split the bag where time was set back')
-        bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-        if bad.size:
-            raise DataError(f'{self.path}: {name}: message {bad[0] + 1} holds a value that is not '
-                            f'finite: {values[bad[0]].tolist()}')
-        return Signal(self._times(name, stamps), values)
 
     def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
         """Return name, type and messages of the one topic of this name, or that ends with it."""
@@ -375,21 +303,15 @@ class SignalReader:
         schema = self.bag.schemas.get(number)
         return 'unknown type' if schema is None else schema.name
 
-    def _from_array(self, topic: str, message: Recorded, whole: bool) -> np.ndarray:
-        if self.stamps == 'header':
-            raise DataError(f'{self.path}: {topic}: an array has no header with a stamp; use '
-                            'data.stamps: log')
+    def _from_array(self, topic: str, message: Recorded) -> np.ndarray:
         values = self._decoded(topic, message, decode_float64_multi_array)
-        if whole or (not self._columns and len(values) == len(self._joints)):
+        if not self._columns and len(values) == len(self._joints):
             return values
         if not self._columns or max(self._columns) >= len(values):
             raise DataError(f'{self.path}: {topic}: a message has {len(values)} numbers, expected '
                             f'{len(self._joints)}, one for each of data.joints; say which of them '
                             'in data.columns, counted from 0')
         return values[self._columns]
-
-    def _joint_state(self, topic: str, message: Recorded) -> JointStates:
-        return self._decoded(topic, message, decode_joint_state)
 
     def _decoded(self, topic: str, message: Recorded, decode: Callable[[bytes], Decoded]
                  ) -> Decoded:

@@ -1,17 +1,18 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Data to learn from: states (q, p) with their rates of change, measured, estimated or exact."""
+"""States (q, p) with their rates of change: of measured motions, or drawn exactly."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from abc import abstractmethod
+from dataclasses import dataclass, replace
 from inspect import signature
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.learning.data.runs import part_of
+from hnn_vi_ros.learning.data.motions import (
+    cubic, Motion, OnBad, part_of, pieces_of, Recording, Report, resampled, unwound_piece)
 from hnn_vi_ros.models.energy_error import Interval
 from hnn_vi_ros.models.model_card import Box
 import numpy as np
@@ -153,17 +154,6 @@ class Dataset:
         return windows
 
 
-def joined(motions: Sequence[dict[str, np.ndarray]], description: str) -> Dataset:
-    """Return the checked data of motions, each by columns; their blocks are numbered anew."""
-    blocks = 0
-    for number, part in enumerate(motions):
-        part['trajectory'] = np.full(len(part['t']), number)
-        part['block'] += blocks
-        blocks = part['block'].max(initial=blocks - 1) + 1
-    return Dataset(**{name: np.concatenate([part[name] for part in motions])
-                      for name in motions[0]}, description=description).checked()
-
-
 def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:
     """
     Return the matrix M of p = M dq/dt, shape (d, d).
@@ -274,6 +264,104 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
                         'times and at data.derivatives') from problem
     return (np.stack([spline(t) for spline in splines], axis=-1),
             np.stack([spline.derivative()(t) for spline in splines], axis=-1))
+
+
+class StateOptions(StrictModel):
+    """Options of measured states, wherever they come from."""
+
+    # Rows that are left out at each end of a motion, at least.
+    margin: ClassVar[int] = 0
+
+    mass: Mass | None = Field(None, description=(
+        'p = mass * velocities: one for each coordinate, or a matrix by rows; default 1'))
+    derivatives: Derivatives | None = Field(
+        None, discriminator='kind', description='how what was not measured is estimated')
+    spacing: float | None = Field(None, gt=0.0, description=(
+        'interval to resample at [s]; default: none if the samples come evenly or derivatives '
+        'take uneven ones, else their mean interval'))
+    block: Block = None
+    on_bad: OnBad = 'drop'
+
+    @property
+    @abstractmethod
+    def least(self) -> int:
+        """Return the rows that a motion needs."""
+
+    @abstractmethod
+    def method(self, spacing: float) -> Derivatives | None:
+        """Return how rates are estimated from samples of this interval [s], None if none are."""
+
+    @abstractmethod
+    def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
+        """Return the block of each row, shape (N,); the window of a filter in rows, or 0."""
+
+
+def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
+    """
+    Return states and rates of measured motions, one after another.
+
+    Where a rate is estimated, the value that belongs to it is replaced by the smoothed one, and
+    rows too close to an end of their motion for a whole window are left out.
+
+    Raises
+    ------
+    DataError
+        The motions are too short or too bad, or a rate cannot be estimated.
+
+    """
+    report, count = Report(data.least), 0
+    parts, blocks = list[Motion](), list[np.ndarray]()
+    for motion in recording.motions:
+        pieces = pieces_of(motion, data.on_bad, report)
+        for rows in pieces.rows:
+            piece, window = _differentiated(pieces.motion, rows, data, report)
+            inside = slice(margin := max(window // 2, data.margin), len(piece.t) - margin)
+            parts.append(part_of(piece, inside))
+            blocks.append(count + data.blocks(piece.t, window)[inside])
+            count = blocks[-1].max(initial=count - 1) + 1
+    column = {channel: np.concatenate([part.channels[channel] for part in parts])
+              for channel in parts[0].channels}
+    return Dataset(
+        column['q'], column['p'], column['v'], column['dp_dt'], np.concatenate(blocks),
+        report.described(recording, len(column['t'])), column['t'],
+        np.repeat(np.arange(len(parts)), [len(part.t) for part in parts]), column.get('a'),
+        column.get('tau')).checked()
+
+
+def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report: Report
+                    ) -> tuple[Motion, int]:
+    """Return a piece of a motion with p and all rates, and the rows of a filter's window, or 0."""
+    t = motion.t[rows]
+    mean = (t[-1] - t[0]) / max(len(t) - 1, 1)
+    method = data.method(data.spacing or mean)
+    if method is None:
+        return part_of(motion, rows), 0
+    piece, window = unwound_piece(motion, rows, report), 0
+    uneven = np.abs(np.diff(t) - mean).max() > UNEVENNESS * mean
+    if data.spacing or (uneven and isinstance(method, SavitzkyGolay)):
+        report.note(f'resampled every {data.spacing or mean:.4g} s')
+        piece = resampled(piece, data.spacing or mean, cubic)
+    if isinstance(method, SavitzkyGolay):
+        window = method.rows(data.spacing or mean, len(piece.t) - 1, motion.where,
+                             f'{len(piece.t)} rows')
+    return differentiated(piece, method, window, data.mass), window
+
+
+def differentiated(motion: Motion, method: Derivatives, window: int, mass: Mass | None = None
+                   ) -> Motion:
+    """Return a motion with momenta and all rates; what they are estimated from is smoothed."""
+    q, v, p, dp_dt = motion.q, motion.v, motion.p, motion.dp_dt
+
+    def rate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return differentiate(motion.t - motion.t[0], values, method, window, motion.where)
+
+    if v is None:
+        q, v = rate(q)
+    if p is None:
+        p = v @ mass_matrix(mass, q.shape[1])
+    if dp_dt is None:
+        p, dp_dt = rate(p)
+    return replace(motion, q=q, v=v, p=p, dp_dt=dp_dt, a=rate(v)[1])
 
 
 _MOST_DRAWS = 10_000

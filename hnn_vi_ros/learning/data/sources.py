@@ -9,11 +9,11 @@ from typing import Annotated
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.arrays import ArraysData, read_arrays, split_runs
-from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bag_motions, read_bags
-from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
-from hnn_vi_ros.learning.data.text import (
-    LogMotions, MeasuredData, read_log_motions, read_measured_log)
+from hnn_vi_ros.learning.data.bags import BagData, BagMotions, read_bags
+from hnn_vi_ros.learning.data.dataset import Dataset, dataset_of, ExactData, sample_exact
+from hnn_vi_ros.learning.data.motions import (
+    even_motions, EvenMotion, Motion, MotionData, Recording)
+from hnn_vi_ros.learning.data.text import LogMotions, MeasuredData, read_text
 import numpy as np
 from pydantic import Field
 
@@ -57,16 +57,13 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
             raise DataError(f'{source}: its data is exact, so --data {given[0]} has no use; '
                             'leave it out')
         return sample_exact(data, seed)
-    if isinstance(data, BagData):
-        return read_bags(bags_of(source, data.paths, given), data)
-    hint = f', which is {data.source}' if data.source else ''
-    return read_measured_log(one_file(source, data.path, given, hint), data)
+    return dataset_of(_recording(source, data, (), given), data)
 
 
 def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
-                 ) -> tuple[list[Run], str]:
+                 ) -> tuple[list[EvenMotion], str]:
     """
-    Read measured motions.
+    Read measured motions, and put them on even times.
 
     Parameters
     ----------
@@ -79,7 +76,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
 
     Returns
     -------
-    list of Run and str
+    list of EvenMotion and str
         The motions, which share one interval, and a description of them.
 
     Raises
@@ -88,16 +85,23 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
         They cannot be read.
 
     """
-    if isinstance(data, BagMotions):
-        return read_bag_motions(bags_of(source, data.paths, given), data, names)
-    file = one_file(source, data.path, given)
-    if isinstance(data, LogMotions):
-        return read_log_motions(file, data)
+    return even_motions(_recording(source, data, names, given), data)
+
+
+def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names: Sequence[str],
+               given: Sequence[str]) -> Recording:
+    """Return the motions as they were measured."""
+    if isinstance(data, BagData | BagMotions):
+        return read_bags(bags_of(source, data.paths, given), data, names)
+    hint = f', which is {data.source}' if isinstance(data, MeasuredData) and data.source else ''
+    file = one_file(source, data.path, given, hint)
+    if isinstance(data, MeasuredData | LogMotions):
+        return read_text(file, data)
     path, runs = split_runs(str(file)) if given else (file, [])
     return read_arrays(path, data, len(names), runs)
 
 
-def motions_of(dataset: Dataset, data: RunData) -> tuple[list[Run], str]:
+def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[EvenMotion], str]:
     """
     Return states and rates as measured motions, with commands for forces.
 
@@ -114,10 +118,10 @@ def motions_of(dataset: Dataset, data: RunData) -> tuple[list[Run], str]:
     for number in np.unique(dataset.motion):
         rows = dataset.rows(dataset.motion == number)
         assert rows.t is not None, 'checked above'
-        runs.append(MeasuredRun(
+        runs.append(Motion(
             str(number), f'{dataset.description}: motion {number}', rows.t, rows.q, rows.dq_dt,
             rows.commands, held=rows.commands is not None))
-    return even_runs(runs, data, dataset.description)
+    return even_motions(Recording(runs, dataset.description, ''), data)
 
 
 def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:

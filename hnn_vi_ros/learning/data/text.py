@@ -1,21 +1,20 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read text files, a row of numbers for each instant: as states and rates, or as runs."""
+"""Read motions from text files, a row of numbers for each instant."""
 
 from array import array
 import os
 from pathlib import Path
 import re
-from typing import Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError, did_you_mean, listed
 from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.data.dataset import (
-    Block, Dataset, Derivatives, differentiate, joined, Mass, mass_matrix, Names, SavitzkyGolay,
-    time_blocks, UNEVENNESS)
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+    Derivatives, mass_matrix, Names, StateOptions, time_blocks)
+from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording
 from hnn_vi_ros.phase_space import IN_DEGREES
 import numpy as np
 from pydantic import Field, model_validator
@@ -38,6 +37,9 @@ _OTHER_TIME = re.compile(
 class LogColumns(StrictModel):
     """Columns of a log: a text file with one row of numbers for each instant."""
 
+    # The key of the columns of each channel of a motion.
+    keys: ClassVar[dict[str, str]]
+
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
     delimiter: Literal['whitespace', 'comma', 'semicolon', 'tab'] | None = Field(
         None, description='default: the one that splits the first line into the columns')
@@ -51,11 +53,16 @@ class LogColumns(StrictModel):
         'columns of angles and their rates in degrees, which are converted to radians'))
 
     @property
+    def channels(self) -> dict[str, Names]:
+        """Return the names of the columns of each channel of a motion."""
+        return {channel: group for channel, key in self.keys.items()
+                if (group := getattr(self, key)) is not None}
+
+    @property
     def used(self) -> list[str]:
         """Return the names of the columns that are used."""
-        groups = 'q', 'p', 'dq_dt', 'dp_dt', 'v', 'a', 'tau'
         return [self.time, *([] if self.trial is None else [self.trial]),
-                *(name for group in groups for name in getattr(self, group, None) or ())]
+                *(name for group in self.channels.values() for name in group)]
 
     def check_columns(self) -> None:
         """Raise ValueError for a column that there is not, or that is used twice."""
@@ -68,20 +75,17 @@ class LogColumns(StrictModel):
                                  f'{did_you_mean(name, self.used)}; valid: {listed(self.used)}')
 
 
-class MeasuredData(LogColumns):
+class MeasuredData(LogColumns, StateOptions):
     """States of a log, one or several recordings, and their rates."""
+
+    keys = {'q': 'q', 'p': 'p', 'v': 'dq_dt', 'dp_dt': 'dp_dt'}
 
     kind: Literal['measured']
     source: str = Field('', max_length=1000, description=(
         'where the log comes from, for those who lack it'))
     p: Names = Field(min_length=1, description='columns of the momenta, or of the velocities')
-    mass: Mass | None = Field(None, description=(
-        'p = mass * columns: one for each coordinate, or a matrix by rows; default 1'))
     dq_dt: Names | None = Field(None, description='columns of dq/dt, if the log has them')
     dp_dt: Names | None = Field(None, description='columns of dp/dt, if the log has them')
-    derivatives: Derivatives | None = Field(
-        None, discriminator='kind', description='how missing derivatives are estimated')
-    block: Block = None
 
     @model_validator(mode='after')
     def _check(self) -> 'MeasuredData':
@@ -97,9 +101,27 @@ class MeasuredData(LogColumns):
                              'for example derivatives: {kind: savitzky_golay, window: 0.3}')
         return self
 
+    @property
+    def least(self) -> int:
+        """Return the rows that a motion needs: five for a spline, any number with its rates."""
+        return 1 if self.method(1.0) is None else 5
 
-class LogMotions(LogColumns, RunData):
+    def method(self, spacing: float) -> Derivatives | None:
+        """Return how rates are estimated, unless the log has both."""
+        return None if self.dq_dt and self.dp_dt else self.derivatives
+
+    def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
+        """Return blocks of one window each, or one row where nothing is estimated."""
+        if self.block is not None:
+            return time_blocks(t, self.block)
+        spline = 1 if self.method(1.0) is None else max(len(t) // BLOCKS, 1)
+        return np.arange(len(t)) // (window or spline)
+
+
+class LogMotions(LogColumns, MotionData):
     """Motions of a log, of one run or of several that a column numbers."""
+
+    keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau'}
 
     kind: Literal['log'] = 'log'
     v: Names | None = Field(None, description=(
@@ -120,61 +142,16 @@ class LogMotions(LogColumns, RunData):
         return self
 
 
-class _Trial(NamedTuple):
-    """The rows of one recording: its number, and each column and line number of them."""
-
-    number: float
-    column: dict[str, np.ndarray]
-    lines: np.ndarray
-
-    def stacked(self, names: Names) -> np.ndarray:
-        """Return some columns side by side, shape (N, d)."""
-        return np.stack([self.column[name] for name in names], axis=-1)
-
-
-def read_measured_log(path: Path, data: MeasuredData) -> Dataset:
+def read_text(path: Path, data: LogColumns) -> Recording:
     """
-    Read a log and estimate the derivatives that it lacks.
-
-    Where a derivative is estimated, the value that belongs to it is replaced by the smoothed
-    one, and rows too close to an end of their trial for a whole window are left out.
-
-    Parameters
-    ----------
-    path : Path
-        A text file of at most 256 MiB.
-    data : MeasuredData
-        Its columns and how to differentiate.
-
-    Raises
-    ------
-    DataError
-        The file is missing or a row cannot be used; names file, line, column and what is
-        expected.
-
-    """
-    trials, digest = _trials(path, data)
-    trials.sort(key=lambda trial: trial.number)
-    rows = sum(len(trial.lines) for trial in trials)
-    return joined([_rows(path, trial, data) for trial in trials],
-                  f'{path.name} ({rows} rows, sha256 {digest[:16]})')
-
-
-def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
-    """
-    Read runs from a log, and put each on even times.
+    Read the motions of a log, one for each recording in it.
 
     Parameters
     ----------
     path : Path
         A text file of at most 256 MiB; a field that is empty or ``nan`` is a number that lacks.
-    data : LogMotions
+    data : LogColumns
         Its columns.
-
-    Returns
-    -------
-    list of Run and str
-        The runs, and a description of them for the model card.
 
     Raises
     ------
@@ -182,21 +159,7 @@ def read_log_motions(path: Path, data: LogMotions) -> tuple[list[Run], str]:
         The file cannot be read, or a row cannot; names file and line.
 
     """
-    trials, digest = _trials(path, data, lacking=True)
-    runs = []
-    for trial in trials:
-        name = f'{trial.number:.15g}' if data.trial else path.stem
-        v, tau, a = (None if names is None else trial.stacked(names)
-                     for names in (data.v, data.tau, data.a))
-        runs.append(MeasuredRun(name, f'{path}: {name}', trial.column[data.time],
-                                trial.stacked(data.q), v, tau, a=a))
-    return even_runs(runs, data, path.name, digest[:16])
-
-
-def _trials(path: Path, data: LogColumns, lacking: bool = False
-            ) -> tuple[list[_Trial], str]:
-    """Return the recordings of a log, in their order, and its SHA-256; or raise DataError."""
-    table, lines, digest, names = read_log(path, data, lacking)
+    table, lines, digest, names = read_log(path, data)
     column = dict(zip(names, table.T, strict=True))
     _check_units(path, data)
     column |= {name: np.radians(column[name]) for name in data.degrees or ()}
@@ -205,12 +168,17 @@ def _trials(path: Path, data: LogColumns, lacking: bool = False
     if unnumbered.size:
         raise DataError(f'{path}:{lines[unnumbered[0]]}: column {data.trial}: no number, which '
                         'tells the run; give one, or leave the row out')
-    trials = []
+    channels: dict[str, Any] = {name: np.stack([column[one] for one in group], axis=-1)
+                                for name, group in data.channels.items()}
+    if 'p' in channels:
+        channels['p'] = channels['p'] @ mass_matrix(getattr(data, 'mass', None), len(data.q))
+    motions = []
     for number in dict.fromkeys(numbers.tolist()):
         rows = np.flatnonzero(numbers == number)
-        trials.append(_Trial(number, {name: values[rows] for name, values in column.items()},
-                             lines[rows]))
-    return trials, digest
+        name = f'{number:.15g}' if data.trial else path.stem
+        motions.append(Motion(name, f'{path}: {name}', column[data.time][rows], **{
+            key: values[rows] for key, values in channels.items()}))
+    return Recording(motions, path.name, digest[:16])
 
 
 def _check_units(path: Path, data: LogColumns) -> None:
@@ -224,8 +192,7 @@ def _check_units(path: Path, data: LogColumns) -> None:
                         f'data.degrees: {found}, or data.degrees: [] if they are radians')
 
 
-def read_log(path: Path, data: LogColumns, lacking: bool = False
-             ) -> tuple[np.ndarray, np.ndarray, str, Names]:
+def read_log(path: Path, data: LogColumns) -> tuple[np.ndarray, np.ndarray, str, Names]:
     """
     Return the numbers of a log, the line of each row, its SHA-256 and its columns, or DataError.
 
@@ -235,8 +202,6 @@ def read_log(path: Path, data: LogColumns, lacking: bool = False
         A text file of at most 256 MiB.
     data : LogColumns
         How its rows are read.
-    lacking : bool
-        Whether a field that is empty or ``nan`` is a number that lacks.
 
     Returns
     -------
@@ -256,7 +221,7 @@ def read_log(path: Path, data: LogColumns, lacking: bool = False
             data = _delimited(line, data)
             if names is None:
                 names = _header(f'{path}:{number}', line, data)
-            elif row := _row(f'{path}:{number}', line, data, names, lacking, not lines):
+            elif row := _row(f'{path}:{number}', line, data, names, not lines):
                 numbers.extend(row)
                 lines.append(number)
         digest = sha256_of(path, MAX_BYTES)
@@ -303,8 +268,7 @@ def _header(place: str, line: str, data: LogColumns) -> Names:
     return names
 
 
-def _row(place: str, line: str, data: LogColumns, names: Names, lacking: bool, first: bool
-         ) -> list[float]:
+def _row(place: str, line: str, data: LogColumns, names: Names, first: bool) -> list[float]:
     """Return the numbers of a line; none of the header that may come first."""
     fields = _fields(line, data, len(names) + 1)
     if first and fields == names:
@@ -315,7 +279,7 @@ def _row(place: str, line: str, data: LogColumns, names: Names, lacking: bool, f
                         f'{len(names)}: {listed(names)}')
     # Of a header that was only read, columns that nobody uses may hold anything.
     known = names if data.columns is not None else data.used
-    return [np.nan if (lacking and field.lower() in ('', 'nan')) or name not in known else
+    return [np.nan if field.lower() in ('', 'nan') or name not in known else
             _number(place, i, field, name)
             for i, (field, name) in enumerate(zip(fields, names, strict=True))]
 
@@ -332,47 +296,3 @@ def _number(place: str, index: int, field: str, name: str) -> float:
         raise DataError(f'{place}: column {index + 1} ({name}): expected a finite number, '
                         f'found {field[:40]!r}; {remedy}')
     return value
-
-
-def _rows(path: Path, trial: _Trial, data: MeasuredData) -> dict[str, np.ndarray]:
-    """Return states, their rates, time and block of each row of one trial, by name."""
-    t, lines = trial.column[data.time], trial.lines
-    backward = np.flatnonzero(np.diff(t) <= 0.0)
-    if backward.size:
-        raise DataError(f'{path}:{lines[backward[0] + 1]}: column {data.time}: time must '
-                        'increase from row to row; sort the rows, or name the column that '
-                        'separates recordings in data.trial')
-    found = {'q': trial.stacked(data.q),
-             'p': trial.stacked(data.p) @ mass_matrix(data.mass, len(data.q)), 't': t}
-    given = {'q': data.dq_dt, 'p': data.dp_dt}
-    whole, block = slice(None), np.arange(len(t))
-    if None in given.values():
-        window = _window(path, t, data.derivatives, lines)
-        whole = slice(window // 2, len(t) - window // 2)
-        block //= window or max(len(t) // BLOCKS, 1)
-    for name, names in given.items():
-        if names is not None:
-            found[f'd{name}_dt'] = trial.stacked(names)
-        else:
-            assert data.derivatives is not None, 'checked with the configuration'
-            found[name], found[f'd{name}_dt'] = differentiate(
-                t, found[name], data.derivatives, window, f'{path}:{lines[0]}')
-    found['block'] = block if data.block is None else time_blocks(t, data.block)
-    return {name: values[whole] for name, values in found.items()}
-
-
-def _window(path: Path, t: np.ndarray, method: object, lines: np.ndarray) -> int:
-    """Return the window in rows, an odd number; 0 for a method without one."""
-    if not isinstance(method, SavitzkyGolay):
-        if len(t) < 5:
-            raise DataError(f'{path}:{lines[0]}: {len(t)} rows in this trial, expected at least 5')
-        return 0
-    spacing = (t[-1] - t[0]) / max(len(t) - 1, 1)
-    uneven = np.flatnonzero(np.abs(np.diff(t) - spacing) > UNEVENNESS * spacing)
-    if uneven.size:
-        at = uneven[0]
-        raise DataError(f'{path}:{lines[at + 1]}: {t[at + 1] - t[at]:.6g} s after the row before, '
-                        f'but {spacing:.6g} s on average; use derivatives: '
-                        '{kind: smoothing_spline}, or data.trial to separate recordings')
-    return method.rows(spacing, len(t) - 1, f'{path}:{lines[0]}',
-                       f'the {len(t)} rows of this trial')

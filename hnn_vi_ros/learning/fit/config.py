@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The schema of a training configuration, by its family, and the motions that it can make up."""
 
+from collections.abc import Sequence
 import os
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,7 +15,8 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
-from hnn_vi_ros.learning.data.runs import even_runs, MeasuredRun, Run, RunData
+from hnn_vi_ros.learning.data.motions import (
+    even_motions, EvenMotion, Motion, MotionData, Recording)
 from hnn_vi_ros.learning.data.sources import dimension, Source
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
@@ -39,7 +41,7 @@ _SINES, _SPEED = 5, 0.01
 _ROOM, _UNLIMITED = 0.4, 1.5
 
 
-class ExcitationData(RunData):
+class ExcitationData(MotionData):
     """Each joint of the URDF along a sum of sines; forces by its H, its damping and friction."""
 
     kind: Literal['excitation'] = 'excitation'
@@ -55,7 +57,7 @@ class ExcitationData(RunData):
 
 
 def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
-                    ) -> tuple[list[Run], str]:
+                    ) -> tuple[list[EvenMotion], str]:
     """
     Return motions of a robot, and what they are.
 
@@ -85,9 +87,9 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
         q, v, tau = (part + scale * rng.normal(size=(len(t), d)) for part, scale in (
             (q, data.noise_q), (v, data.noise_v), (tau, data.noise_tau * size)))
         exact = not (data.noise_q or data.noise_v)
-        runs.append(MeasuredRun(f'run{number}', f'run{number}', t, q, v, tau,
-                                a=a if exact else None))
-    return even_runs(runs, data, f'{robot.robot.name} along sums of sines, seed {seed}', 'none')
+        runs.append(Motion(f'run{number}', f'run{number}', t, q, v, tau, a if exact else None))
+    return even_motions(Recording(
+        runs, f'{robot.robot.name} along sums of sines, seed {seed}', 'none'), data)
 
 
 def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastest: float
@@ -247,11 +249,12 @@ class MachineConfig(TrainingConfig):
         """Return the windows by which a rigid body is fitted."""
         return self.loss if isinstance(self.loss, Trajectory) else Trajectory()
 
-    def loss_of(self, measured: bool) -> Forward | Inverse | Discrete | Trajectory:
-        """Return the loss, for data whose accelerations were measured or not."""
+    def loss_of(self, motions: Sequence[Motion]) -> Forward | Inverse | Discrete | Trajectory:
+        """Return the loss for motions, whose accelerations were measured or not."""
         if self.loss is not None:
             return self.loss
         alone = self.family.prior in (None, AUTO)
+        measured = all(motion.a is not None for motion in motions)
         return Forward(kind='forward') if measured and alone else Trajectory()
 
     def structure(self) -> Structure:

@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import low_pass, Run
+from hnn_vi_ros.learning.data.motions import EvenMotion, low_pass
 from hnn_vi_ros.learning.families.choices import Inverse, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.families.priors import RigidTree
@@ -41,7 +41,7 @@ _CHUNK = 5000
 
 
 def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
-                      motions: Sequence[Run]) -> Checkpoint:
+                      motions: Sequence[EvenMotion]) -> Checkpoint:
     """Return the model of a rigid body whose card tells its forces' errors along motions."""
     mechanical = checkpoint.card.mechanical
     if mechanical is None or mechanical.prior is None or mechanical.prior.identification is None:
@@ -54,7 +54,7 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
         'mechanical': mechanical.model_copy(update={'prior': prior})}))
 
 
-def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
+def force_errors(network: MechanicalNetwork, motions: Sequence[EvenMotion]
                  ) -> tuple[list[float], list[float]]:
     """
     Return how far forces are off along motions, and the share that networks have in them.
@@ -76,7 +76,7 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[Run]
     return found, share.tolist()
 
 
-def _errors(network: MechanicalNetwork, motion: Run) -> tuple[np.ndarray, ...]:
+def _errors(network: MechanicalNetwork, motion: EvenMotion) -> tuple[np.ndarray, ...]:
     """Return errors of forces, the part of networks, and the measured forces, (N, d) each."""
     states = motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau
     chunks = zip(*(torch.tensor(part).split(_CHUNK) for part in states), strict=True)
@@ -246,7 +246,7 @@ class Information(NamedTuple):
     idle: list[np.ndarray]
 
 
-def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
+def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[EvenMotion],
              rotors: bool = False, offsets: bool = True) -> dict[str, float]:
     """
     Identify a tree and its friction, whose widths stay what they are.
@@ -258,7 +258,7 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
         ``prior.identification``.
     config : MachineConfig
         How.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from, with forces.
     rotors, offsets : bool
         Whether those are identified as well.
@@ -297,7 +297,7 @@ def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
     return losses
 
 
-def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: float
+def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cutoff: float
                  ) -> Equations:
     """Return the equations of motions; what was measured is filtered as the motions are [Hz]."""
     every = max(1, sum(len(motion.t) for motion in motions) // _SAMPLES)
@@ -308,7 +308,7 @@ def equations_of(network: MechanicalNetwork, motions: Sequence[Run], cutoff: flo
             matrix = network.columns(*map(torch.tensor, (
                 motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau))).numpy()
         forces = motion.tau
-        if not motion.accelerations:
+        if motion.a is None:
             # Alike, so that they stay equal.
             matrix, forces = (low_pass(motion.name, part, motion.spacing, cutoff)
                               for part in (matrix, forces))
@@ -406,7 +406,7 @@ def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Inf
 
 
 def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
-                 motions: Sequence[Run], x: np.ndarray
+                 motions: Sequence[EvenMotion], x: np.ndarray
                  ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
     """
     Return x of the least errors of windows along determined directions, losses, and covariance.

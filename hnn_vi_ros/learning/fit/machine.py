@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
@@ -69,7 +69,7 @@ class Samples(NamedTuple):
     step_size: float
 
 
-def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
+def samples_of(motions: Sequence[EvenMotion], step_size: float | None) -> Samples:
     """Return the samples of motions, for windows of this step size [s], or DataError."""
     step_size = step_size or usual_step(motions)
     every = round(step_size / motions[0].spacing)
@@ -85,17 +85,17 @@ def samples_of(motions: Sequence[Run], step_size: float | None) -> Samples:
     return Samples(measured, q, v, a, tau, mean, behind, every, every * motions[0].spacing)
 
 
-def usual_step(motions: Sequence[Run]) -> float:
+def usual_step(motions: Sequence[EvenMotion]) -> float:
     """Return the step size [s] of windows where none is given."""
     return max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
 
 
-def slowness(motions: Sequence[Run], step_size: float | None = None) -> float:
+def slowness(motions: Sequence[EvenMotion], step_size: float | None = None) -> float:
     """Return how many times longer than usual a step is, where samples are rare; 1 or more."""
     return max(1.0, round((step_size or usual_step(motions)) / _STEP, 2))
 
 
-def mean_forces(motion: Run, every: int) -> np.ndarray:
+def mean_forces(motion: EvenMotion, every: int) -> np.ndarray:
     """Return forces, shape (N, m), averaged over ``every`` intervals from each sample on."""
     n, tau = len(motion.t), motion.tau
     total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
@@ -145,7 +145,7 @@ def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tens
     return _soft(network.velocities(q1, residual) / h / torch.tensor(network.scales.a))
 
 
-def balanced_step(motions: Sequence[Run]) -> float:
+def balanced_step(motions: Sequence[EvenMotion]) -> float:
     """
     Return the multiple of the samples' interval [s] for discrete_loss.
 
@@ -243,7 +243,7 @@ def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: 
     return q + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
 
 
-def scales_of(motions: Sequence[Run], learns_map: bool = False) -> MotionScales:
+def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> MotionScales:
     """
     Return the scales of motions, with a first input map where one is to be learned.
 
@@ -330,15 +330,15 @@ class Fading:
     ----------
     network : MechanicalNetwork
         With a prior.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What was seen.
     seen_weight, fade_weight : float
         The two weights.
 
     """
 
-    def __init__(self, network: MechanicalNetwork, motions: Sequence[Run], seen_weight: float,
-                 fade_weight: float):
+    def __init__(self, network: MechanicalNetwork, motions: Sequence[EvenMotion],
+                 seen_weight: float, fade_weight: float):
         self._network = network
         self._weights = seen_weight, fade_weight
         q, v = (np.concatenate([getattr(motion, name) for motion in motions])
@@ -388,7 +388,7 @@ class MachineProblem(Problem):
         and windows.
     config : MachineConfig
         Loss, learning rate and seed.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
     penalty : callable, optional
         Added to the loss of networks beside a prior; L-BFGS takes no accelerations then.
@@ -402,12 +402,12 @@ class MachineProblem(Problem):
 
     """
 
-    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[Run],
+    def __init__(self, network: Network, config: MachineConfig, motions: Sequence[EvenMotion],
                  penalty: Callable[[torch.Generator], torch.Tensor] | None = None,
                  losses: Mapping[str, float] | None = None):
         super().__init__(network, (), torch.Generator().manual_seed(config.seed), losses)
         self._config, self._penalty = config, penalty
-        loss = config.loss_of(all(motion.accelerations for motion in motions))
+        loss = config.loss_of(motions)
         self.stages = self._on_windows(loss, motions) if isinstance(loss, Trajectory) else \
             self._on_samples(loss, motions)
 
@@ -421,7 +421,7 @@ class MachineProblem(Problem):
         return loss if self._penalty is None else loss + self._penalty(
             self.generator if anew else torch.Generator().manual_seed(self._config.seed))
 
-    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[Run]
+    def _on_samples(self, loss: Forward | Inverse | Discrete, motions: Sequence[EvenMotion]
                     ) -> list[Stage]:
         step_size = motions[0].spacing
         if isinstance(loss, Discrete):
@@ -442,7 +442,7 @@ class MachineProblem(Problem):
                       self._config.learning_rate, clip=True),
                 *_polish(loss.kind, value, rows, loss.lbfgs_steps)]
 
-    def _on_windows(self, loss: Trajectory, motions: Sequence[Run]) -> list[Stage]:
+    def _on_windows(self, loss: Trajectory, motions: Sequence[EvenMotion]) -> list[Stage]:
         samples = samples_of(motions, loss.step_size)
         rows = torch.arange(len(samples.q))
 

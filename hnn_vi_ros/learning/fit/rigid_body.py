@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
-from hnn_vi_ros.learning.data.runs import part_of, Run
+from hnn_vi_ros.learning.data.motions import EvenMotion, part_of
 from hnn_vi_ros.learning.families.choices import Structure, Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine import (
@@ -42,7 +42,7 @@ _OVERLAP = 20
 _ABOVE = 10.0 * LEAST
 
 
-def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run]
+def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion]
                    ) -> dict[str, float]:
     """
     Fit prior and friction of a network, whose widths of friction stay what they are.
@@ -53,7 +53,7 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
         With a prior and without networks; changed in place.
     loss : Trajectory
         Its windows are simulated.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
 
     Returns
@@ -76,8 +76,8 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     return losses
 
 
-def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run],
-                simulate: Callable[[Run], np.ndarray]) -> float:
+def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion],
+                simulate: Callable[[EvenMotion], np.ndarray]) -> float:
     """
     Fit prior and friction of a network to the positions of whole motions (output error).
 
@@ -87,7 +87,7 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
         With a prior and without networks; changed in place, never for the worse.
     loss : Trajectory
         Its step size, by which motions are thinned out, forces averaged.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
     simulate : callable
         ``simulate(motion)`` returns the positions, shape (N, d), of the network as it is, from
@@ -113,7 +113,8 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
     return float(np.sqrt(np.mean(errors(fit.x)**2)))
 
 
-def thinned(motions: Sequence[Run], step_size: float | None) -> tuple[list[Run], np.ndarray]:
+def thinned(motions: Sequence[EvenMotion], step_size: float | None
+            ) -> tuple[list[EvenMotion], np.ndarray]:
     """Return motions by steps of this size, of held forces, and the spread of q, shape (d,)."""
     every = samples_of(motions, step_size).every
     return [replace(part_of(motion, slice(None, None, every)), held=True,
@@ -121,8 +122,8 @@ def thinned(motions: Sequence[Run], step_size: float | None) -> tuple[list[Run],
             ], np.concatenate([motion.q for motion in motions]).std(axis=0)
 
 
-def best_rigid_body(loss: Trajectory, motions: Sequence[Run], structure: Structure | None = None,
-                    learns_map: bool = False
+def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
+                    structure: Structure | None = None, learns_map: bool = False
                     ) -> tuple[MechanicalNetwork, dict[str, float]] | None:
     """
     Return a chain of as many links as there are coordinates, and its losses after each fit.
@@ -131,7 +132,7 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[Run], structure: Structu
     ----------
     loss : Trajectory
         Its windows are simulated.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
     structure : Structure, optional
         Joints and friction. The links have its angles, or those that fit best if it names none.

@@ -15,7 +15,7 @@ from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterE
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
-from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run
+from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
@@ -75,7 +75,7 @@ def resampled(dataset: Dataset, seed: int) -> Dataset:
     return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
 
 
-def resampled_blocks(blocks: Sequence[Run], seed: int) -> list[Run]:
+def resampled_blocks(blocks: Sequence[EvenMotion], seed: int) -> list[EvenMotion]:
     """Return a block bootstrap of motions, in their order."""
     return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
 
@@ -87,8 +87,8 @@ def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | 
     return dataset.split(HELD_OUT, config.seed)
 
 
-def kept_and_held(motions: Sequence[Run], config: MachineConfig
-                  ) -> tuple[list[Run], list[Run]]:
+def kept_and_held(motions: Sequence[EvenMotion], config: MachineConfig
+                  ) -> tuple[list[EvenMotion], list[EvenMotion]]:
     """
     Return blocks of motions to train members on, and a fifth of the blocks, for calibration.
 
@@ -101,7 +101,7 @@ def kept_and_held(motions: Sequence[Run], config: MachineConfig
         There are not even five blocks.
 
     """
-    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    loss = config.loss_of(motions)
     stages = loss.windows if isinstance(loss, Trajectory) else []
     least = 2.0 * max([_HORIZON, *(stage.duration for stage in stages)])
     lengths = [len(motion.t) * motion.spacing for motion in motions]
@@ -380,8 +380,8 @@ def _within(checkpoint: Checkpoint, t: np.ndarray, q: np.ndarray, p: np.ndarray)
     return Held(t, q, p, np.logical_and.accumulate(inside, axis=0))
 
 
-def machine_calibration(checkpoint: Checkpoint, held: Sequence[Run], test: Sequence[Run]
-                        ) -> Calibration:
+def machine_calibration(checkpoint: Checkpoint, held: Sequence[EvenMotion],
+                        test: Sequence[EvenMotion]) -> Calibration:
     """
     Return the scores of simulations of a machine from measured states.
 
@@ -392,7 +392,7 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[Run], test: Seque
     ----------
     checkpoint : Checkpoint
         The ensemble.
-    held, test : sequence of Run
+    held, test : sequence of EvenMotion
         Blocks that no member has seen, and the motions that the model is judged by.
 
     Raises
@@ -412,11 +412,11 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[Run], test: Seque
         f'and coverage on {len(second)} of the test motions'))
 
 
-def _duration(motions: Sequence[Run]) -> float:
+def _duration(motions: Sequence[EvenMotion]) -> float:
     return min(_HORIZON, max(float(motion.t[-1] - motion.t[0]) for motion in motions))
 
 
-def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | None = _MOST
+def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: int | None = _MOST
                    ) -> list[list[np.ndarray]]:
     """
     Return abs(x - mean) / deviation of simulations from measured states, with measured forces.
@@ -425,7 +425,7 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[Run], most: int | N
     ----------
     checkpoint : Checkpoint
         The ensemble.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         The measured motions.
     most : int, optional
         How many simulations at most; None: all.
@@ -478,7 +478,7 @@ def _scene(model: str, card: ModelCard, spacing: float, driven: bool) -> Scene:
         initial_state=(np.mean(card.box.q, axis=1).tolist(), zero), name=card.name)
 
 
-def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: Run,
+def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion: EvenMotion,
                     rows: np.ndarray) -> np.ndarray:
     """Return the scores of one simulation at some samples, shape (instants, 2 d)."""
     q, v = motion.q_smooth[rows], motion.v_smooth[rows]

@@ -24,7 +24,7 @@ from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
-from hnn_vi_ros.learning.data.runs import Run, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
@@ -60,7 +60,7 @@ def unaccounted(effects: Sequence[Effect]) -> list[str]:
             if not (effect.conservative or isinstance(effect, Force))]
 
 
-def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Run) -> Balance:
+def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMotion) -> Balance:
     """
     Return energy and work along a motion.
 
@@ -75,7 +75,7 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: Run) ->
         H, with the potentials of the effects.
     effects : sequence of Effect
         Each conservative or a Force.
-    motion : Run
+    motion : EvenMotion
         The measured motion.
 
     Raises
@@ -206,7 +206,7 @@ _FOREVER = 1e9
 
 # ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
 # start on: not a number from where a simulation fails, infinite from where one is given up.
-Predict = Callable[[Run, np.ndarray, int], np.ndarray]
+Predict = Callable[[EvenMotion, np.ndarray, int], np.ndarray]
 
 
 class Fan(NamedTuple):
@@ -215,7 +215,7 @@ class Fan(NamedTuple):
 
     Parameters
     ----------
-    motion : Run
+    motion : EvenMotion
         The measured motions.
     starts : np.ndarray of int, shape (n,)
         Samples from which they begin.
@@ -224,7 +224,7 @@ class Fan(NamedTuple):
 
     """
 
-    motion: Run
+    motion: EvenMotion
     starts: np.ndarray
     q: np.ndarray
 
@@ -280,7 +280,7 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
     """
     steps = round(spacing / simulation.step_size)
 
-    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         needed = samples_in(least, motion)
         q = np.full((len(starts), count + 1, motion.q.shape[1]), np.nan)
         p = np.zeros(motion.q.shape[1])
@@ -311,13 +311,13 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
     return predict
 
 
-def constant_velocity(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+def constant_velocity(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
     """Return motions without any force, as predictions."""
     t = motion.spacing * np.arange(count + 1)
     return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
 
 
-def linear_model(motions: Sequence[Run]) -> Predict:
+def linear_model(motions: Sequence[EvenMotion]) -> Predict:
     """Return predictions of x_(k+1) = A x_k + B tau_k + c, x = (q, v), by least squares."""
     inputs, targets = [], []
     for motion in motions:
@@ -328,7 +328,7 @@ def linear_model(motions: Sequence[Run]) -> Predict:
     matrix = np.linalg.lstsq(np.concatenate(inputs), np.concatenate(targets), rcond=None)[0]
     spacing = motions[0].spacing
 
-    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         share = motion.spacing / spacing
         d = motion.q.shape[1]
         x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
@@ -346,7 +346,7 @@ def linear_model(motions: Sequence[Run]) -> Predict:
 
 def predicted_by(network: Network) -> Predict:
     """Return the predictions of a network, by the Runge-Kutta method of order 4."""
-    def predict(motion: Run, starts: np.ndarray, count: int) -> np.ndarray:
+    def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         tau = torch.tensor(motion.forces)
         q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
         rows, found = torch.tensor(starts), [q]
@@ -360,7 +360,7 @@ def predicted_by(network: Network) -> Predict:
     return predict
 
 
-def variance_of(motions: Sequence[Run]) -> np.ndarray:
+def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
     """
     Return the variance of each coordinate over motions, shape (d,).
 
@@ -380,13 +380,13 @@ def variance_of(motions: Sequence[Run]) -> np.ndarray:
     return np.where(moves, q.var(axis=0), np.inf)
 
 
-def samples_in(time: float, motion: Run) -> int:
+def samples_in(time: float, motion: EvenMotion) -> int:
     """Return the samples of a motion in a time [s], at most all of them."""
     return round(min(time / motion.spacing, len(motion.t)))
 
 
-def fans_of(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
-            longest: float) -> list[Fan]:
+def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float],
+            every: float, longest: float) -> list[Fan]:
     """Return predictions from many measured states, for as long as ``score`` asks for them."""
     for horizon in horizons:
         if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
@@ -405,7 +405,7 @@ def fans_of(predict: Predict, motions: Sequence[Run], horizons: Sequence[float],
     return fans
 
 
-def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], every: float,
+def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float], every: float,
           longest: float) -> Scores:
     """
     Predict from many measured states, and compare.
@@ -414,7 +414,7 @@ def score(predict: Predict, motions: Sequence[Run], horizons: Sequence[float], e
     ----------
     predict : callable
         The predictions that are judged.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         The measured motions.
     horizons : sequence of float
         After which errors are taken [s].
@@ -463,7 +463,7 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
                   float(np.mean(np.concatenate(ended))), failed)
 
 
-def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> list[np.ndarray]:
+def whole_records(predict: Predict, motions: Sequence[EvenMotion], first: int) -> list[np.ndarray]:
     """
     Return the root mean square error over each whole run, each of shape (d,).
 
@@ -471,7 +471,7 @@ def whole_records(predict: Predict, motions: Sequence[Run], first: int) -> list[
     ----------
     predict : callable
         The predictions that are judged.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         The measured motions.
     first : int
         The sample of each from whose smoothed state the one prediction begins.
@@ -648,7 +648,7 @@ def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
 
 
 def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
-                  motions: Sequence[Run], step_size: float | None = None) -> Simulation:
+                  motions: Sequence[EvenMotion], step_size: float | None = None) -> Simulation:
     """
     Return the simulation that predicts motions, which share one interval.
 
@@ -661,7 +661,7 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
                       np.zeros(hamiltonian.dimension), effects)
 
 
-def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[Run],
+def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[EvenMotion],
           horizons: Sequence[float], every: float, longest: float,
           others: Mapping[str, Predict]) -> tuple[dict[str, Scores], list[Fan]]:
     """Return the scores of a model, of constant velocity for scale, and others; and its fans."""

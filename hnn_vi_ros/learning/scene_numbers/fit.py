@@ -18,7 +18,7 @@ import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 import numpy as np
@@ -29,11 +29,10 @@ _LEAST_NOISE = 1e-9
 _LEAST_SAMPLES = 10
 
 
-def first_noise(motions: Sequence[Run], velocities: bool) -> np.ndarray:
+def first_noise(motions: Sequence[EvenMotion]) -> np.ndarray:
     """Return a guess of the noise from third differences, which smooth motion hardly has."""
-    columns = [np.hstack([motion.q, motion.v][:1 + velocities]) for motion in motions]
-    thirds = np.concatenate([np.diff(column, 3, axis=0) for column in columns])
-    least = least_noise(np.concatenate(columns))
+    thirds = np.concatenate([np.diff(motion.measured, 3, axis=0) for motion in motions])
+    least = least_noise(np.concatenate([motion.measured for motion in motions]))
     return np.maximum(np.sqrt((thirds**2).mean(axis=0) / 20.0), least)
 
 
@@ -42,7 +41,7 @@ def least_noise(measured: np.ndarray) -> np.ndarray:
     return _LEAST_NOISE * (np.ptp(measured, axis=0) + 1e-300)
 
 
-def first_length(motions: Sequence[Run], velocities: bool) -> float:
+def first_length(motions: Sequence[EvenMotion]) -> float:
     """Return a length of windows in which a motion hardly turns: four of its times [s]."""
     q, v = (np.concatenate([getattr(motion, name) for motion in motions])
             for name in ('q_smooth', 'v_smooth'))
@@ -50,7 +49,7 @@ def first_length(motions: Sequence[Run], velocities: bool) -> float:
     if not speed.any():
         raise DataError(f'{motions[0].name}: nothing moves in it, so no parameter can be found')
     pace = float((q.std(axis=0)[speed > 0.0] / speed[speed > 0.0]).min())
-    least = _LEAST_SAMPLES if velocities else 2 * _LEAST_SAMPLES
+    least = 2 * _LEAST_SAMPLES if motions[0].v is None else _LEAST_SAMPLES
     return max(4.0 * pace, (least - 1) * motions[0].spacing)
 
 
@@ -292,8 +291,8 @@ def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     return sizes, rows, sizes > _RANK * max(1.0, sizes.max(initial=0.0))
 
 
-def fit(free: FreeScene, motions: Sequence[Run], velocities: bool, horizon: float | None,
-        robust: bool) -> tuple[Solution, Problem, list[tuple[float, float]]]:
+def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, robust: bool
+        ) -> tuple[Solution, Problem, list[tuple[float, float]]]:
     """
     Fit the free numbers, in windows that grow from short ones, which have no false minima.
 
@@ -301,10 +300,8 @@ def fit(free: FreeScene, motions: Sequence[Run], velocities: bool, horizon: floa
     ----------
     free : FreeScene
         The scene.
-    motions : sequence of Run
-        The measured motions.
-    velocities : bool
-        Whether velocities were.
+    motions : sequence of EvenMotion
+        The measured motions, all of them with velocities or none.
     horizon : float, optional
         Length of the windows at the end [s]; by default they grow up to whole runs, as long as
         residuals do not grow by more than a half.
@@ -325,10 +322,10 @@ def fit(free: FreeScene, motions: Sequence[Run], velocities: bool, horizon: floa
     values = np.array([number.start for number in free.numbers])
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
     wanted = longest if horizon is None else min(horizon, longest)
-    length = min(first_length(motions, velocities), wanted)
-    noise, before, stages = first_noise(motions, velocities), None, []
+    length = min(first_length(motions), wanted)
+    noise, before, stages = first_noise(motions), None, []
     while True:
-        windows = windows_of(motions, length, velocities)
+        windows = windows_of(motions, length)
         starts = _starts(free, values, windows, before)
         solution, problem = _settled(
             free, windows, noise if before is None else before[0].noise, starts, values, robust,

@@ -22,8 +22,7 @@ from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
-from hnn_vi_ros.learning.data.bags import BagMotions
-from hnn_vi_ros.learning.data.runs import Run, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
 from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
 from hnn_vi_ros.learning.scene_numbers.free_numbers import (
@@ -185,7 +184,8 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
         raise UnsupportedSystem(f'{scene.name}: identify takes canonical scalar coordinates alone')
     names = [coordinate.name for coordinate in hamiltonian.coordinates]
     motions, description = read_motions(*data, names, options.data)
-    velocities = _has_velocities(data[1]) and 'velocities estimated' not in description
+    if any(motion.v is None for motion in motions):
+        motions = [replace(motion, v=None) for motion in motions]
     driven = any(motion.tau.any() for motion in motions)
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{options.data[0]}: the motions were driven, but {scene.name} has no '
@@ -199,7 +199,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
             if name not in wanted:
                 raise ParameterError(f'--{option} {name}: not among the free numbers '
                                      f'({", ".join(wanted)})')
-    fitted, before = _fit(free, motions, velocities, options)
+    fitted, before = _fit(free, motions, options)
     solution, problem, stages = fitted
     estimates = estimates_of(solution, problem, free, hamiltonian.coordinates,
                              STATES in options.free)
@@ -223,7 +223,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
 Fitted = tuple[Solution, Problem, list[tuple[float, float]]]
 
 
-def _fit(free: FreeScene, motions: Sequence[Run], velocities: bool, options: Namespace
+def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
          ) -> tuple[Fitted, str]:
     """
     Return a fit, and what acted before the first samples, as far as they depend on it.
@@ -233,9 +233,9 @@ def _fit(free: FreeScene, motions: Sequence[Run], velocities: bool, options: Nam
     """
     late = DELAY in [number.place for number in free.numbers]
     if not late or not any(motion.tau[0].any() for motion in motions):
-        return fit(free, motions, velocities, options.horizon, options.robust), ''
-    fits = [fit(free, [replace(motion, idle=idle) for motion in motions], velocities,
-                options.horizon, options.robust) for idle in (False, True)]
+        return fit(free, motions, options.horizon, options.robust), ''
+    fits = [fit(free, [replace(motion, idle=idle) for motion in motions], options.horizon,
+                options.robust) for idle in (False, True)]
     length = max(set(dict(fits[0][2])) & set(dict(fits[1][2])))
     own, idle = (dict(stages)[length] for _, _, stages in fits)
     ways = 'its first force had acted', 'none had acted'
@@ -245,7 +245,7 @@ def _fit(free: FreeScene, motions: Sequence[Run], velocities: bool, options: Nam
         f'{min(own, idle):.4g} of the noise for {max(own, idle):.4g})')
 
 
-def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[Run]) -> float:
+def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[EvenMotion]) -> float:
     """Return the misfit of the same windows with other forces; infinite where that fails."""
     windows = replace(solution.windows, motions=motions)
     other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
@@ -311,10 +311,6 @@ def _arrays(path: Path, data: ArraysData) -> ArraysData:
     return data.model_copy(update={
         'v': next((name for name in _VELOCITIES if name in keys), None),
         'tau': 'tau' if 'tau' in keys else None})
-
-
-def _has_velocities(data: MotionSource) -> bool:
-    return not data.estimate_velocity if isinstance(data, BagMotions) else data.v is not None
 
 
 def report_of(found: Identified) -> str:

@@ -16,7 +16,7 @@ from hnn_vi_ros.gradients.dependences import Dependence, difference, OnNumber, s
 from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.learning.data.runs import Run, steps_between
+from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
@@ -28,7 +28,7 @@ import numpy as np
 _OFF_GRID = 0.01
 
 
-def impulse(motion: Run, times: np.ndarray) -> np.ndarray:
+def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
     """
     Return the integral of the measured forces up to times from the first sample on [s].
 
@@ -47,7 +47,7 @@ def impulse(motion: Run, times: np.ndarray) -> np.ndarray:
 
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
-                  motions: Sequence[Run]) -> Sequence[str]:
+                  motions: Sequence[EvenMotion]) -> Sequence[str]:
     """Return the coordinates on which the measured forces act, or raise DataError."""
     names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
     if not effect.names:
@@ -59,7 +59,7 @@ def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
                     f'data hold {m} forces; give as many')
 
 
-def check_times(effects: Sequence[Effect], motions: Sequence[Run], h: float) -> None:
+def check_times(effects: Sequence[Effect], motions: Sequence[EvenMotion], h: float) -> None:
     """Raise DataError where a drive would be out of phase: samples at no whole steps."""
     if any(isinstance(effect, PeriodicDrive) for effect in effects):
         for motion in motions:
@@ -87,7 +87,7 @@ class Windows:
 
     Parameters
     ----------
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         The runs, which share one interval.
     run, first : np.ndarray of int, shape (W,)
         The run and the sample with which each window begins.
@@ -100,7 +100,7 @@ class Windows:
 
     """
 
-    motions: Sequence[Run]
+    motions: Sequence[EvenMotion]
     run: np.ndarray
     first: np.ndarray
     measured: np.ndarray
@@ -119,30 +119,27 @@ class Windows:
                          for run, first in zip(self.run, self.first, strict=True)])
 
 
-def windows_of(motions: Sequence[Run], horizon: float, velocities: bool) -> Windows:
+def windows_of(motions: Sequence[EvenMotion], horizon: float) -> Windows:
     """
     Cut runs into windows of one length, as nearly as whole numbers allow.
 
     Parameters
     ----------
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         The runs.
     horizon : float
         The longest window [s]; at least two samples are in each.
-    velocities : bool
-        Whether they were measured.
 
     """
     most = max(2, int(horizon / motions[0].spacing * (1.0 + 1e-9)) + 1)
     pieces = [(run, part) for run, motion in enumerate(motions) for part in np.array_split(
         np.arange(len(motion.t)), math.ceil(len(motion.t) / most))]
     longest = max(len(part) for _, part in pieces)
-    d = motions[0].q.shape[1]
-    measured = np.zeros((len(pieces), longest, 2 * d if velocities else d))
+    channels = [motion.measured for motion in motions]
+    measured = np.zeros((len(pieces), longest, channels[0].shape[1]))
     there = np.zeros((len(pieces), longest), dtype=bool)
     for w, (run, part) in enumerate(pieces):
-        both = [motions[run].q[part], motions[run].v[part]]
-        measured[w, :len(part)] = np.hstack(both[:1 + velocities])
+        measured[w, :len(part)] = channels[run][part]
         there[w, :len(part)] = True
     first = np.array([part[0] for _, part in pieces])
     start = np.array([[motions[run].q_smooth[part[0]], motions[run].v_smooth[part[0]]]

@@ -298,6 +298,7 @@ class FieldTask(Task):
     def __init__(self, source: Path, config: FieldConfig, given: Sequence[str], ensemble: bool):
         self._config, self._ensemble = config, ensemble
         self._dataset = make_dataset(config.data, config.seed, source, given)
+        print(f'data: {self._dataset.description}', flush=True)
         self._known, self._test = held_out(config, self._dataset) if ensemble else (
             self._dataset, None)
         self.box = self._known.box

@@ -10,7 +10,7 @@ from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.learning.data.runs import delayed, Run, train_and_test
+from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
@@ -146,7 +146,7 @@ class MachineTask(Task):
                                           shown(fans, max(horizons))))
 
 
-def estimated_delay(config: MachineConfig, motions: Sequence[Run]) -> float:
+def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> float:
     """
     Return how many samples forces act after those that they stand beside, parts included.
 
@@ -178,7 +178,7 @@ def estimated_delay(config: MachineConfig, motions: Sequence[Run]) -> float:
                                  options={'xatol': 0.1}).x)
 
 
-def _check_motors(config: MachineConfig, motions: Sequence[Run]) -> None:
+def _check_motors(config: MachineConfig, motions: Sequence[EvenMotion]) -> None:
     """Raise DataError for forces of motors instead of joints, unless the family maps them."""
     d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
     if motors == d:
@@ -192,7 +192,7 @@ def _check_motors(config: MachineConfig, motions: Sequence[Run]) -> None:
                         'family.input_map: learned')
 
 
-def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | None = None
+def problem_of(config: MachineConfig, motions: Sequence[EvenMotion], rigid: Problem | None = None
                ) -> Problem:
     """
     Return a network, its prior fitted unless that is given, with the stages that follow.
@@ -221,7 +221,7 @@ def problem_of(config: MachineConfig, motions: Sequence[Run], rigid: Problem | N
                          motions, lambda: fading(torch.Generator().manual_seed(config.seed)))
 
 
-def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[Run],
+def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[EvenMotion],
                   penalty: Callable[[], torch.Tensor] = lambda: torch.zeros(())) -> Problem:
     """Return a problem that ends with whole motions, where the loss asks for these."""
     if config.windows.records:
@@ -230,7 +230,7 @@ def _with_records(problem: MachineProblem, config: MachineConfig, motions: Seque
     return problem
 
 
-def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[Run]) -> Problem:
+def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMotion]) -> Problem:
     """Return a prior that was fitted, with its friction and without networks, or DataError."""
     family = config.family
     if structure.prior == PLANAR_CHAIN:
@@ -255,7 +255,7 @@ def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[Run]) 
                     'and for outliers in the data')
 
 
-def whole(network: MechanicalNetwork, config: MachineConfig, motion: Run) -> np.ndarray:
+def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion) -> np.ndarray:
     """Return positions, shape (N, d), of a network from the first state of a motion."""
     hamiltonian, effects = _parts_of(describe(network, config, [motion], '', {}, 'draft', ''))
     simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion])
@@ -264,21 +264,21 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: Run) -> np.
     return found
 
 
-def learn(config: MachineConfig, motions: Sequence[Run]
+def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
     """Return a network that was fitted, and its losses: after its prior, if it has one."""
     problem = problem_of(selected(config, motions, problem_of)[0], motions)
     return problem.module, problem.fit()
 
 
-def fix_scale(network: MechanicalNetwork, motions: Sequence[Run]) -> None:
+def fix_scale(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> None:
     """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
     q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
     with torch.no_grad():
         network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
 
 
-def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[Run],
+def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[EvenMotion],
              description: str, losses: dict[str, float], name: str, command: str,
              selection: SelectionCard | None = None, delay: float = 0.0) -> Checkpoint:
     """Return a trained network with its card, which tells the delay of the forces [s]."""
@@ -293,7 +293,7 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
         domain=DomainCard.of(q, v, tau), selection=selection)
 
 
-def with_energy_error(checkpoint: Checkpoint, motions: Sequence[Run]) -> Checkpoint:
+def with_energy_error(checkpoint: Checkpoint, motions: Sequence[EvenMotion]) -> Checkpoint:
     """Return a model whose card tells its energy along motions, against the work on them."""
     hamiltonian, effects = _parts_of(checkpoint)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
@@ -312,13 +312,13 @@ def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
         return hamiltonian, own_effects(draft, hamiltonian)
 
 
-def _opens_scale(config: MachineConfig, motions: Sequence[Run]) -> bool:
+def _opens_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> bool:
     """Return whether motions without forces leave the scale of energy open."""
     own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
     return not own_scale and not any(motion.tau.any() for motion in motions)
 
 
-def _ranges(config: MachineConfig, motions: Sequence[Run]) -> str:
+def _ranges(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     """Return the interval of samples and the ranges of coordinates, which wrong units show."""
     q = np.concatenate([motion.q for motion in motions])
     return ', '.join([f'every {motions[0].spacing:.4g} s', *(
@@ -326,7 +326,7 @@ def _ranges(config: MachineConfig, motions: Sequence[Run]) -> str:
             config.coordinates, q.min(axis=0), q.max(axis=0), strict=True))])
 
 
-def _scale(config: MachineConfig, motions: Sequence[Run]) -> str:
+def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
     """Return a note on the scale of energy for the model card, where forces do not fix it."""
     text = ''
     if config.family.prior not in (None, RIGID_BODY, *CHAINS):
@@ -364,7 +364,7 @@ def _of_plain_network(config: MachineConfig) -> MachineConfig:
 
 
 def _read(source: Path, config: MachineConfig, given: Sequence[str]
-          ) -> tuple[list[Run], list[Run], str]:
+          ) -> tuple[list[EvenMotion], list[EvenMotion], str]:
     """Return motions to learn from, motions to judge by, and what they are."""
     data, joints = config.data, [coordinate.name for coordinate in config.coordinates]
     if isinstance(data, ExcitationData):

@@ -8,7 +8,7 @@ import math
 
 from hnn_vi_ros.effects.input_map import has_map
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.data.runs import Run
+from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import Stage
@@ -41,7 +41,7 @@ class Records:
         With networks.
     loss : Trajectory
         Its step size, by which motions are thinned out, and its method.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
     draft : callable
         Returns the model of the network as it is.
@@ -50,7 +50,7 @@ class Records:
 
     """
 
-    def __init__(self, network: MechanicalNetwork, loss: Trajectory, motions: Sequence[Run],
+    def __init__(self, network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion],
                  draft: Callable[[], Checkpoint], penalty: Callable[[], torch.Tensor]):
         self._network, self._method = network, loss.method
         self._draft, self._penalty = draft, penalty

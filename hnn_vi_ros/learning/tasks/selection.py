@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import math
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.learning.data.runs import MIN_SAMPLES, part_of, Run, run_of
+from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of, run_of
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.fit.config import MachineConfig
@@ -47,10 +47,10 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         'rigid body and a network of V': {'residual': ['potential']},
         'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
 # Returns a problem, of a rigid body that was fitted before.
-Make = Callable[[MachineConfig, Sequence[Run], Problem | None], Problem]
+Make = Callable[[MachineConfig, Sequence[EvenMotion], Problem | None], Problem]
 
 
-def selected(config: MachineConfig, motions: Sequence[Run], make: Make
+def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
              ) -> tuple[MachineConfig, SelectionCard | None]:
     """
     Return a configuration that names its prior, and how that was chosen if it says auto.
@@ -59,7 +59,7 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
     ----------
     config : MachineConfig
         How to train. Windows that it does not name last longer where samples are rare.
-    motions : sequence of Run
+    motions : sequence of EvenMotion
         What to learn from.
     make : callable
         Makes the problem of a configuration on motions.
@@ -129,7 +129,7 @@ def selected(config: MachineConfig, motions: Sequence[Run], make: Make
 
 
 def _with_friction(
-        config: MachineConfig, motions: Sequence[Run],
+        config: MachineConfig, motions: Sequence[EvenMotion],
         tried: Callable[[str, MachineConfig], tuple[CandidateCard, Problem | None]],
         plain: CandidateCard, rigid: Problem
         ) -> tuple[MachineConfig, Problem, list[CandidateCard]]:
@@ -174,9 +174,9 @@ def _with_friction(
         one for one in cards if one is not card)]
 
 
-def _paced(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
+def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfig:
     """Return a configuration whose windows, unless it names them, have their usual steps."""
-    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    loss = config.loss_of(motions)
     if not isinstance(loss, Trajectory) or 'windows' in loss.model_fields_set:
         return config
     longest = max(motion.t[-1] - motion.t[0] for motion in motions)
@@ -196,7 +196,8 @@ def _with_angles(config: MachineConfig, rigid: Problem) -> MachineConfig:
         for row in rigid.module.structure.angles if any(row)]})})
 
 
-def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
+def held_out(motions: Sequence[EvenMotion]
+             ) -> tuple[list[EvenMotion], list[EvenMotion], list[EvenMotion]]:
     """
     Return motions to learn from, and pieces to judge by: the furthest, and ordinary ones.
 
@@ -233,7 +234,7 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
                 break
     others = [k for k in range(len(pieces)) if k not in far]
     usual = set(others[_ORDINARY // 2::_ORDINARY])
-    kept: list[Run] = []
+    kept: list[EvenMotion] = []
     begin = 0
     for run in motions:
         count = sum(one is run for one, _ in pieces)
@@ -249,7 +250,7 @@ def held_out(motions: Sequence[Run]) -> tuple[list[Run], list[Run], list[Run]]:
     return kept, furthest, ordinary
 
 
-def errors_of(network: Network, pieces: Sequence[Run]) -> Errors:
+def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
     """Return the errors of a network, simulated from many states of pieces; see CandidateCard."""
     samples, slow = samples_of(pieces, None), slowness(pieces)
     found: Errors = {}
@@ -306,9 +307,9 @@ def _named(config: MachineConfig, name: str) -> MachineConfig:
         'family': config.family.model_copy(update=_CANDIDATES[config.family.kind][name])})
 
 
-def _short(config: MachineConfig, motions: Sequence[Run]) -> MachineConfig:
+def _short(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfig:
     """Return a configuration with a share of the steps, each on fewer windows."""
-    loss = config.loss_of(all(motion.accelerations for motion in motions))
+    loss = config.loss_of(motions)
 
     def less(steps: int) -> int:
         return math.ceil(_SHARE * steps)

@@ -1,15 +1,15 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measured runs of a mechanism, (t, q, v, tau), put on even times.
+Measured motions: one container for all formats and fits, cleaned, resampled and smoothed.
 
-They come from arrays, bags or logs. Bad samples are left out, counted and reported.
+Arrays, bags and logs become motions; bad samples are left out, counted and reported.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import math
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed
 from hnn_vi_ros.files.yaml_file import StrictModel
@@ -28,7 +28,8 @@ _ORDER = 2
 # nothing away.
 _WHOLE = 0.9
 # Samples further apart than this many usual intervals are a gap, over which nothing is known.
-_GAP = 10.0
+GAP = 10.0
+MAX_ROWS = 1_000_000
 # With more bad samples than this share the data are not what they are taken for.
 _MOST_BAD = 0.5
 # Nor are rates that leave more than this share of the motion unexplained.
@@ -42,22 +43,25 @@ _CLOCK = 0.01
 _AROUND = 20
 # Rates are judged by a coordinate only where it moves by this many times its noise.
 _SEEN = 20.0
+OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
+    'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
+    'split the motion there; or fail. At a gap of more than ten intervals a new motion '
+    'begins, or it fails'))]
 TEST_RUNS: list[str] = Field([], description=(
     'runs to judge the model by; none: the last fifth of each run in time'))
 
 Record = TypeVar('Record', bound=Any)
+# Returns values, shape (N, k), measured at times t, at other times.
+Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-class RunData(StrictModel):
-    """Options of measured runs, wherever they come from."""
+class MotionData(StrictModel):
+    """Options of measured motions, wherever they come from."""
 
     smoothing: float = Field(40.0, gt=0.0, description=(
         'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
         'samples that come too seldom to hold so fast a motion are taken as they are'))
-    on_bad: Literal['drop', 'split', 'fail'] = Field('drop', description=(
-        'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
-        'split the motion there; or fail. At a gap of more than ten intervals a new motion '
-        'begins, or it fails'))
+    on_bad: OnBad = 'drop'
     inputs: Literal['interpolated', 'held'] | None = Field(None, description=(
         'what forces do between samples: go over into each other, or each is held until the '
         'next; default: held for topics of commands, else interpolated'))
@@ -67,9 +71,10 @@ class RunData(StrictModel):
     test_runs: list[str] = TEST_RUNS
 
 
-class MeasuredRun(NamedTuple):
+@dataclass(frozen=True)
+class Motion:
     """
-    One run with its measured samples.
+    One measured motion; a channel that was not measured is None, a number that lacks NaN.
 
     Parameters
     ----------
@@ -78,17 +83,17 @@ class MeasuredRun(NamedTuple):
     where : str
         File and run, for messages.
     t : np.ndarray, shape (N,)
-        Times [s].
+        Times [s], not necessarily even.
     q : np.ndarray, shape (N, d)
-        Coordinates; here and below, a number that a sample lacks is NaN.
-    v : np.ndarray, shape (N, d), or None
-        Velocities; None, or NaN throughout, where they are to be estimated.
+        Coordinates.
+    v, a : np.ndarray, shape (N, d), or None
+        Velocities and accelerations.
     tau : np.ndarray, shape (N, m), or None
-        Forces of m <= d motors, None for none.
+        Forces of m motors.
+    p, dp_dt : np.ndarray, shape (N, d), or None
+        Momenta, and their rates.
     held : bool
-        Whether each force acts until the next, unless the data say otherwise.
-    a : np.ndarray, shape (N, d), or None
-        Accelerations, None where they are to be estimated.
+        Whether each force acts until the next; else it goes over into it.
     notes : tuple of str
         Further notes for the model card.
 
@@ -98,49 +103,50 @@ class MeasuredRun(NamedTuple):
     where: str
     t: np.ndarray
     q: np.ndarray
-    v: np.ndarray | None
-    tau: np.ndarray | None
-    held: bool = False
+    v: np.ndarray | None = None
+    tau: np.ndarray | None = None
     a: np.ndarray | None = None
+    p: np.ndarray | None = None
+    dp_dt: np.ndarray | None = None
+    held: bool = False
     notes: tuple[str, ...] = ()
 
+    @property
+    def channels(self) -> dict[str, np.ndarray]:
+        """Return what was measured, by name."""
+        return {name: values for name, values in vars(self).items()
+                if isinstance(values, np.ndarray)}
 
-@dataclass(frozen=True)
-class Run:
+
+class Recording(NamedTuple):
+    """What a reader returns: motions, names of their files and runs, and digests of the files."""
+
+    motions: list[Motion]
+    name: str
+    digest: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvenMotion(Motion):
     """
-    A run, or a piece of one without gaps, at even times.
+    A motion, or a piece of one without gaps, at even times, with smoothed states.
 
     Parameters
     ----------
-    name : str
-        Of the run.
-    t : np.ndarray, shape (N,)
-        Times [s].
-    q, v : np.ndarray, shape (N, d)
-        Coordinates and velocities, as measured.
     tau : np.ndarray, shape (N, m)
         Forces of the motors, as measured: those on the coordinates, if there are d.
     q_smooth, v_smooth, a_smooth : np.ndarray, shape (N, d)
-        Coordinates, velocities and accelerations through a zero-phase low-pass filter.
-    held : bool
-        Whether each force acts until the next; else it goes over into it.
-    accelerations : bool
-        Whether they were measured; else they were estimated.
+        Coordinates, velocities and accelerations through a zero-phase low-pass filter; estimated
+        where they were not measured.
     idle : bool
         Whether no force acted before the first sample, or the first one did.
 
     """
 
-    name: str
-    t: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
     tau: np.ndarray
     q_smooth: np.ndarray
     v_smooth: np.ndarray
     a_smooth: np.ndarray
-    held: bool = False
-    accelerations: bool = False
     idle: bool = False
 
     @property
@@ -153,11 +159,17 @@ class Run:
         """Return the time between samples [s]."""
         return float(self.t[1] - self.t[0])
 
+    @property
+    def measured(self) -> np.ndarray:
+        """Return coordinates, and velocities if they were measured, shape (N, d) or (N, 2 d)."""
+        return self.q if self.v is None else np.hstack([self.q, self.v])
+
 
 @dataclass
-class _Report:
+class Report:
     """Number of samples that could not be used, by the reason, and where runs were cut."""
 
+    least: int = MIN_SAMPLES
     lacking: int = 0
     late: int = 0
     short: int = 0
@@ -167,7 +179,7 @@ class _Report:
     def __str__(self) -> str:
         parts = [f'{count} {what}' for count, what in (
             (self.lacking, 'that lack a number'), (self.late, 'that are late or come twice'),
-            (self.short, f'in pieces of less than {MIN_SAMPLES}')) if count]
+            (self.short, f'in pieces of less than {self.least}')) if count]
         found = [f'left out {" and ".join(parts)} of the samples'] if parts else []
         found += [f'cut at {self.cuts} places'] if self.cuts else []
         return '; '.join([*found, *self.notes])
@@ -176,151 +188,191 @@ class _Report:
         """Keep notes, each once, in order."""
         self.notes.update(dict.fromkeys(texts))
 
+    def described(self, recording: Recording, samples: int) -> str:
+        """Return a description of data for the model card."""
+        digest = f', sha256 {recording.digest}' if recording.digest else ''
+        counts = f'; {self}' if str(self) else ''
+        return f'{recording.name} ({samples} samples{digest}{counts})'
 
-def even_runs(runs: Sequence[MeasuredRun], data: RunData, name: str, digest: str = ''
-              ) -> tuple[list[Run], str]:
-    """Return the pieces of runs at even times, and a description of them for the model card."""
-    report = _Report()
-    split = [_split(run, data, report) for run in runs]
-    # The interval of most samples, for runs at different rates.
-    usual = float(np.quantile(np.repeat([one.spacing for one in split], [
-        sum(map(len, one.pieces)) for one in split]), 0.5, method='lower'))
-    found = [run for one in split for run in _even(one, usual, data, report)]
+
+def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotion], str]:
+    """Return the pieces of motions at even times, and a description of them for the card."""
+    report = Report()
+    cut = [pieces_of(motion, data.on_bad, report) for motion in recording.motions]
+    # The interval of most samples, for motions at different rates.
+    usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
+        sum(map(len, one.rows)) for one in cut]), 0.5, method='lower'))
+    found = [motion for one in cut for motion in _even(one, usual, data, report)]
     if not found:
-        raise DataError(f'{runs[0].where}: no {MIN_SAMPLES} samples in a row every {usual:.4g} s, '
-                        'the interval of most runs; give runs that last longer')
-    facts = [f'{sum(len(run.t) for run in found)} samples', *([f'sha256 {digest}'] * bool(digest))]
-    counts = f'; {report}' if str(report) else ''
-    return found, f'{name} ({", ".join(facts)}{counts})'
+        raise DataError(f'{recording.motions[0].where}: no {MIN_SAMPLES} samples in a row every '
+                        f'{usual:.4g} s, the interval of most runs; give runs that last longer')
+    return found, report.described(recording, sum(len(motion.t) for motion in found))
 
 
-class _Split(NamedTuple):
-    """A run split into pieces without gaps, and the interval of its samples [s]."""
+class Pieces(NamedTuple):
+    """A motion, its samples in pieces without gaps, and the interval of its samples [s]."""
 
-    run: MeasuredRun
-    pieces: list[np.ndarray]
+    motion: Motion
+    rows: list[np.ndarray]
     spacing: float
 
 
-def _split(run: MeasuredRun, data: RunData, report: _Report) -> _Split:
-    """Return a run without its bad samples; DataError if on_bad is fail, or most are bad."""
-    if not len(run.t):
-        raise DataError(f'{run.where}: no samples, expected at least {MIN_SAMPLES}; record for '
-                        'longer')
-    if run.v is not None and not np.isfinite(run.v).any(axis=0).all():
-        run = run._replace(v=None)
-    report.note(*run.notes, *['velocities estimated'] * (run.v is None))
-    kept = _kept(run, data, report)
-    intervals = np.diff(run.t[kept])
+def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
+    """Return a motion without its bad samples; DataError if on_bad is fail, or most are bad."""
+    if not len(motion.t):
+        raise DataError(f'{motion.where}: no samples, expected at least {report.least}; record '
+                        'for longer')
+    if motion.v is not None and not np.isfinite(motion.v).any(axis=0).all():
+        motion = replace(motion, v=None)
+    report.note(*motion.notes, *['velocities estimated'] * (motion.v is None))
+    kept = _kept(motion, on_bad, report)
+    intervals = np.diff(motion.t[kept])
     spacing = float(np.median(intervals[intervals > 0.0]))
-    gap = intervals > _GAP * spacing
-    if gap.any() and data.on_bad == 'fail':
-        raise DataError(f'{run.where}: {intervals.max():.3g} s without a sample, {spacing:.3g} s '
-                        'as a rule; cut the run in two there, or take data.on_bad: split')
+    gap = intervals > GAP * spacing
+    if gap.any() and on_bad == 'fail':
+        raise DataError(f'{motion.where}: {intervals.max():.3g} s without a sample, '
+                        f'{spacing:.3g} s as a rule; cut the run in two there, or take '
+                        'data.on_bad: split')
     gap |= intervals <= 0.0  # the clock was set back
-    if data.on_bad == 'split':
+    if on_bad == 'split':
         gap |= np.diff(kept) > 1
     pieces = np.split(kept, np.flatnonzero(gap) + 1)
     report.cuts += len(pieces) - 1
-    long = [piece for piece in pieces if len(piece) >= MIN_SAMPLES]
+    long = [piece for piece in pieces if len(piece) >= report.least]
     report.short += len(kept) - sum(map(len, long))
     if not long:
-        bridge = '' if data.on_bad == 'drop' else ', or take data.on_bad: drop'
-        raise DataError(f'{run.where}: no {MIN_SAMPLES} samples in a row without a gap; record '
-                        f'for longer{bridge}')
-    return _Split(run, long, spacing)
+        bridge = '' if on_bad == 'drop' else ', or take data.on_bad: drop'
+        raise DataError(f'{motion.where}: no {report.least} samples in a row without a gap; '
+                        f'record for longer{bridge}')
+    return Pieces(motion, long, spacing)
 
 
-def _kept(run: MeasuredRun, data: RunData, report: _Report) -> np.ndarray:
-    """Return the samples of a run that can be used; between two, time goes back at a reset."""
-    lacks = {name: ~(np.abs(part) <= MOST).reshape(len(run.t), -1).all(axis=1)
-             for name, part in run._asdict().items() if isinstance(part, np.ndarray)}
+def _kept(motion: Motion, on_bad: str, report: Report) -> np.ndarray:
+    """Return the samples of a motion that can be used; between two, time goes back at a reset."""
+    lacks = {name: ~(np.abs(part) <= MOST).reshape(len(motion.t), -1).all(axis=1)
+             for name, part in motion.channels.items()}
     lacking = np.any([*lacks.values()], axis=0)
     there = np.flatnonzero(~lacking)
-    resets = clock_resets(run.t[there])
-    parts = [part[increasing(run.t[part])] for part in np.split(there, resets) if len(part)]
+    resets = clock_resets(motion.t[there])
+    parts = [part[increasing(motion.t[part])] for part in np.split(there, resets) if len(part)]
     kept = np.concatenate(parts) if parts else there
     late = ~lacking
     late[kept] = False
     wrong = np.flatnonzero(lacking | late)
-    if data.on_bad == 'fail' and (wrong.size or resets.size):
+    if on_bad == 'fail' and (wrong.size or resets.size):
         at = min([*wrong[:1], *there[resets[:1]]])
         what = 'lacks a number' if lacking[at] else \
             'is not after the one before, or that one is wrong'
-        raise DataError(f'{run.where}: sample {at + 1} {what}; leave it out, or take '
+        raise DataError(f'{motion.where}: sample {at + 1} {what}; leave it out, or take '
                         'data.on_bad: drop or split')
-    if wrong.size > _MOST_BAD * len(run.t):
+    if wrong.size > _MOST_BAD * len(motion.t):
         counts = ', '.join(f'{part.sum()} lack a number of {name}'
                            for name, part in lacks.items() if part.any())
-        raise DataError(f'{run.where}: of {len(run.t)} samples {counts or "none lacks a number"}, '
-                        f'and {late.sum()} are not after the one before: these are no states of '
-                        'one motion; look at what is taken for them')
+        raise DataError(f'{motion.where}: of {len(motion.t)} samples '
+                        f'{counts or "none lacks a number"}, and {late.sum()} are not after the '
+                        'one before: these are no states of one motion; look at what is taken '
+                        'for them')
     report.lacking += int(lacking.sum())
     report.late += int(late.sum())
-    if len(kept) < MIN_SAMPLES:
-        raise DataError(f'{run.where}: {len(kept)} samples, expected at least {MIN_SAMPLES}; '
+    if len(kept) < report.least:
+        raise DataError(f'{motion.where}: {len(kept)} samples, expected at least {report.least}; '
                         'record for longer')
     return kept
 
 
-def _even(split: _Split, usual: float, data: RunData, report: _Report) -> Iterator[Run]:
-    """Yield the pieces of a run at even times, by the interval of most samples [s]."""
-    run, pieces, spacing = split
+def _even(pieces: Pieces, usual: float, data: MotionData, report: Report
+          ) -> Iterator[EvenMotion]:
+    """Yield the pieces of a motion at even times, by the interval of most samples [s]."""
+    motion, pieces_rows, spacing = pieces
     # Clocks that jitter make one rate look like several.
     if abs(spacing - usual) > _ALIKE * usual:
-        report.note(f'{run.name} put from every {spacing:.4g} s on every {usual:.4g} s')
-    long = [piece for piece in pieces
-            if run.t[piece[-1]] - run.t[piece[0]] > (MIN_SAMPLES - 1.5) * usual]
-    report.short += sum(map(len, pieces)) - sum(map(len, long))
-    for number, piece in enumerate(long):
-        name = run.name if len(long) == 1 else f'{run.name}#{number}'
-        yield _resampled(name, run, piece, usual, data, report)
+        report.note(f'{motion.name} put from every {spacing:.4g} s on every {usual:.4g} s')
+    long = [rows for rows in pieces_rows
+            if motion.t[rows[-1]] - motion.t[rows[0]] > (MIN_SAMPLES - 1.5) * usual]
+    report.short += sum(map(len, pieces_rows)) - sum(map(len, long))
+    for number, rows in enumerate(long):
+        piece = unwound_piece(motion, rows, report)
+        _check_rates(piece)
+        held = motion.held if data.inputs is None else data.inputs == 'held'
+        piece = resampled(replace(piece, held=held), usual)
+        name = motion.name if len(long) == 1 else f'{motion.name}#{number}'
+        tau = np.zeros_like(piece.q) if piece.tau is None else piece.tau
+        yield replace(smoothed(name, piece.t, piece.q, piece.v, tau, data.smoothing, piece.a),
+                      where=motion.where, held=held)
 
 
-def _resampled(name: str, run: MeasuredRun, rows: np.ndarray, spacing: float, data: RunData,
-               report: _Report) -> Run:
-    """Return a piece of a run at even times."""
-    t, q = run.t[rows], run.q[rows]
-    v, a = (None if part is None else part[rows] for part in (run.v, run.a))
-    q, turning = unwound(t, q, v)
-    for k in turning:
-        report.note(f'turns of coordinate {k + 1} counted')
-    _check_rates(run, t, q, v, a)
-    tau = np.zeros_like(q) if run.tau is None else run.tau[rows]
-    times = t[0] + spacing * np.arange(int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1)
-    times = np.minimum(times, t[-1])
-    held = run.held if data.inputs is None else data.inputs == 'held'
-    # Where each force acts until the next, the last one counts.
-    tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] if held else \
-        _linear(times, t, tau)
+def unwound_piece(motion: Motion, rows: np.ndarray, report: Report) -> Motion:
+    """Return some samples of a motion, in which angles that jumped by a turn go on."""
+    piece = part_of(motion, rows)
+    q, turning = unwound(piece.t, piece.q, piece.v)
+    report.note(*(f'turns of coordinate {k + 1} counted' for k in turning))
+    return replace(piece, q=q)
+
+
+def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
+    """Return times from the first on, at an interval [s], none of them after the last."""
+    count = int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1
+    if count > MAX_ROWS:
+        raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; give a '
+                        'larger one')
+    return np.minimum(t[0] + spacing * np.arange(count), t[-1])
+
+
+def linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values, shape (N, k), at other times, between the measured ones on lines."""
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+
+
+def cubic(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values, shape (N, k), at other times, between the measured ones on a spline."""
+    return CubicSpline(t, values)(times)
+
+
+def resampled(motion: Motion, spacing: float, between: Between = linear) -> Motion:
+    """
+    Return a motion at even times.
+
+    Parameters
+    ----------
+    motion : Motion
+        Without numbers that lack, and without gaps.
+    spacing : float
+        From one sample to the next [s].
+    between : callable
+        Interpolates rates that are not measured further: ``linear`` makes no overshoots of
+        noise, ``cubic`` is exact for slow motions.
+
+    """
+    t, times = motion.t, even_times(motion.t, spacing)
+    q, v, a, tau = motion.q, motion.v, motion.a, motion.tau
+    if tau is not None:
+        # Where each force acts until the next, the last one counts.
+        tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] \
+            if motion.held else linear(times, t, tau)
     # The slope v helps to interpolate q: clocks of drivers jitter by a large part of the interval.
-    q = CubicSpline(t, q)(times) if v is None else CubicHermiteSpline(t, q, v)(times)
+    q = cubic(times, t, q) if v is None else CubicHermiteSpline(t, q, v)(times)
     if v is not None:
-        v = _linear(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)
-    a = None if a is None else _linear(times, t, a)
-    return replace(smoothed(name, times, q, v, tau, data.smoothing, a), held=held)
+        v = between(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)
+    a, p, dp_dt = (None if part is None else between(times, t, part)
+                   for part in (a, motion.p, motion.dp_dt))
+    return replace(motion, t=times, q=q, v=v, a=a, p=p, dp_dt=dp_dt, tau=tau)
 
 
-def _check_rates(run: MeasuredRun, t: np.ndarray, q: np.ndarray, v: np.ndarray | None,
-                 a: np.ndarray | None) -> None:
+def _check_rates(motion: Motion) -> None:
     """Refuse velocities and accelerations that are not rates of positions or velocities."""
     for name, of, x, rate, remedy in (
-            ('velocities', 'positions', q, v, 'have them estimated, by data.estimate_velocity: '
-             'true of bags or without v in arrays and logs'),
-            ('accelerations', 'velocities', v, a, 'leave out a')):
+            ('velocities', 'positions', motion.q, motion.v, 'have them estimated, by '
+             'data.estimate_velocity: true of bags or without v in arrays and logs'),
+            ('accelerations', 'velocities', motion.v, motion.a, 'leave out a')):
         if x is None or rate is None:
             continue
-        shares = unexplained(t, x, rate)
+        shares = unexplained(motion.t, x, rate)
         if (shares > _UNEXPLAINED).any():
             worst = int(np.nanargmax(shares))
             raise DataError(
-                f'{run.where}: the {name} of coordinate {worst + 1} are not the rates of its {of}:'
-                f' {100.0 * min(shares[worst], 1.0):.0f} % of how it moves is not in them; look '
-                f'for other units, another sign, zeros or outliers in either, or {remedy}')
-
-
-def _linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+                f'{motion.where}: the {name} of coordinate {worst + 1} are not the rates of its '
+                f'{of}: {100.0 * min(shares[worst], 1.0):.0f} % of how it moves is not in them; '
+                f'look for other units, another sign, zeros or outliers in either, or {remedy}')
 
 
 def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
@@ -337,8 +389,8 @@ def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np
 
 
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
-             cutoff: float, a: np.ndarray | None = None) -> Run:
-    """Return a run at even times, smoothed, with estimates of the rates that it lacks."""
+             cutoff: float, a: np.ndarray | None = None) -> EvenMotion:
+    """Return a motion at even times, smoothed, with estimates of the rates that it lacks."""
     def smooth(values: np.ndarray) -> np.ndarray:
         return low_pass(name, values, float(t[1] - t[0]), cutoff)
 
@@ -347,8 +399,9 @@ def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau:
 
     q_smooth = smooth(q)
     v_smooth = rate(q_smooth) if v is None else smooth(v)
-    return Run(name, t, q, v_smooth if v is None else v, tau, q_smooth, v_smooth,
-               rate(v_smooth) if a is None else smooth(a), accelerations=a is not None)
+    return EvenMotion(
+        name=name, where=name, t=t, q=q, v=v, tau=tau, a=a, q_smooth=q_smooth, v_smooth=v_smooth,
+        a_smooth=rate(v_smooth) if a is None else smooth(a))
 
 
 def clock_resets(t: np.ndarray) -> np.ndarray:
@@ -461,19 +514,19 @@ def steps_between(spacing: float, step_size: float) -> int:
     return max(1, math.ceil(spacing / step_size - _CLOCK))
 
 
-def delayed(run: Run, samples: float) -> Run:
-    """Return a run whose forces act so many samples later; the first and last ones last."""
-    at = np.arange(len(run.t), dtype=np.float64)
-    return replace(run, tau=_linear(at - samples, at, run.tau))
+def delayed(motion: EvenMotion, samples: float) -> EvenMotion:
+    """Return a motion whose forces act so many samples later; the first and last ones last."""
+    at = np.arange(len(motion.t), dtype=np.float64)
+    return replace(motion, tau=linear(at - samples, at, motion.tau))
 
 
-def run_of(run: Run) -> str:
+def run_of(motion: Motion) -> str:
     """Return the name of the run that this is a piece of."""
-    return run.name.rpartition('#')[0] or run.name
+    return motion.name.rpartition('#')[0] or motion.name
 
 
-def train_and_test(runs: Sequence[Run], test_runs: Sequence[str]
-                   ) -> tuple[list[Run], list[Run]]:
+def train_and_test(runs: Sequence[Record], test_runs: Sequence[str]
+                   ) -> tuple[list[Record], list[Record]]:
     """
     Return runs to learn from and runs to judge by: those named, or the last fifth of each.
 
