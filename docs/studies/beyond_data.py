@@ -14,8 +14,8 @@ from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.mechanical import PlainNetwork
-from hnn_vi_ros.learning.fit.config import (
-    ExcitationData, find_config, load_machine, MachineConfig)
+from hnn_vi_ros.learning.fit.config import find_config, load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.excitation import ExcitationData
 from hnn_vi_ros.learning.fit.machine import MachineProblem, scales_of
 from hnn_vi_ros.learning.judging.evaluation import Predict, predicted_by, score
 from hnn_vi_ros.learning.tasks.machine import describe, learn

@@ -20,7 +20,8 @@ from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
-from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
+from hnn_vi_ros.learning.fit.config import MachineConfig
+from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.fit.inertias import identify
 from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of

@@ -8,7 +8,7 @@ import json
 import math
 from pathlib import Path
 import shlex
-from typing import Any
+from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.effects.external_force import ExternalForce
@@ -23,9 +23,9 @@ from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, MotionData, train_and_test
 from hnn_vi_ros.learning.data.sources import (
     guessed, make_dataset, motions_of, MotionSource, read_motions)
-from hnn_vi_ros.learning.families.choices import RigidBodyChoice, Trajectory
-from hnn_vi_ros.learning.fit.config import (
-    BodyConfig, ExcitationData, excited_motions, FieldConfig, find_config, load_config)
+from hnn_vi_ros.learning.families.choices import Trajectory
+from hnn_vi_ros.learning.fit.config import BodyConfig, FieldConfig, find_config, load_config
+from hnn_vi_ros.learning.fit.excitation import ExcitationData
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body
 from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
@@ -33,6 +33,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.seen import domain_of
+from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
@@ -49,64 +50,89 @@ def main(argv: Sequence[str]) -> None:
             load_checkpoint(arguments.model, ensembles=True).card.lie_group is not None):
         body.evaluate(arguments)
         return
+    found = _judged(arguments)
+    print(found.text)
+    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
+    try:
+        _write(arguments, found, f'{found.text}\n\n`{command}`')
+    except OSError as problem:
+        raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
+                             ) from problem
+
+
+class _Judged(NamedTuple):
+    """A table with what goes with it, the same as numbers, and predictions to draw."""
+
+    text: str
+    numbers: dict[str, Any]
+    fans: list[Fan]
+    coordinates: Sequence[Coordinate]
+
+
+def _judged(arguments: Namespace) -> _Judged:
+    """Judge a model or scene that has scalar coordinates."""
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
     motions, description, data = _motions(arguments, arguments.data, names)
     if arguments.held_out:
         motions = train_and_test(motions, data.test_runs)[1]
         description += ', of which what a training with this configuration holds out'
-    driven = any(motion.tau.any() for motion in motions)
-    if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
-        raise DataError(f'{description}: the motions were driven, but {arguments.model} has no '
-                        'effect external_force; add it with all coordinates, or leave the forces '
-                        f'out, {_NO_FORCES}')
-    if not driven:
-        # An input map would want its own number of them.
-        effects = [effect for effect in effects
-                   if not isinstance(effect, ExternalForce) or effect.names]
+    effects = _effects_for(arguments.model, effects, motions, description)
     checkpoint = getattr(hamiltonian, 'checkpoint', None)
     if checkpoint is not None and checkpoint.card.mechanical is not None \
             and (delay := checkpoint.card.mechanical.delay):
         motions = [delayed(motion, delay / motion.spacing) for motion in motions]
         description += f'; forces act {delay:.3g} s later, as in the data of the model'
     simulation = _simulation(arguments.model, hamiltonian, integrator, effects, motions, step_size)
-    others = dict[str, Predict]()
-    if arguments.baselines is not None:
-        known, _, _ = _motions(arguments, arguments.baselines, names)
-        others['linear model'] = linear_model(known)
-        if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
-            # Fitted by the default windows of training.
-            rigid = best_rigid_body(Trajectory(), known)
-            others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
+    others = _baselines(arguments, hamiltonian)
     with elapsed('simulating'):
         scores, fans = judge(simulation, effects, motions, arguments.horizons, arguments.every,
                              arguments.longest, others)
+    numbers = as_json(scores)
     text = (f'{arguments.model} on {description}, simulated freely from a state every '
             f'{arguments.every:g} s;\nroot mean square of the error at the end of each horizon, '
             'median of the valid prediction time,\nand what the energy changes by over each '
             f'horizon beside the work, as a share of its range{_left_out(effects)}\n\n'
             f'{table(scores, names)}\n\n{verdict(scores)}')
-    whole = None
     if arguments.whole:
         whole = whole_records(simulated(
             simulation, motions[0].spacing, math.inf, variance_of(motions)), motions,
             arguments.first)
         text += f'\n\n{_whole(whole, motions, names, arguments.first)}'
+        numbers['whole'] = [{'run': motion.name, 'rms': finite(rms)}
+                            for motion, rms in zip(motions, whole, strict=True)]
     domain = domain_of(hamiltonian)
-    found = None if domain is None else outside(domain, fans, arguments.horizons)
-    text += '' if found is None else f'\n{found.text}'
-    print(text)
-    command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'evaluate', *argv])
-    try:
-        more: dict[str, Any] = {} if whole is None else {'whole': [
-            {'run': motion.name, 'rms': finite(rms)}
-            for motion, rms in zip(motions, whole, strict=True)]}
-        if found is not None:
-            more['outside'] = found.numbers
-        _write(arguments, as_json(scores) | more, f'{text}\n\n`{command}`', fans, hamiltonian)
-    except OSError as problem:
-        raise RecordingError(f'{problem.filename}: cannot be written: {problem.strerror}'
-                             ) from problem
+    if domain is not None:
+        beyond = outside(domain, fans, arguments.horizons)
+        text += f'\n{beyond.text}'
+        numbers['outside'] = beyond.numbers
+    return _Judged(text, numbers, fans, hamiltonian.coordinates)
+
+
+def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion],
+                 description: str) -> list[Effect]:
+    """Return the effects that motions need, driven or not; DataError if one lacks."""
+    driven = any(motion.tau.any() for motion in motions)
+    if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
+        raise DataError(f'{description}: the motions were driven, but {model} has no effect '
+                        'external_force; add it with all coordinates, or leave the forces out, '
+                        f'{_NO_FORCES}')
+    # An input map would want its own number of forces.
+    return [effect for effect in effects
+            if driven or not isinstance(effect, ExternalForce) or effect.names]
+
+
+def _baselines(arguments: Namespace, hamiltonian: Hamiltonian) -> dict[str, Predict]:
+    """Return the predictions to compare with, fitted to other motions."""
+    if arguments.baselines is None:
+        return {}
+    known, _, _ = _motions(arguments, arguments.baselines, names_of(hamiltonian))
+    others = {'linear model': linear_model(known)}
+    if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
+        # Fitted by the default windows of training.
+        rigid = best_rigid_body(Trajectory(), known)
+        others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
+    return others
 
 
 def _check_options(arguments: Namespace) -> None:
@@ -145,18 +171,17 @@ def _whole(errors: Sequence[np.ndarray], motions: Sequence[EvenMotion], names: S
     return '\n'.join(lines)
 
 
-def _write(arguments: Namespace, numbers: dict[str, Any], text: str, fans: Sequence[Fan],
-           hamiltonian: Hamiltonian) -> None:
+def _write(arguments: Namespace, found: _Judged, text: str) -> None:
     """Write the files that the command line asks for."""
     if arguments.json is not None:
-        write_text(arguments.json, json.dumps(numbers, indent=2, allow_nan=False) + '\n')
+        write_text(arguments.json, json.dumps(found.numbers, indent=2, allow_nan=False) + '\n')
     if arguments.out is not None:
         # Imported here: numbers alone need no libraries that draw.
         from hnn_vi_ros.learning.judging.report import write_evaluation
         # It may hold the numbers by now: --json may name a file in it.
         arguments.out.mkdir(parents=True, exist_ok=True)
-        write_evaluation(arguments.out, Path(arguments.model).stem, text, fans,
-                         max(arguments.horizons), hamiltonian.coordinates)
+        write_evaluation(arguments.out, Path(arguments.model).stem, text, found.fans,
+                         max(arguments.horizons), found.coordinates)
         print(f'\nreport: {arguments.out}')
 
 
@@ -190,26 +215,27 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
-        data: MotionSource = guessed(given[0])
-        source = Path(given[0])
-    else:
-        source = find_config(arguments.config)
-        config = load_config(source)
-        if arguments.held_out and not hasattr(config.data, 'test_runs'):
-            raise ParameterError(f'--held-out: {source} holds out states, and no runs; leave it '
-                                 'out')
-        if isinstance(config, FieldConfig):
-            _check_format(arguments, config.data)
-            runs = MotionData.model_validate(changes)
-            return *motions_of(make_dataset(config.data, config.seed, source, given), runs), runs
-        if isinstance(config, BodyConfig):
-            raise DataError(f'{source}: its data are motions of a body that turns, and '
-                            f'{arguments.model} is of another family')
-        if isinstance(config.data, ExcitationData):
-            assert isinstance(config.family, RigidBodyChoice), 'checked with the configuration'
-            return *excited_motions(config.data.model_copy(update=changes),
-                                    config.family.robot(names), config.seed), config.data
-        data = config.data
+        return _read(arguments, Path(given[0]), guessed(given[0]), given, names, changes)
+    source = find_config(arguments.config)
+    config = load_config(source)
+    if arguments.held_out and not hasattr(config.data, 'test_runs'):
+        raise ParameterError(f'--held-out: {source} holds out states, and no runs; leave it out')
+    if isinstance(config, FieldConfig):
+        _check_format(arguments, config.data)
+        data = MotionData.model_validate(changes)
+        return *motions_of(make_dataset(config.data, config.seed, source, given), data), data
+    if isinstance(config, BodyConfig):
+        raise DataError(f'{source}: its data are motions of a body that turns, and '
+                        f'{arguments.model} is of another family')
+    if isinstance(config.data, ExcitationData):
+        return *config.motions(source, names, given, **changes), config.data
+    return _read(arguments, source, config.data, given, names, changes)
+
+
+def _read(arguments: Namespace, source: Path, data: MotionSource, given: Sequence[str],
+          names: Sequence[str], changes: dict[str, object]
+          ) -> tuple[list[EvenMotion], str, MotionData]:
+    """Return motions that are read as options say that change those of their format."""
     _check_format(arguments, data)
     if arguments.keys is not None:
         # A key that is left empty, or out at the end, is of an array that is not there.

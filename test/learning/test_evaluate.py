@@ -186,7 +186,8 @@ def test_scene_that_made_the_motions_follows_them_to_their_end(made, drawn, tmp_
     ['--data', __file__], ['--data', 'arm.txt'], ['--data', 'nothing.npz'],
     ['--data', 'arm.npz', '--horizons', '-1'], ['--data', 'arm.npz', '--keys', 'q'],
     ['--data', 'arm.npz', '--from', '20'], ['--data', 'arm.npz', '--held-out'],
-    ['--config', str(PENDULUM), '--held-out']], ids=range(8))
+    ['--config', str(PENDULUM), '--held-out'],
+    ['--config', 'two_joint_arm', '--data', 'arm.npz']], ids=range(9))
 def test_evaluate_refuses_in_one_line(words):
     with refused(DataError, ParameterError):
         evaluate.main(['pendulum', *words])

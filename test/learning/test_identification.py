@@ -12,8 +12,8 @@ from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.families.priors import RigidTree
-from hnn_vi_ros.learning.fit.config import (
-    ExcitationData, excited_motions, load_machine, MachineConfig)
+from hnn_vi_ros.learning.fit.config import load_machine, MachineConfig
+from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.learning.fit.inertias import identified_text, with_force_errors
 from hnn_vi_ros.learning.tasks.machine import describe, learn, problem_of
 from hnn_vi_ros.learning.tasks.selection import RIGID, selected

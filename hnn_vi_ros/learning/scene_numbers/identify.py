@@ -290,7 +290,8 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.fit.config import ExcitationData, load_machine
+        from hnn_vi_ros.learning.fit.config import load_machine
+        from hnn_vi_ros.learning.fit.excitation import ExcitationData
         path, found = options.config, load_machine(options.config).data
         if isinstance(found, ExcitationData):
             raise DataError(f'{path}: its data are computed, and do not say how --data is read; '

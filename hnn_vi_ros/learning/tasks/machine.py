@@ -11,11 +11,10 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, train_and_test
-from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
-from hnn_vi_ros.learning.fit.config import ExcitationData, excited_motions, MachineConfig
+from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
 from hnn_vi_ros.learning.fit.loop import Problem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
@@ -366,16 +365,9 @@ def _of_plain_network(config: MachineConfig) -> MachineConfig:
 def _read(source: Path, config: MachineConfig, given: Sequence[str]
           ) -> tuple[list[EvenMotion], list[EvenMotion], str]:
     """Return motions to learn from, motions to judge by, and what they are."""
-    data, joints = config.data, [coordinate.name for coordinate in config.coordinates]
-    if isinstance(data, ExcitationData):
-        if given:
-            raise DataError(f'{source}: its data are computed, so --data {given[0]} has no use; '
-                            'leave it')
-        assert isinstance(config.family, RigidBodyChoice), 'checked with the configuration'
-        motions, description = excited_motions(data, config.family.robot(joints), config.seed)
-    else:
-        motions, description = read_motions(source, data, joints, given)
-    train, test = train_and_test(motions, data.test_runs)
+    motions, description = config.motions(
+        source, [coordinate.name for coordinate in config.coordinates], given)
+    train, test = train_and_test(motions, config.data.test_runs)
     if not train:
         raise DataError(f'{source}: data.test_runs leave nothing to learn from')
     longest = max(motion.t[-1] - motion.t[0] for motion in test)

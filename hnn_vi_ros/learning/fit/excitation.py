@@ -1,0 +1,92 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motions that are computed of a robot, in place of measured ones."""
+
+from typing import Literal
+
+from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.learning.data.motions import (
+    even_motions, EvenMotion, Motion, MotionData, Recording)
+from hnn_vi_ros.learning.families.priors import RigidTree
+from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
+import numpy as np
+from pydantic import Field
+import torch
+
+# Sines of each joint; and the width of the speeds at which dry friction changes sign, as in the
+# effect joint_friction [rad/s], [m/s].
+_SINES, _SPEED = 5, 0.01
+# The share of the room between limits that is used, and the amplitude of joints without limits
+# [rad], [m].
+_ROOM, _UNLIMITED = 0.4, 1.5
+
+
+class ExcitationData(MotionData):
+    """Each joint of the URDF along a sum of sines; forces by its H, its damping and friction."""
+
+    kind: Literal['excitation'] = 'excitation'
+    runs: int = Field(5, ge=1, le=1000)
+    duration: float = Field(10.0, gt=0.0, le=1000.0, description='of each run [s]')
+    interval: float = Field(0.005, gt=0.0, description='from one sample to the next [s]')
+    fastest: float = Field(1.0, gt=0.0, description='highest frequency of the sines [Hz]')
+    noise_q: float = Field(0.0, ge=0.0, description=(
+        'standard deviation of the noise of coordinates [rad], [m]'))
+    noise_v: float = Field(0.0, ge=0.0, description='likewise to velocities [rad/s], [m/s]')
+    noise_tau: float = Field(0.0, ge=0.0, description=(
+        'likewise to forces, as a share of the root mean square of each'))
+
+
+def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
+                    ) -> tuple[list[EvenMotion], str]:
+    """
+    Return motions of a robot, and what they are.
+
+    Parameters
+    ----------
+    data : ExcitationData
+        How many, how fast and how noisy.
+    robot : RigidBodyTree
+        What moves.
+    seed : int
+        Of sines and noise.
+
+    """
+    rng, d = np.random.default_rng(seed), robot.dimension
+    t = data.interval * np.arange(round(data.duration / data.interval) + 1)
+    damping, friction = (np.array([getattr(joint, name) for joint in robot.joints])
+                         for name in ('damping', 'friction'))
+    card = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name)
+    values, runs = values_of(card, robot.bodies), []
+    tree = RigidTree(card, values)
+    for number in range(data.runs):
+        q, v, a = _sines(rng, robot, t, data.fastest)
+        with torch.no_grad():
+            columns = tree.columns(*map(torch.tensor, (q, v, a))).numpy()
+        tau = columns @ values.ravel() + damping * v + friction * np.tanh(v / _SPEED)
+        size = np.sqrt(np.mean(tau**2, axis=0))
+        q, v, tau = (part + scale * rng.normal(size=(len(t), d)) for part, scale in (
+            (q, data.noise_q), (v, data.noise_v), (tau, data.noise_tau * size)))
+        exact = not (data.noise_q or data.noise_v)
+        runs.append(Motion(f'run{number}', f'run{number}', t, q, v, tau, a if exact else None))
+    return even_motions(Recording(
+        runs, f'{robot.robot.name} along sums of sines, seed {seed}', 'none'), data)
+
+
+def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastest: float
+           ) -> tuple[np.ndarray, ...]:
+    """Return coordinates, velocities and accelerations, each of shape (N, d)."""
+    found = np.zeros((3, len(t), robot.dimension))
+    for j, joint in enumerate(robot.joints):
+        low, high = joint.bounds
+        middle, room = 0.0, _UNLIMITED
+        if low is not None and high is not None and high > low:
+            middle, room = 0.5 * (low + high), min(_ROOM * (high - low), _UNLIMITED)
+        # Slow sines have large amplitudes; otherwise fast ones would dominate all forces.
+        rate = 2.0 * np.pi * fastest * rng.uniform(0.1, 1.0, _SINES)
+        size = rng.uniform(0.5, 1.0, _SINES) / rate
+        size *= room / size.sum()
+        phase = rate * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, _SINES)
+        found[0, :, j] = middle + np.sin(phase) @ size
+        found[1, :, j] = np.cos(phase) @ (size * rate)
+        found[2, :, j] = -np.sin(phase) @ (size * rate**2)
+    return tuple(found)
