@@ -15,7 +15,7 @@ from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.gradients.dependences import difference
 from hnn_vi_ros.gradients.derivatives import DifferentiableRun
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
-from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, Problem
+from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, FitProblem
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
 from hnn_vi_ros.learning.scene_numbers.intervals import (
@@ -376,10 +376,10 @@ def test_outliers_move_a_robust_fit_less(pendulum, tmp_path, monkeypatch):
     assert robust.standard_error < 0.7 * plain.standard_error
     # Of friction that the scene has not, no residual is cut off: all count, the largest ones less.
     damped = pendulum.with_overrides(effects=[{'kind': 'damping', 'rate': 0.3}])
-    searches, descend, evaluate = [], Problem._descend, Problem._evaluate
-    monkeypatch.setattr(Problem, '_descend', lambda *arguments: (
+    searches, descend, evaluate = [], FitProblem._descend, FitProblem._evaluate
+    monkeypatch.setattr(FitProblem, '_descend', lambda *arguments: (
         searches.append(0), descend(*arguments))[1])
-    monkeypatch.setattr(Problem, '_evaluate', lambda *arguments: (
+    monkeypatch.setattr(FitProblem, '_evaluate', lambda *arguments: (
         searches.append(searches.pop() + 1), evaluate(*arguments))[1])
     solution, _, _ = fit(freed(pendulum, tmp_path, length=1.05),
                          [swing(damped, 2.0, 4, None)], 0.5, True)

@@ -18,7 +18,7 @@ from hnn_vi_ros.learning.families.choices import HNNChoice
 from hnn_vi_ros.learning.families.hnn import HNN
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import (
-    Fit, Interrupted, Keeper, LossHistory, Problem, Stage)
+    Fit, Interrupted, Keeper, LossHistory, Stage, TrainingProblem)
 from hnn_vi_ros.learning.tasks.field import FieldProblem, mean_square, nonlinearity
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
@@ -445,7 +445,7 @@ class Valley(torch.nn.Module):
 def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
     """Adam moves by its rate at first: at 1 and .25 it only leaves the valley's ground."""
     module = Valley(0.01)
-    losses = Problem(module, [module.stage(1.0, 3)]).fit()
+    losses = TrainingProblem(module, [module.stage(1.0, 3)]).fit()
     told = capsys.readouterr().out.splitlines()
     assert told[:1] == ['fall: no better at a rate of 1']
     assert abs(module.x.item()) < 0.01 and losses['fall'] <= 1e-4
@@ -454,7 +454,7 @@ def test_stage_that_gains_nothing_begins_again_at_lower_rates(capsys):
 @pytest.mark.parametrize('limit', [math.inf, 0.05])
 def test_stage_never_ends_worse_than_it_began(limit, capsys):
     module = Valley(1e-9, limit)
-    Problem(module, [module.stage(1.0, 1)]).fit()
+    TrainingProblem(module, [module.stage(1.0, 1)]).fit()
     assert module.x.item() == 1e-9
     assert capsys.readouterr().out.splitlines() == [
         'fall: no better at a rate of 1', 'fall: no better at a rate of 0.25']
@@ -465,5 +465,5 @@ def test_stages_that_are_judged_in_another_way_begin_with_their_own_best():
     module = Valley(0.3)
     other = Stage('rise', lambda: (module.x - 1.0).square(), 200, 0.1,
                   lambda: float((module.x - 1.0).square().detach()), 200)
-    Problem(module, [module.stage(0.1, 0), other]).fit()
+    TrainingProblem(module, [module.stage(0.1, 0), other]).fit()
     assert module.x.item() == pytest.approx(1.0, abs=1e-2)

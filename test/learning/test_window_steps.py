@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import FrictionChoice, Structure
 from hnn_vi_ros.learning.families.mechanical import Linearised, MechanicalNetwork
 from hnn_vi_ros.learning.fit import steps as window_steps
-from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Samples, samples_of, scales_of, window_loss, Windows
 from hnn_vi_ros.learning.fit.steps import METHODS, simulated, Solutions
 from hnn_vi_ros.learning.tasks.machine import describe, problem_of
@@ -192,7 +192,7 @@ def pendulum(seed: int) -> EvenMotion:
 
 
 @pytest.fixture(scope='module')
-def records() -> tuple[Problem, Records]:
+def records() -> tuple[TrainingProblem, Records]:
     motions = [pendulum(1), pendulum(2)]
     problem = problem_of(CONFIG, motions)
     problem.fit()
@@ -215,7 +215,7 @@ def test_gradient_of_motions_is_that_of_differences(records, steps: int):
 def test_whole_motions_improve_and_end_no_worse(records):
     problem, loss = records
     before = loss.whole()
-    losses = Problem(problem.module, loss.stages()).fit()
+    losses = TrainingProblem(problem.module, loss.stages()).fit()
     assert [*losses] == ['records_0.25', 'records_0.5', 'records_1']
     # Windows of 0.2 s leave small errors of forces, which 6 s add up: 1.0e-5, then 9e-8.
     assert loss.whole() < 0.1 * before
@@ -223,6 +223,6 @@ def test_whole_motions_improve_and_end_no_worse(records):
     best = deepcopy(problem.module.state_dict())
     away = replace(loss.stages()[0], loss=lambda: sum(
         part.square().sum() for part in problem.module.tensors().values()))
-    Problem(problem.module, [away]).fit()
+    TrainingProblem(problem.module, [away]).fit()
     after = problem.module.state_dict()
     assert all(torch.equal(part, after[name]) for name, part in best.items())

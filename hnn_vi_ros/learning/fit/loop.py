@@ -115,7 +115,7 @@ class LossHistory:
     begins: dict[str, int] = field(default_factory=dict)
 
 
-class Problem:
+class TrainingProblem:
     """
     A module, and the stages that fit it.
 
@@ -150,7 +150,7 @@ class Fit:
 
     Parameters
     ----------
-    problem : Problem
+    problem : TrainingProblem
         Its module is changed.
     name : str
         For the progress bar.
@@ -165,7 +165,7 @@ class Fit:
 
     """
 
-    def __init__(self, problem: Problem, name: str = ''):
+    def __init__(self, problem: TrainingProblem, name: str = ''):
         self.module, self.stages = problem.module, problem.stages
         self.history, self.losses = LossHistory(), problem.losses
         self._name, self._generator = name, problem.generator

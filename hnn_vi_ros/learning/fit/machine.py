@@ -13,7 +13,7 @@ from hnn_vi_ros.learning.families.choices import (
     Discrete, Forward, Inverse, MotionScales, Trajectory, WindowMethod, WindowStage)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.loop import Problem, Stage
+from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
 import torch
@@ -372,7 +372,7 @@ class Fading:
         return large + (usual - large) * torch.exp(-0.5 * nearest)
 
 
-class MachineProblem(Problem):
+class MachineProblem(TrainingProblem):
     """
     A network, and the stages that fit it to motions: at single samples, or by simulated windows.
 

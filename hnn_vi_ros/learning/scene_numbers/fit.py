@@ -111,7 +111,7 @@ class Solution:
         return math.sqrt(float((self.residuals**2).sum()) / self.freedom)
 
 
-class Problem:
+class FitProblem:
     """
     The residuals of windows as a function of the free numbers alone.
 
@@ -292,7 +292,7 @@ def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, robust: bool
-        ) -> tuple[Solution, Problem, list[tuple[float, float]]]:
+        ) -> tuple[Solution, FitProblem, list[tuple[float, float]]]:
     """
     Fit the free numbers, in windows that grow from short ones, which have no false minima.
 
@@ -306,11 +306,11 @@ def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, r
         Length of the windows at the end [s]; by default they grow up to whole runs, as long as
         residuals do not grow by more than a half.
     robust : bool
-        See Problem.
+        See FitProblem.
 
     Returns
     -------
-    Solution, Problem, and list of (float, float)
+    Solution, FitProblem, and list of (float, float)
         The fit, its problem, and the length [s] and the misfit of each stage.
 
     Raises
@@ -345,7 +345,7 @@ def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, r
 
 def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.ndarray,
              values: np.ndarray, robust: bool, tolerance: float, guessed: bool
-             ) -> tuple[Solution, Problem]:
+             ) -> tuple[Solution, FitProblem]:
     """Return the fit with the noise that its own residuals tell, which may begin guessed."""
     if windows.there.sum() * len(noise) <= starts.size + len(values):
         raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
@@ -355,7 +355,7 @@ def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.nd
         # A guess from the data alone is far too small for a scene that lacks something: beside it
         # all residuals would be outliers. So squares of them tell the noise first.
         squares = robust and guessed and k == 0
-        problem = Problem(free, windows, noise, starts, robust and not squares)
+        problem = FitProblem(free, windows, noise, starts, robust and not squares)
         solution = search(problem, values, _ROUGH if squares else tolerance)
         told = noise_of(solution, robust)
         values, starts = solution.values, solution.starts
@@ -372,7 +372,7 @@ def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.nd
         by_numbers=solution.by_numbers / ratio[:, None]), problem
 
 
-def search(problem: Problem, values: np.ndarray, tolerance: float = _TOLERANCE) -> Solution:
+def search(problem: FitProblem, values: np.ndarray, tolerance: float = _TOLERANCE) -> Solution:
     """Return the best values of the numbers, from some on."""
     first = problem.residuals(values)
     if not values.size:
@@ -404,7 +404,7 @@ def noise_of(solution: Solution, robust: bool) -> np.ndarray:
 
 
 def _starts(free: FreeScene, values: np.ndarray, windows: Windows,
-            before: tuple[Solution, Problem] | None) -> np.ndarray:
+            before: tuple[Solution, FitProblem] | None) -> np.ndarray:
     """Return initial states to begin from: those of shorter windows, or smoothed measurements."""
     q, v = windows.start.swapaxes(0, 1)
     if before is None:

@@ -24,7 +24,7 @@ from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.scene_numbers.fit import fit, Problem, search, Solution
+from hnn_vi_ros.learning.scene_numbers.fit import fit, FitProblem, search, Solution
 from hnn_vi_ros.learning.scene_numbers.free_numbers import (
     DELAY, free_scene, FreeScene, STATES, write_fitted)
 from hnn_vi_ros.learning.scene_numbers.intervals import (
@@ -220,7 +220,7 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     return Identified(free, solution, estimates, stages, hamiltonian, description, inputs, before)
 
 
-Fitted = tuple[Solution, Problem, list[tuple[float, float]]]
+Fitted = tuple[Solution, FitProblem, list[tuple[float, float]]]
 
 
 def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
@@ -245,10 +245,10 @@ def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
         f'{min(own, idle):.4g} of the noise for {max(own, idle):.4g})')
 
 
-def _misfit_with(solution: Solution, problem: Problem, motions: Sequence[EvenMotion]) -> float:
+def _misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
     """Return the misfit of the same windows with other forces; infinite where that fails."""
     windows = replace(solution.windows, motions=motions)
-    other = Problem(problem.free, windows, problem.noise, solution.starts, problem.robust)
+    other = FitProblem(problem.free, windows, problem.noise, solution.starts, problem.robust)
     try:
         return search(other, solution.values).misfit
     except HnnViRosError:

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.learning.scene_numbers.fit import (
-    Problem, projected, search, Solution, told_directions, units_of)
+    FitProblem, projected, search, Solution, told_directions, units_of)
 from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene, STATES
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
@@ -393,7 +393,7 @@ class Estimates:
         return found
 
 
-def estimates_of(solution: Solution, problem: Problem, free: FreeScene,
+def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
                  coordinates: Sequence[Coordinate], states: bool) -> Estimates:
     """
     Return what a fit tells of its numbers, and of the initial states of its runs if asked.
@@ -538,7 +538,7 @@ def quantile(freedom: int) -> float:
     return float(student.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
 
 
-def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Estimate
+def profile(solution: Solution, problem: FitProblem, free: FreeScene, estimate: Estimate
             ) -> Estimate:
     """
     Return a number with the interval in which the other numbers can make up for its error.
@@ -559,8 +559,8 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
     def excess(value: float) -> float:
         values = solution.values.copy()
         values[k] = value
-        own = Problem(free.starting_at(values).holding(k), solution.windows, problem.noise,
-                      solution.starts, problem.robust)
+        own = FitProblem(free.starting_at(values).holding(k), solution.windows, problem.noise,
+                         solution.starts, problem.robust)
         try:
             residuals = search(own, np.delete(values, k)).residuals
         except HnnViRosError:
@@ -572,7 +572,7 @@ def profile(solution: Solution, problem: Problem, free: FreeScene, estimate: Est
                    high=_end(excess, estimate.value, error, number.high))
 
 
-def _error_by_cost(solution: Solution, problem: Problem, k: int) -> float:
+def _error_by_cost(solution: Solution, problem: FitProblem, k: int) -> float:
     """Return how far a number moves until the cost, with all others at their best, is 1 more."""
     weights = problem.weights(solution.residuals)
     slopes, _ = projected(solution, weights)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, widths_of
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
@@ -42,7 +42,7 @@ class Task(ABC):
         """Return the data, by which an interrupted run is known again."""
 
     @abstractmethod
-    def problem(self, config: Any, device: str) -> Problem:
+    def problem(self, config: Any, device: str) -> TrainingProblem:
         """Return a fresh model with its stages; of an ensemble, on data drawn by its seed."""
 
     @abstractmethod

@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.families.choices import BodyStage, LieMethod, Retractio
 from hnn_vi_ros.learning.families.lie_group import BodyScales, HeldBody, LieGroupNetwork
 from hnn_vi_ros.learning.families.priors import in_torch
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
-from hnn_vi_ros.learning.fit.loop import Problem, Stage
+from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
 from hnn_vi_ros.models.attitude_features import group_of
@@ -284,7 +284,7 @@ def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
     return BodyMotions(x, R, v, u, first.interval)
 
 
-class BodyProblem(Problem):
+class BodyProblem(TrainingProblem):
     """
     A network, and the stages that fit it to windows of motions: Adam on batches, L-BFGS on a part.
 
@@ -374,7 +374,7 @@ class BodyTask(Task):
         """Return a fresh network with its stages; see Task."""
         return BodyProblem(network_of(config, self._train), config, self._train)
 
-    def describe(self, problem: Problem, config: BodyConfig, name: str, command: str
+    def describe(self, problem: TrainingProblem, config: BodyConfig, name: str, command: str
                  ) -> Checkpoint:
         """Return a trained network with its card; see Task."""
         network = problem.module
@@ -395,7 +395,7 @@ class BodyTask(Task):
             scheme=scheme, box=box, dataset=f'{config.description} {self._description}'.lstrip()
             + scale, losses=problem.losses)
 
-    def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
+    def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
         """Return the model, and the errors of windows as text; see Task."""
         text = _text(problem.module, self._config, self._windows)
         return Judged(checkpoint, text, text)

@@ -12,7 +12,7 @@ from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.families.base import EnergyFamily, Scales, Trainable
 from hnn_vi_ros.learning.fit.config import FieldConfig
-from hnn_vi_ros.learning.fit.loop import Problem, Stage
+from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.judging.ensemble import (
     calibrated, ensemble_text, field_calibration, held_out, resampled)
@@ -170,7 +170,7 @@ LOSSES = {
 }
 
 
-class FieldProblem(Problem):
+class FieldProblem(TrainingProblem):
     """
     The data as tensors, a fresh model, and the loss that it is trained on.
 

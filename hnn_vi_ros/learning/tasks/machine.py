@@ -16,7 +16,7 @@ from hnn_vi_ros.learning.families.choices import (
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
-from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
@@ -90,7 +90,7 @@ class MachineTask(Task):
         return (part for motion in self._train for part in vars(motion).values()
                 if isinstance(part, np.ndarray))
 
-    def problem(self, config: MachineConfig, device: str) -> Problem:
+    def problem(self, config: MachineConfig, device: str) -> TrainingProblem:
         """Return a fresh network, its prior fitted, with the stages that follow; see Task."""
         return problem_of(self._chosen(config), resampled_blocks(self._known, config.seed)
                           if self._ensemble else self._known)
@@ -100,7 +100,7 @@ class MachineTask(Task):
         return config.model_copy(update={
             'family': self._config.family, 'loss': self._config.loss})
 
-    def describe(self, problem: Problem, config: MachineConfig, name: str, command: str
+    def describe(self, problem: TrainingProblem, config: MachineConfig, name: str, command: str
                  ) -> Checkpoint:
         """Return a trained network with its card; see Task."""
         config = self._chosen(config)
@@ -109,7 +109,7 @@ class MachineTask(Task):
         return describe(problem.module, config, self._train, self._description, problem.losses,
                         name, command, self._selection, self._delay * self._train[0].spacing)
 
-    def judged(self, checkpoint: Checkpoint, problem: Problem) -> Judged:
+    def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
         """Return the model with its prediction errors, and the baselines' errors; see Task."""
         checkpoint = with_energy_error(checkpoint, self._test)
         if self._ensemble:
@@ -191,8 +191,8 @@ def _check_motors(config: MachineConfig, motions: Sequence[EvenMotion]) -> None:
                         'family.input_map: learned')
 
 
-def problem_of(config: MachineConfig, motions: Sequence[EvenMotion], rigid: Problem | None = None
-               ) -> Problem:
+def problem_of(config: MachineConfig, motions: Sequence[EvenMotion],
+               rigid: TrainingProblem | None = None) -> TrainingProblem:
     """
     Return a network, its prior fitted unless that is given, with the stages that follow.
 
@@ -211,7 +211,7 @@ def problem_of(config: MachineConfig, motions: Sequence[EvenMotion], rigid: Prob
     if rigid is None:
         rigid = _rigid(config, structure, motions)
     if not structure.residual:
-        return Problem(rigid.module, losses=rigid.losses)
+        return TrainingProblem(rigid.module, losses=rigid.losses)
     network = MechanicalNetwork(replace(structure, angles=rigid.module.structure.angles),
                                 config.hidden, scales, config.seed)
     network.begin_with(rigid.module)
@@ -221,7 +221,8 @@ def problem_of(config: MachineConfig, motions: Sequence[EvenMotion], rigid: Prob
 
 
 def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[EvenMotion],
-                  penalty: Callable[[], torch.Tensor] = lambda: torch.zeros(())) -> Problem:
+                  penalty: Callable[[], torch.Tensor] = lambda: torch.zeros(())
+                  ) -> TrainingProblem:
     """Return a problem that ends with whole motions, where the loss asks for these."""
     if config.windows.records:
         problem.stages += Records(problem.module, config.windows, motions, lambda: describe(
@@ -229,7 +230,8 @@ def _with_records(problem: MachineProblem, config: MachineConfig, motions: Seque
     return problem
 
 
-def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMotion]) -> Problem:
+def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMotion]
+           ) -> TrainingProblem:
     """Return a prior that was fitted, with its friction and without networks, or DataError."""
     family = config.family
     if structure.prior == PLANAR_CHAIN:
@@ -249,7 +251,7 @@ def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMo
         if config.windows.records:
             losses['records'] = fit_records(
                 rigid, config.windows, motions, lambda motion: whole(rigid, config, motion))
-        return Problem(rigid, losses=losses)
+        return TrainingProblem(rigid, losses=losses)
     raise DataError(f'prior: no {structure.prior} follows these motions; look at the {looked} '
                     'and for outliers in the data')
 

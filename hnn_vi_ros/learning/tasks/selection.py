@@ -10,7 +10,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of, r
 from hnn_vi_ros.learning.families.choices import (
     AUTO, MechanicalChoice, RigidBodyChoice, Trajectory)
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.loop import Problem
+from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
 from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
 from hnn_vi_ros.models.seen import CandidateCard, Errors, SelectionCard
@@ -47,7 +47,7 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         'rigid body and a network of V': {'residual': ['potential']},
         'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
 # Returns a problem, of a rigid body that was fitted before.
-Make = Callable[[MachineConfig, Sequence[EvenMotion], Problem | None], Problem]
+Make = Callable[[MachineConfig, Sequence[EvenMotion], TrainingProblem | None], TrainingProblem]
 
 
 def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
@@ -91,8 +91,8 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
               f'{else_takes}', flush=True)
         return _named(config, else_takes), None
 
-    def tried(name: str, own: MachineConfig, rigid: Problem | None = None
-              ) -> tuple[CandidateCard, Problem | None]:
+    def tried(name: str, own: MachineConfig, rigid: TrainingProblem | None = None
+              ) -> tuple[CandidateCard, TrainingProblem | None]:
         try:
             problem = make(_short(own, motions), kept, rigid)
             problem.fit()
@@ -130,9 +130,9 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
 
 def _with_friction(
         config: MachineConfig, motions: Sequence[EvenMotion],
-        tried: Callable[[str, MachineConfig], tuple[CandidateCard, Problem | None]],
-        plain: CandidateCard, rigid: Problem
-        ) -> tuple[MachineConfig, Problem, list[CandidateCard]]:
+        tried: Callable[[str, MachineConfig], tuple[CandidateCard, TrainingProblem | None]],
+        plain: CandidateCard, rigid: TrainingProblem
+        ) -> tuple[MachineConfig, TrainingProblem, list[CandidateCard]]:
     """
     Return a configuration with the friction that held-out motions need, and the rigid body of it.
 
@@ -148,7 +148,8 @@ def _with_friction(
     names = [name for name in _TERMS if may_be[name]]
     cards: list[CandidateCard] = []
 
-    def without(terms: Sequence[str]) -> tuple[CandidateCard, Problem | None, MachineConfig]:
+    def without(terms: Sequence[str]
+                ) -> tuple[CandidateCard, TrainingProblem | None, MachineConfig]:
         friction = config.family.friction.model_copy(update={
             name: value for name, value in _TERMS.items() if name in names and name not in terms})
         own = config.model_copy(update={'family': config.family.model_copy(update={
@@ -186,7 +187,7 @@ def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
     return config.model_copy(update={'loss': loss.model_copy(update={'windows': windows})})
 
 
-def _with_angles(config: MachineConfig, rigid: Problem) -> MachineConfig:
+def _with_angles(config: MachineConfig, rigid: TrainingProblem) -> MachineConfig:
     """Return a configuration of links with these angles, as all that follow have."""
     if not isinstance(config.family, MechanicalChoice):
         return config
