@@ -8,7 +8,7 @@ from hnn_vi_ros.command_line import complete_by, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
-# Ways of measured forces between samples, as in learning/data/runs.py.
+# Ways of measured forces between samples, as in learning/data/motions.py.
 INPUTS = ('held', 'interpolated')
 # As in hamiltonians/activations.py, which takes the compiler to import.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
