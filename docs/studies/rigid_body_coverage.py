@@ -22,7 +22,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
-from hnn_vi_ros.learning.fit.inertias import identify
+from hnn_vi_ros.learning.fit.inertias import identify_inertias
 from hnn_vi_ros.learning.fit.machine import scales_of
 from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
 import numpy as np
@@ -73,7 +73,7 @@ def held(runs: Iterable[int], seed: int) -> Iterator[tuple[list[str], list[bool]
             motions = [noisy(motion, random) for motion in excited_motions(
                 ExcitationData.model_validate(_DATA), robot, seed + run)[0]]
             network = MechanicalNetwork(structure, config.hidden, scales_of(motions), 0)
-            identify(network, config, motions)
+            identify_inertias(network, config, motions)
             tree = network.prior
             true_of = dict(zip(tree.names, truth.ravel(), strict=False))
             found = tree.identification.base_parameters

@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.judging import ensemble as module
 from hnn_vi_ros.learning.judging.ensemble import (
-    conformal_factors, kept_and_held, resampled, resampled_blocks)
+    bootstrapped, bootstrapped_blocks, conformal_factors, kept_and_held)
 from hnn_vi_ros.learning.train import main
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
@@ -43,7 +43,7 @@ def motions(blocks: int, rows: int) -> Dataset:
 
 def test_block_bootstrap_keeps_blocks_whole_and_copies_apart():
     data = motions(12, 5)
-    found = resampled(data, 1)
+    found = bootstrapped(data, 1)
     assert len(found.q) == len(data.q)
     drawn = np.unique(found.block)
     assert 1 < len(drawn) < 12  # some came twice
@@ -55,8 +55,8 @@ def test_block_bootstrap_keeps_blocks_whole_and_copies_apart():
     # Every window is one of a motion as it was.
     windows = found.windows(0.1, 5)
     assert len(windows) == 12
-    assert resampled(data, 1).q.tobytes() == found.q.tobytes()
-    assert resampled(data, 2).q.tobytes() != found.q.tobytes()
+    assert bootstrapped(data, 1).q.tobytes() == found.q.tobytes()
+    assert bootstrapped(data, 2).q.tobytes() != found.q.tobytes()
 
 
 def test_conformal_factors_are_the_ranks_that_cover():
@@ -126,12 +126,12 @@ def test_blocks_are_whole_parts_of_motions_a_fifth_of_which_is_held_out():
 
 def test_bootstrap_of_blocks_draws_as_many_with_replacement():
     blocks = kept_and_held([swing(20.0)], machine_config())[0]
-    drawn = resampled_blocks(blocks, 1)
+    drawn = bootstrapped_blocks(blocks, 1)
     assert len(drawn) == len(blocks) == 16
     begins = [motion.t[0] for motion in drawn]
     assert 1 < len(set(begins)) < 16 and set(begins) <= {motion.t[0] for motion in blocks}
-    assert begins == [motion.t[0] for motion in resampled_blocks(blocks, 1)]
-    assert begins != [motion.t[0] for motion in resampled_blocks(blocks, 2)]
+    assert begins == [motion.t[0] for motion in bootstrapped_blocks(blocks, 1)]
+    assert begins != [motion.t[0] for motion in bootstrapped_blocks(blocks, 2)]
 
 
 def test_motions_of_few_blocks_are_refused():

@@ -246,8 +246,9 @@ class Information(NamedTuple):
     idle: list[np.ndarray]
 
 
-def identify(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[EvenMotion],
-             rotors: bool = False, offsets: bool = True) -> dict[str, float]:
+def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
+                      motions: Sequence[EvenMotion], rotors: bool = False, offsets: bool = True
+                      ) -> dict[str, float]:
     """
     Identify a tree and its friction, whose widths stay what they are.
 

@@ -57,7 +57,7 @@ def _drawn(count: int, seed: int) -> np.ndarray:
     return np.random.default_rng([seed, 1]).choice(count, count)
 
 
-def resampled(dataset: Dataset, seed: int) -> Dataset:
+def bootstrapped(dataset: Dataset, seed: int) -> Dataset:
     """
     Return a block bootstrap of data: as many blocks, drawn with replacement.
 
@@ -75,7 +75,7 @@ def resampled(dataset: Dataset, seed: int) -> Dataset:
     return replace(dataset.rows(chosen), trajectory=trajectory.ravel()).checked()
 
 
-def resampled_blocks(blocks: Sequence[EvenMotion], seed: int) -> list[EvenMotion]:
+def bootstrapped_blocks(blocks: Sequence[EvenMotion], seed: int) -> list[EvenMotion]:
     """Return a block bootstrap of motions, in their order."""
     return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
 

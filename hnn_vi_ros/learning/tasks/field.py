@@ -15,7 +15,7 @@ from hnn_vi_ros.learning.fit.config import FieldConfig
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.judging.ensemble import (
-    calibrated, ensemble_text, field_calibration, held_out, resampled)
+    bootstrapped, calibrated, ensemble_text, field_calibration, held_out)
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import described, Task
@@ -309,7 +309,7 @@ class FieldTask(Task):
 
     def problem(self, config: FieldConfig, device: str) -> FieldProblem:
         """Return a fresh model with its loss; see Task."""
-        return FieldProblem(config, resampled(self._known, config.seed) if self._ensemble
+        return FieldProblem(config, bootstrapped(self._known, config.seed) if self._ensemble
                             else self._known, device)
 
     def describe(self, problem: FieldProblem, config: FieldConfig, name: str, command: str

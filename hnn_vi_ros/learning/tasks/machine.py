@@ -15,13 +15,12 @@ from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork, PlainNetwork
 from hnn_vi_ros.learning.fit.config import MachineConfig
-from hnn_vi_ros.learning.fit.inertias import identified_text, identify, with_force_errors
+from hnn_vi_ros.learning.fit.inertias import identified_text, identify_inertias, with_force_errors
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Fading, MachineProblem, scales_of
 from hnn_vi_ros.learning.fit.rigid_body import best_rigid_body, fit_records, fit_rigid_body
 from hnn_vi_ros.learning.judging.ensemble import (
-    calibrated, drafted, ensemble_text, kept_and_held, machine_calibration,
-    resampled_blocks)
+    bootstrapped_blocks, calibrated, drafted, ensemble_text, kept_and_held, machine_calibration)
 from hnn_vi_ros.learning.judging.evaluation import (
     balance, judge, linear_model, numbers, outside, own_effects, predicted_by, simulated,
     simulation_of, table, variance_of, verdict)
@@ -92,7 +91,7 @@ class MachineTask(Task):
 
     def problem(self, config: MachineConfig, device: str) -> TrainingProblem:
         """Return a fresh network, its prior fitted, with the stages that follow; see Task."""
-        return problem_of(self._chosen(config), resampled_blocks(self._known, config.seed)
+        return problem_of(self._chosen(config), bootstrapped_blocks(self._known, config.seed)
                           if self._ensemble else self._known)
 
     def _chosen(self, config: MachineConfig) -> MachineConfig:
@@ -243,9 +242,10 @@ def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMo
             replace(structure, residual=False, friction_features=None), config.hidden,
             scales_of(motions), config.seed)
         robot = isinstance(family, RigidBodyChoice)
-        losses = identify(rigid, config, motions, family.rotor_inertia == 'identified',
-                          family.offsets) if isinstance(family, RigidBodyChoice) else \
-            fit_rigid_body(rigid, config.windows, motions)
+        losses = identify_inertias(
+            rigid, config, motions, family.rotor_inertia == 'identified', family.offsets
+        ) if isinstance(family, RigidBodyChoice) else fit_rigid_body(
+            rigid, config.windows, motions)
         looked = 'URDF' if robot else 'coordinates, which must be those of the system,'
     if rigid is not None and np.isfinite([*losses.values()]).all():
         if config.windows.records:
