@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Sequence
 import math
+from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of, run_of
@@ -71,56 +72,22 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
 
     """
     config = _paced(config, motions)
-    family = config.family
-    kinds = [coordinate.kind for coordinate in config.coordinates]
-    if isinstance(family, RigidBodyChoice):
-        if family.residual != AUTO:
-            return config, None
-        else_takes = RIGID
-    elif family.prior != AUTO:
+    family, kinds = config.family, [coordinate.kind for coordinate in config.coordinates]
+    rigid_body = isinstance(family, RigidBodyChoice)
+    if (family.residual if rigid_body else family.prior) != AUTO:
         return config, None
-    else:
-        else_takes = ALONE
-        if not chain_angles(kinds) or not (
-                config.loss is None or isinstance(config.loss, Trajectory)):
-            return _named(config, ALONE), None
-    kept, furthest, ordinary = held_out(motions)
-    shortest = 1.05 * slowness(motions) * min(_HORIZONS)
-    if any(all(run.t[-1] - run.t[0] < shortest for run in part) for part in (furthest, ordinary)):
+    if not rigid_body and not (chain_angles(kinds) and isinstance(config.loss, Trajectory | None)):
+        return _named(config, ALONE), None
+    trials, else_takes = _Trials(make, motions, *held_out(motions)), RIGID if rigid_body else ALONE
+    if not trials.enough:
         print(f'{AUTO}: {len(motions)} short motions leave nothing to choose by; '
               f'{else_takes}', flush=True)
         return _named(config, else_takes), None
-
-    def tried(name: str, own: MachineConfig, rigid: TrainingProblem | None = None
-              ) -> tuple[CandidateCard, TrainingProblem | None]:
-        try:
-            problem = make(_short(own, motions), kept, rigid)
-            problem.fit()
-            card = CandidateCard(name=name, furthest=errors_of(problem.module, furthest),
-                                 ordinary=errors_of(problem.module, ordinary))
-        except DataError as reason:
-            problem, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
-        print(f'{name}: ' + (card.failed or (
-            f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
-        return card, problem
-    first, rigid = tried(RIGID, _named(config, RIGID))
-    found = [first]
-    if rigid is not None:
-        config = _with_angles(config, rigid)
-        if 'friction' not in family.model_fields_set:
-            config, rigid, found = _with_friction(config, motions, tried, first, rigid)
-    for name in [*_CANDIDATES[family.kind]][1:]:
-        found.append(CandidateCard(name=name, failed=f'no {RIGID} follows these motions')
-                     if rigid is None and name != ALONE else
-                     tried(name, _named(config, name), None if name == ALONE else rigid)[0])
+    config, found = _candidates(config, trials)
     if all(card.failed for card in found):
         raise DataError(f'{AUTO}: {found[-1].failed}')
     best = best_of([card for card in found if card.name in _CANDIDATES[family.kind]])
-    time, total = (sum(len(run.t) * run.spacing for run in runs)
-                   for runs in ((*furthest, *ordinary), motions))
-    text = (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen: '
-            'those that go furthest, in speed, range or force, and ordinary ones; trained for '
-            'half of the steps')
+    text = trials.text
     if config.family.friction != family.friction:
         terms = ', '.join(term for term in _TERMS if getattr(config.family.friction, term))
         text += f'; friction with {terms}, chosen by the same motions'
@@ -128,10 +95,66 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
         held_out=text, candidates=found, chosen=best.name, trust=_trust(best))
 
 
+class _Trials(NamedTuple):
+    """Motions to try candidates on: what they learn from, and the pieces that judge them."""
+
+    make: Make
+    motions: Sequence[EvenMotion]
+    kept: list[EvenMotion]
+    furthest: list[EvenMotion]
+    ordinary: list[EvenMotion]
+
+    @property
+    def enough(self) -> bool:
+        """Return whether pieces of both kinds are long enough to judge by."""
+        shortest = 1.05 * slowness(self.motions) * min(_HORIZONS)
+        return all(any(run.t[-1] - run.t[0] >= shortest for run in part)
+                   for part in (self.furthest, self.ordinary))
+
+    @property
+    def text(self) -> str:
+        """Return what judged."""
+        time, total = (sum(len(run.t) * run.spacing for run in runs)
+                       for runs in ((*self.furthest, *self.ordinary), self.motions))
+        return (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen:'
+                ' those that go furthest, in speed, range or force, and ordinary ones; trained '
+                'for half of the steps')
+
+    def tried(self, name: str, own: MachineConfig, rigid: TrainingProblem | None = None
+              ) -> tuple[CandidateCard, TrainingProblem | None]:
+        """Return how a candidate did, and its problem; of a rigid body that was fitted before."""
+        try:
+            problem = self.make(_short(own, self.motions), self.kept, rigid)
+            problem.fit()
+            card = CandidateCard(name=name, furthest=errors_of(problem.module, self.furthest),
+                                 ordinary=errors_of(problem.module, self.ordinary))
+        except DataError as reason:
+            problem, card = None, CandidateCard(name=name, failed=str(reason)[:1000])
+        print(f'{name}: ' + (card.failed or (
+            f'ordinary {_line(card.ordinary)}; furthest {_line(card.furthest)}')), flush=True)
+        return card, problem
+
+
+def _candidates(config: MachineConfig, trials: _Trials
+                ) -> tuple[MachineConfig, list[CandidateCard]]:
+    """Return a configuration with the angles and friction that fit, and how all candidates did."""
+    first, rigid = trials.tried(RIGID, _named(config, RIGID))
+    found, kind = [first], config.family.kind
+    if rigid is not None:
+        with_angles = _with_angles(config, rigid)
+        if 'friction' in config.family.model_fields_set:
+            config = with_angles
+        else:
+            config, rigid, found = _with_friction(with_angles, trials, first, rigid)
+    for name in [*_CANDIDATES[kind]][1:]:
+        found.append(CandidateCard(name=name, failed=f'no {RIGID} follows these motions')
+                     if rigid is None and name != ALONE else trials.tried(
+                         name, _named(config, name), None if name == ALONE else rigid)[0])
+    return config, found
+
+
 def _with_friction(
-        config: MachineConfig, motions: Sequence[EvenMotion],
-        tried: Callable[[str, MachineConfig], tuple[CandidateCard, TrainingProblem | None]],
-        plain: CandidateCard, rigid: TrainingProblem
+        config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: TrainingProblem
         ) -> tuple[MachineConfig, TrainingProblem, list[CandidateCard]]:
     """
     Return a configuration with the friction that held-out motions need, and the rigid body of it.
@@ -139,7 +162,7 @@ def _with_friction(
     All terms are there at first; then one after the other is left out that errors do not need.
     Plain friction, viscous and Coulomb's, stays unless these make errors smaller by _GAIN.
     """
-    driven = any(motion.tau.any() for motion in motions)
+    driven = any(motion.tau.any() for motion in trials.motions)
     motors = driven and isinstance(config.family, MechanicalChoice)
     # The constant force on a joint that slides is a part of its rigid body already.
     slides = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates)
@@ -155,7 +178,7 @@ def _with_friction(
         own = config.model_copy(update={'family': config.family.model_copy(update={
             'friction': friction})})
         left = ', '.join(name for name in names if name not in terms)
-        card, problem = tried(f'{RIGID}, friction with {left}', _named(own, RIGID))
+        card, problem = trials.tried(f'{RIGID}, friction with {left}', _named(own, RIGID))
         cards.append(card)
         return card, problem, own
     left_out: list[str] = []
@@ -209,8 +232,30 @@ def held_out(motions: Sequence[EvenMotion]
     longest = max(MIN_SAMPLES, min(round(_LONGEST / motions[0].spacing), total // _PIECES))
     pieces = [(run, rows) for run in motions
               for rows in np.array_split(np.arange(len(run.t)), max(1, len(run.t) // longest))]
+    far = _furthest(motions, pieces)
+    others = [k for k in range(len(pieces)) if k not in far]
+    usual = set(others[_ORDINARY // 2::_ORDINARY])
+    kept: list[EvenMotion] = []
+    begin = 0
+    for run in motions:
+        count = sum(one is run for one, _ in pieces)
+        mine = [(k, pieces[k][1]) for k in range(begin, begin + count)]
+        begin += count
+        free = np.concatenate([rows for k, rows in mine if k not in far | usual] or [
+            np.zeros(0, int)])
+        blocks = np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)
+        kept += [part_of(run, rows) for rows in blocks if len(rows) >= MIN_SAMPLES]
+    if not kept:
+        return [*motions], [], []
+    furthest, ordinary = ([part_of(*pieces[k]) for k in sorted(chosen)] for chosen in (far, usual))
+    return kept, furthest, ordinary
+
+
+def _furthest(motions: Sequence[EvenMotion], pieces: Sequence[tuple[EvenMotion, np.ndarray]]
+              ) -> set[int]:
+    """Return the numbers of the pieces that go furthest; see held_out."""
     names = [run_of(run) for run, _ in pieces]
-    whole = len(set(names)) >= _RUNS
+    whole, total = len(set(names)) >= _RUNS, sum(len(run.t) for run in motions)
     groups = [[k for k, one in enumerate(names) if one == name]
               for name in dict.fromkeys(names)] if whole else [[k] for k in range(len(pieces))]
     lengths = [sum(len(pieces[k][1]) for k in group) for group in groups]
@@ -233,22 +278,7 @@ def held_out(motions: Sequence[EvenMotion]
             taken += lengths[j]
             if taken >= _FURTHEST * total:
                 break
-    others = [k for k in range(len(pieces)) if k not in far]
-    usual = set(others[_ORDINARY // 2::_ORDINARY])
-    kept: list[EvenMotion] = []
-    begin = 0
-    for run in motions:
-        count = sum(one is run for one, _ in pieces)
-        mine = [(k, pieces[k][1]) for k in range(begin, begin + count)]
-        begin += count
-        free = np.concatenate([rows for k, rows in mine if k not in far | usual] or [
-            np.zeros(0, int)])
-        blocks = np.split(free, np.flatnonzero(np.diff(free) > 1) + 1)
-        kept += [part_of(run, rows) for rows in blocks if len(rows) >= MIN_SAMPLES]
-    if not kept:
-        return [*motions], [], []
-    furthest, ordinary = ([part_of(*pieces[k]) for k in sorted(chosen)] for chosen in (far, usual))
-    return kept, furthest, ordinary
+    return far
 
 
 def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
