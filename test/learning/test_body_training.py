@@ -12,8 +12,7 @@ from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.evaluate import main as evaluate
-from hnn_vi_ros.learning.families.choices import BodyStage
-from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork
+from hnn_vi_ros.learning.families.lie_group import BodyStage, LieGroupNetwork
 from hnn_vi_ros.learning.fit.config import BodyConfig, load_config
 from hnn_vi_ros.learning.tasks import body
 from hnn_vi_ros.learning.tasks.body import BodyProblem, joined, network_of, published_loss

@@ -15,10 +15,9 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.dataset import Dataset, sample_exact
 from hnn_vi_ros.learning.families.base import Scales, Trainable
-from hnn_vi_ros.learning.families.choices import (
-    DGNetChoice, DiscreteGradient, DiscreteLagrangian, HNNChoice, Steps, VINChoice)
-from hnn_vi_ros.learning.families.hnn import DGNet, HNN
-from hnn_vi_ros.learning.families.lagrangian import VIN
+from hnn_vi_ros.learning.families.choices import DiscreteGradient, DiscreteLagrangian, Steps
+from hnn_vi_ros.learning.families.hnn import DGNet, DGNetChoice, HNN, HNNChoice
+from hnn_vi_ros.learning.families.lagrangian import VIN, VINChoice
 from hnn_vi_ros.learning.fit.config import load_config
 from hnn_vi_ros.learning.fit.steps import step
 from hnn_vi_ros.learning.tasks.field import describe, FieldProblem, judge_energy, LOSSES

@@ -14,8 +14,7 @@ from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.families.base import Scales
-from hnn_vi_ros.learning.families.choices import HNNChoice
-from hnn_vi_ros.learning.families.hnn import HNN
+from hnn_vi_ros.learning.families.hnn import HNN, HNNChoice
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import (
     Fit, Interrupted, Keeper, LossHistory, Stage, TrainingProblem)

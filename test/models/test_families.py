@@ -13,7 +13,7 @@ from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.errors import HnnViRosError, ModelError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
-from hnn_vi_ros.learning.families.choices import FieldFamily
+from hnn_vi_ros.learning.fit.config import FieldFamily
 from hnn_vi_ros.models import families
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint
 from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The schema of a model family and of a loss in a training configuration; features of q."""
+"""Choices of a training configuration that families share: machines, losses, features of q."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,6 @@ from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.families.base import keep
 from hnn_vi_ros.models.exact_prior import exact_systems
-from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 from hnn_vi_ros.models.mechanical_card import check_prior, check_row, is_periodic, Kind
 from hnn_vi_ros.models.model_card import Scheme
 from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
@@ -96,12 +95,8 @@ class Features(torch.nn.Module):
                 torch.where(self.periodic, torch.cos(y), 1.0))
 
 
-# Steps of windows: of machines, and of bodies that turn.
+# Steps of windows of machines.
 WindowMethod = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
-LieMethod = Literal['lie_leapfrog', 'lie_variational_euler']
-RetractionName = Literal['cayley', 'exponential']
-# Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
-BODY_FLOOR = 1e-3
 ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
 # A prior that is chosen by held-out motions.
 AUTO = 'auto'
@@ -120,68 +115,6 @@ class FamilyChoice(StrictModel):
     kind: str
     losses: ClassVar[tuple[str, ...]] = ('vector_field', 'steps')
     refuses: ClassVar[Mapping[str, str]] = {}
-
-
-class HNNChoice(FamilyChoice):
-    """One network H(q, p)."""
-
-    kind: Literal['hnn']
-
-
-class SeparableHNNChoice(FamilyChoice):
-    """Networks T(p) and V(q), for explicit methods."""
-
-    kind: Literal['separable_hnn']
-
-
-class DissipativeHNNChoice(FamilyChoice):
-    """Networks H(q, p) and D(q, p): q' = H_p + D_q, p' = -H_q + D_p."""
-
-    kind: Literal['dissipative_hnn']
-
-
-class DGNetChoice(FamilyChoice):
-    """One network H(q, p), and linear friction."""
-
-    kind: Literal['dgnet']
-    friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
-    losses: ClassVar[tuple[str, ...]] = ('discrete_gradient', 'vector_field')
-
-
-class VINChoice(FamilyChoice):
-    """A constant mass matrix and a network V(q), learned from positions."""
-
-    kind: Literal['vin']
-    mass: float = Field(1.0, gt=0.0, description=(
-        'of the first coordinate, which sets the unit of energy: positions leave it open'))
-    losses: ClassVar[tuple[str, ...]] = ('discrete_lagrangian',)
-
-
-class LagrangianChoice(FamilyChoice):
-    """A Lagrangian L(q, v): a network added to a constant mass."""
-
-    kind: Literal['lagrangian']
-    mass: float = Field(1.0, gt=0.0, description=(
-        'mean of that of the first coordinate, which sets the unit of energy: motions leave it '
-        'open'))
-    losses: ClassVar[tuple[str, ...]] = ('euler_lagrange',)
-
-
-class ControlAffineChoice(FamilyChoice):
-    """Networks for the mass matrix, the potential and the input map of commands."""
-
-    kind: Literal['control_affine']
-    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
-
-
-class SymplecticFormChoice(FamilyChoice):
-    """A one-form theta(u) and an energy H(u) in any coordinates u, such as (q, dq/dt)."""
-
-    kind: Literal['symplectic_form']
-    mass: float = Field(1.0, gt=0.0, description=(
-        'mean of that of the first coordinate, d theta_q / dp, which sets the unit of energy: '
-        'motions leave it open'))
-    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 
 class VectorField(StrictModel):
@@ -495,47 +428,6 @@ def combination(text: str, names: Sequence[str], key: str) -> list[float]:
     return row
 
 
-class LieGroupChoice(FamilyChoice):
-    """Networks of M(q)^-1 and V(q), or one of H(q, p); dissipation and input map."""
-
-    kind: Literal['lie_group']
-    losses: ClassVar[tuple[str, ...]] = ()
-    refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
-    structured: bool = Field(True, description=(
-        'whether H = p . M^-1 p / 2 + V(q); or the momentum is an input of V too, and M is '
-        'constant'))
-    mass_depends_on: list[Seen] = Field([], max_length=2, description=(
-        'the inputs of M; none: it is constant in the frame of the body'))
-    potential_depends_on: list[Seen] = Field(
-        ['attitude'], min_length=1, max_length=2, description='the inputs of V')
-    dissipation: Literal['none', 'constant', 'learned'] = Field('none', description=(
-        'D of the force -D v, positive semidefinite: constant, or with the inputs of M'))
-    input_map: Literal['identity', 'learned'] = Field('learned', description=(
-        'the inputs are forces in the frame of the body, one for each velocity; or a matrix of '
-        'their effect is learned'))
-    input_map_depends_on: list[Seen] = Field([], max_length=2, description='the inputs of that')
-
-    @model_validator(mode='after')
-    def _check(self) -> 'LieGroupChoice':
-        if not self.structured and self.mass_depends_on:
-            raise ValueError('mass_depends_on: structured: false has a constant M beside the '
-                             'network of all; leave it out')
-        return self
-
-    def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
-        """Return the inputs of the networks; ValueError for one that this body has not."""
-        potential: list[str] = [*self.potential_depends_on]
-        if not self.structured:
-            potential.append('momentum')
-        drag = {'none': None, 'constant': [], 'learned': self.mass_depends_on or ['attitude']}
-        return LieGroupCard.model_validate({
-            'kind': kind, 'mass_scale': mass_scale, 'floor': BODY_FLOOR,
-            'mass_depends_on': self.mass_depends_on, 'potential_depends_on': potential,
-            'dissipation_depends_on': drag[self.dissipation],
-            'input_map_depends_on': self.input_map_depends_on
-            if driven and self.input_map == 'learned' else None})
-
-
 class WindowStage(StrictModel):
     """Some steps of Adam on windows of one length."""
 
@@ -603,19 +495,6 @@ class Trajectory(StrictModel):
         'an error of q counts as one of v does that makes it in this time [s]'))
 
 
-class BodyStage(StrictModel):
-    """Some steps on windows of so many intervals of the data."""
-
-    intervals: int = Field(ge=1, description='of each window')
-    adam_steps: int = Field(0, ge=0, le=1_000_000)
-    lbfgs_steps: int = Field(0, ge=0, le=1_000_000, description='on the same windows each')
-    lbfgs_windows: int = Field(1024, ge=1, description='so many at most, drawn at random')
-
-
-FieldFamily = Annotated[
-    HNNChoice | SeparableHNNChoice | DissipativeHNNChoice | DGNetChoice | VINChoice
-    | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
-    Field(discriminator='kind')]
 FieldLoss = Annotated[
     VectorField | Steps | DiscreteGradient | DiscreteLagrangian | EulerLagrange,
     Field(discriminator='kind')]

@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hamiltonian neural networks: H(q, p), with friction, dissipation or commands."""
 
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, keep, Perceptron, Scales
-from hnn_vi_ros.learning.families.choices import (
-    ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, FamilyChoice, SeparableHNNChoice)
+from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.models.checkpoint import Layers
 import numpy as np
+from pydantic import Field
 import torch
 
 
@@ -28,6 +28,12 @@ class _OneNetwork(EnergyFamily):
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """Return the network; see Trainable."""
         return {'energy': self.network.layers(z0, energy0)}
+
+
+class HNNChoice(FamilyChoice):
+    """One network H(q, p)."""
+
+    kind: Literal['hnn']
 
 
 class HNN(_OneNetwork):
@@ -50,6 +56,12 @@ class HNN(_OneNetwork):
     S. Greydanus, M. Dzamba, J. Yosinski, Hamiltonian Neural Networks, NeurIPS 2019.
 
     """
+
+
+class SeparableHNNChoice(FamilyChoice):
+    """Networks T(p) and V(q), for explicit methods."""
+
+    kind: Literal['separable_hnn']
 
 
 class SeparableHNN(EnergyFamily):
@@ -95,6 +107,12 @@ class SeparableHNN(EnergyFamily):
 
 
 _WEIGHT = 1e-3
+
+
+class DissipativeHNNChoice(FamilyChoice):
+    """Networks H(q, p) and D(q, p): q' = H_p + D_q, p' = -H_q + D_p."""
+
+    kind: Literal['dissipative_hnn']
 
 
 class DissipativeHNN(_OneNetwork):
@@ -145,6 +163,14 @@ class DissipativeHNN(_OneNetwork):
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
         """Return H and D; see Trainable."""
         return super().networks(z0, energy0) | {'dissipation': self.dissipation.layers(z0, 0.0)}
+
+
+class DGNetChoice(FamilyChoice):
+    """One network H(q, p), and linear friction."""
+
+    kind: Literal['dgnet']
+    friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
+    losses: ClassVar[tuple[str, ...]] = ('discrete_gradient', 'vector_field')
 
 
 class DGNet(_OneNetwork):
@@ -205,6 +231,13 @@ class DGNet(_OneNetwork):
     def constants(self) -> dict[str, Any]:
         """Return the friction."""
         return {'friction': self.friction.detach().tolist()}
+
+
+class ControlAffineChoice(FamilyChoice):
+    """Networks for the mass matrix, the potential and the input map of commands."""
+
+    kind: Literal['control_affine']
+    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 
 class ControlAffine(EnergyFamily):

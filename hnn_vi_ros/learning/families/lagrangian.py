@@ -2,21 +2,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Families that learn from other than canonical momenta: Lagrangians and a symplectic form."""
 
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import (
     EnergyFamily, gradient, keep, Perceptron, Scales, Trainable)
-from hnn_vi_ros.learning.families.choices import LagrangianChoice, SymplecticFormChoice, VINChoice
+from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
 import numpy as np
+from pydantic import Field
 import torch
 
 _SAMPLES = 256
 _ITERATIONS = 50
 _WEIGHT = 1e-2
+
+
+class LagrangianChoice(FamilyChoice):
+    """A Lagrangian L(q, v): a network added to a constant mass."""
+
+    kind: Literal['lagrangian']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'mean of that of the first coordinate, which sets the unit of energy: motions leave it '
+        'open'))
+    losses: ClassVar[tuple[str, ...]] = ('euler_lagrange',)
 
 
 class LagrangianNetwork(Trainable):
@@ -127,6 +138,15 @@ class LagrangianNetwork(Trainable):
         return self.factor * gradient(self.lagrangian, x).chunk(2, dim=1)[1].detach().numpy()
 
 
+class VINChoice(FamilyChoice):
+    """A constant mass matrix and a network V(q), learned from positions."""
+
+    kind: Literal['vin']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'of the first coordinate, which sets the unit of energy: positions leave it open'))
+    losses: ClassVar[tuple[str, ...]] = ('discrete_lagrangian',)
+
+
 class VIN(EnergyFamily):
     """
     A constant mass matrix M and a network V(q): L(q, v) = v . M v / 2 - V(q).
@@ -198,6 +218,16 @@ class VIN(EnergyFamily):
 
 _BOX = 1024
 _EVENNESS = 1e-5
+
+
+class SymplecticFormChoice(FamilyChoice):
+    """A one-form theta(u) and an energy H(u) in any coordinates u, such as (q, dq/dt)."""
+
+    kind: Literal['symplectic_form']
+    mass: float = Field(1.0, gt=0.0, description=(
+        'mean of that of the first coordinate, d theta_q / dp, which sets the unit of energy: '
+        'motions leave it open'))
+    losses: ClassVar[tuple[str, ...]] = ('vector_field',)
 
 
 class SymplecticForm(Trainable):

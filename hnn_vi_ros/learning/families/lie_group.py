@@ -2,18 +2,76 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Lie group network: mass, potential, dissipation and input map of a body that turns."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar, Literal
 
+from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.learning.families.base import keep, newton, Perceptron
+from hnn_vi_ros.learning.families.choices import FamilyChoice, ON_THE_CPU
 from hnn_vi_ros.models.attitude_features import group_of
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.lie_group_card import LieGroupCard
+from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
 import numpy as np
+from pydantic import Field, model_validator
 import torch
 
 # The diagonal of the roots of D and, where log(1 + exp(0.54)) is 1, of M at first.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
+# Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
+_FLOOR = 1e-3
+LieMethod = Literal['lie_leapfrog', 'lie_variational_euler']
+RetractionName = Literal['cayley', 'exponential']
+
+
+class LieGroupChoice(FamilyChoice):
+    """Networks of M(q)^-1 and V(q), or one of H(q, p); dissipation and input map."""
+
+    kind: Literal['lie_group']
+    losses: ClassVar[tuple[str, ...]] = ()
+    refuses: ClassVar[Mapping[str, str]] = ON_THE_CPU
+    structured: bool = Field(True, description=(
+        'whether H = p . M^-1 p / 2 + V(q); or the momentum is an input of V too, and M is '
+        'constant'))
+    mass_depends_on: list[Seen] = Field([], max_length=2, description=(
+        'the inputs of M; none: it is constant in the frame of the body'))
+    potential_depends_on: list[Seen] = Field(
+        ['attitude'], min_length=1, max_length=2, description='the inputs of V')
+    dissipation: Literal['none', 'constant', 'learned'] = Field('none', description=(
+        'D of the force -D v, positive semidefinite: constant, or with the inputs of M'))
+    input_map: Literal['identity', 'learned'] = Field('learned', description=(
+        'the inputs are forces in the frame of the body, one for each velocity; or a matrix of '
+        'their effect is learned'))
+    input_map_depends_on: list[Seen] = Field([], max_length=2, description='the inputs of that')
+
+    @model_validator(mode='after')
+    def _check(self) -> 'LieGroupChoice':
+        if not self.structured and self.mass_depends_on:
+            raise ValueError('mass_depends_on: structured: false has a constant M beside the '
+                             'network of all; leave it out')
+        return self
+
+    def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
+        """Return the inputs of the networks; ValueError for one that this body has not."""
+        potential: list[str] = [*self.potential_depends_on]
+        if not self.structured:
+            potential.append('momentum')
+        drag = {'none': None, 'constant': [], 'learned': self.mass_depends_on or ['attitude']}
+        return LieGroupCard.model_validate({
+            'kind': kind, 'mass_scale': mass_scale, 'floor': _FLOOR,
+            'mass_depends_on': self.mass_depends_on, 'potential_depends_on': potential,
+            'dissipation_depends_on': drag[self.dissipation],
+            'input_map_depends_on': self.input_map_depends_on
+            if driven and self.input_map == 'learned' else None})
+
+
+class BodyStage(StrictModel):
+    """Some steps on windows of so many intervals of the data."""
+
+    intervals: int = Field(ge=1, description='of each window')
+    adam_steps: int = Field(0, ge=0, le=1_000_000)
+    lbfgs_steps: int = Field(0, ge=0, le=1_000_000, description='on the same windows each')
+    lbfgs_windows: int = Field(1024, ge=1, description='so many at most, drawn at random')
 
 
 @dataclass(frozen=True)

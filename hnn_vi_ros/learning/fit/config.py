@@ -18,9 +18,14 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, Motion
 from hnn_vi_ros.learning.data.sources import dimension, read_motions, Source
 from hnn_vi_ros.learning.data.text import LogMotions
 from hnn_vi_ros.learning.families.choices import (
-    AUTO, BodyStage, Discrete, FamilyChoice, FieldFamily, FieldLoss, Forward, HNNChoice, Inverse,
-    LieGroupChoice, LieMethod, MachineFamily, MachineLoss, Regression, RetractionName,
-    RigidBodyChoice, Structure, Trajectory, VectorField)
+    AUTO, Discrete, FamilyChoice, FieldLoss, Forward, Inverse, MachineFamily, MachineLoss,
+    Regression, RigidBodyChoice, Structure, Trajectory, VectorField)
+from hnn_vi_ros.learning.families.hnn import (
+    ControlAffineChoice, DGNetChoice, DissipativeHNNChoice, HNNChoice, SeparableHNNChoice)
+from hnn_vi_ros.learning.families.lagrangian import (
+    LagrangianChoice, SymplecticFormChoice, VINChoice)
+from hnn_vi_ros.learning.families.lie_group import (
+    BodyStage, LieGroupChoice, LieMethod, RetractionName)
 from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.mechanical_card import Kind
@@ -29,6 +34,10 @@ from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
 from hnn_vi_ros.phase_space import IN_DEGREES
 from pydantic import Field, field_validator, model_validator, ValidationError
 
+FieldFamily = Annotated[
+    HNNChoice | SeparableHNNChoice | DissipativeHNNChoice | DGNetChoice | VINChoice
+    | LagrangianChoice | ControlAffineChoice | SymplecticFormChoice,
+    Field(discriminator='kind')]
 Widths = Annotated[list[Annotated[int, Field(ge=1, le=4096)]], Field(
     min_length=1, max_length=16, description='of the hidden layers, of each network')]
 Seed = Annotated[int, Field(ge=0, lt=2**63, description=(

@@ -15,8 +15,8 @@ from hnn_vi_ros.integrators.lie.rotations import cayley, Coefficients
 from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
 from hnn_vi_ros.learning.families.base import newton
-from hnn_vi_ros.learning.families.choices import BodyStage, LieMethod, RetractionName
-from hnn_vi_ros.learning.families.lie_group import BodyScales, HeldBody, LieGroupNetwork
+from hnn_vi_ros.learning.families.lie_group import (
+    BodyScales, BodyStage, HeldBody, LieGroupNetwork, LieMethod, RetractionName)
 from hnn_vi_ros.learning.families.priors import in_torch
 from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
