@@ -343,7 +343,7 @@ def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report
         piece = resampled(piece, data.spacing or mean, cubic)
     if isinstance(method, SavitzkyGolay):
         window = method.rows(data.spacing or mean, len(piece.t) - 1, motion.where,
-                             f'{len(piece.t)} rows')
+                             f'its {len(piece.t)} rows')
     return differentiated(piece, method, window, data.mass), window
 
 
