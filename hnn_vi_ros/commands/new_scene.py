@@ -32,44 +32,6 @@ _STEPS, _SHARE = 100, 0.5
 _LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
 # Speed of dry friction, unless the step needs a larger one: the default of the effect.
 _SPEED = 0.01
-_TEXT = """\
-# A first scene of {robot}, written by `hnn scene --new`; change what you like.
-#   hnn scene --explain {scene}    # all keys with their units
-#   hnn run {scene} --plot motion.png
-#   ros2 run hnn_vi_ros simulator --ros-args -p scene:={scene}
-description: {description}
-hamiltonian:
-  kind: urdf
-  file: {file}
-  # The joints that move, in the order of q and p below; take one out and hold it by locked.
-  joints:
-{joints}
-{locked}  gravity: [0.0, 0.0, -9.81]   # [m/s2], in the frame of the base
-  # A URDF does not tell the motors: their inertia as the joints feel it, that is times the gear
-  # ratio squared {rotor_units}.{rotors}
-effects:{effects}
-  # What a controller sends to ~/commands, one number for each of these joints {force_units}:
-  # - {{kind: external_force, coordinates: [{names}]}}
-integrator: {{kind: generalized_leapfrog}}
-step_size: {step_size}   # [s]
-initial_state:
-  # A little away from where gravity moves no joint: {rest}.
-  q: {q}   # {units}
-  p: {p}   # {p_units}
-"""
-_FORMULA = """\
-{schema}
-# A first scene of a formula; give its parameters their values, and begin where you like.
-description: {description}
-hamiltonian:
-  kind: formula
-  coordinates: {coordinates}
-  parameters: {parameters}
-  H: {H}
-integrator: {{kind: gauss8}}
-step_size: {step_size:g}   # [s], {steps} in the shortest period of small motions
-initial_state: {{q: {q}, p: {p}}}
-"""
 
 
 def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
@@ -270,7 +232,7 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         effects.append('- {kind: joint_limits, from: urdf}')
     names = [_quoted(joint.name) for joint in joints]
     wide = max(map(len, names))
-    return _TEXT.format(
+    return _template('robot').format(
         robot=one_line(Path(file).name), scene=one_line(out), file=_quoted(file),
         description=_quoted(f'{Path(file).stem}, from its URDF'), rotors=_rotors(rotors, names[0]),
         names=', '.join(names), locked=_locked(tree.robot, locked),
@@ -282,6 +244,12 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
         q=q.tolist(), rest=rest.tolist(), p=[0.0] * q.size,
         units=', '.join(f'[{coordinate.q_unit}]' for coordinate in tree.coordinates),
         p_units=', '.join(f'[{coordinate.p_unit}]' for coordinate in tree.coordinates))
+
+
+def _template(name: str) -> str:
+    """Return the text of a scene, with the places of its values in braces."""
+    path = share_folder() / 'config' / 'templates' / f'{name}.yaml.in'
+    return path.read_text(encoding='utf-8')
 
 
 def _locked(robot: Robot, locked: dict[str, float]) -> str:
@@ -366,7 +334,7 @@ def formula_text(text: str, schema: str) -> str:
         kernel.hessian_vector.py_func(  # type: ignore[attr-defined]
             kernel.parameters, q, p, unit[:d], unit[d:], row[:d], row[d:])
     rate = np.abs(np.linalg.eigvals(np.vstack([hessian[d:], -hessian[:d]]))).max()
-    return _FORMULA.format(
+    return _template('formula').format(
         schema=schema, description=_quoted('a first scene of a formula'),
         coordinates=f'[{", ".join(owners.values())}]', H=json.dumps(text, ensure_ascii=False),
         parameters=json.dumps(dict(sorted(parameters.items())), ensure_ascii=False), steps=_STEPS,
