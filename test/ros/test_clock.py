@@ -115,6 +115,7 @@ def test_simulator_follows_a_clock_slow_and_fast_in_pauses_steps_and_jumps(tmp_p
     tick, now, due = 10**7, 1_700_000_000 * 10**9, 0
     with simulating(tmp_path, scene='exact_pendulum', record_path='bag', use_sim_time=True) as (
             other, process):
+        other.spin_until(lambda: '/clock has no publisher, and' in standard_error(process))
         clock = other.publisher(Clock, '/clock', qos_profile_sensor_data)
 
         def set_clock() -> None:

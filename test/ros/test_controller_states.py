@@ -213,6 +213,9 @@ def test_stamps_say_which_is_not_later():
     assert [stamps.accept(stamp) for stamp in (0, SECOND, 0)] == [0, SECOND, EPOCH]
     with refused(ValueError):
         stamps.accept(SECOND)
+    with refused(ValueError):
+        # The time of arrival is that of a clock that stands.
+        stamps.accept(0)
 
 
 @pytest.mark.parametrize(('every', 'level'), [(1, OK), (8, WARN)])

@@ -49,10 +49,14 @@ class Stamps:
 
     def accept(self, stamp: int) -> int:
         """Return the time of a message [ns]; ValueError unless it is later than the last one."""
-        if stamp == 0 and self._newest >= 0:
+        arrived = stamp == 0 and self._newest >= 0
+        if arrived:
             stamp = self._now()
         last = max(self._accepted, self._newest if stamp == self._newest else -1)
         self._newest = stamp
+        if stamp <= last and arrived:
+            raise ValueError(f'it has no stamp, and the clock of ROS stands at {stamp / 1e9:.9g} '
+                             's: publish /clock, or set use_sim_time to false')
         if stamp <= last:
             raise ValueError(f'its stamp, {stamp / 1e9:.9g} s, is not later than that of an '
                              f'earlier message, {last / 1e9:.9g} s: stamp each message with its '

@@ -18,7 +18,7 @@ from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
-from hnn_vi_ros.ros.plumbing.managed_node import PaceClock
+from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
 from hnn_vi_ros.ros.run.preparation import Prepared
@@ -170,8 +170,12 @@ class Run:
         """Publish how the run does."""
         self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
-        crowd = self._warn_of_crowd(crowded(self._node, self._topics.sole(
-            self.pacer.led, self._joiner is not None and self._joiner.joins)))
+        crowd = crowded(self._node, self._topics.sole(
+            self.pacer.led, self._joiner is not None and self._joiner.joins))
+        if self.pacer.led and not self._node.count_publishers(CLOCK_TOPIC):
+            crowd = (f'{CLOCK_TOPIC} has no publisher, and use_sim_time waits for one: publish '
+                     'it, or set use_sim_time to false')
+        crowd = self._warn_of_crowd(crowd)
         if crowd:
             more.append(Status('graph', WARN, crowd, {}))
         self._diagnostics.publish(
