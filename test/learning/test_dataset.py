@@ -143,8 +143,8 @@ def test_exact_accelerations_are_the_rates_of_the_velocities():
 
 
 @pytest.mark.parametrize('delimiter, separator, end', [
-    ('whitespace', '   ', '\n'), ('comma', ', ', '\r\n'), ('semicolon', ';', '\n'),
-    ('tab', '\t', '\n')])
+    ('whitespace', '   ', '\n'), ('comma', ', ', '\r\n'), ('comma', ' , ', '\n'),
+    ('semicolon', ';', '\n'), ('tab', '\t', '\n')])
 def test_log_is_read_with_every_delimiter_its_header_and_comments(
         tmp_path, delimiter, separator, end):
     header = f'% made up{end}{separator.join(["t", "x", "v"])}{end}'

@@ -253,6 +253,7 @@ def test_contradictory_log_description_is_refused(changes):
 
 @pytest.mark.parametrize('name, times', [
     ('Time [ms]', [f'{1e3 * t:.6f}' for t in T]), ('stamp_ns', [f'{1e9 * t:.0f}' for t in T]),
+    ('time', [f'{1.7e12 + 1e3 * t:.3f}' for t in T]),
     ('time', [f'2026-01-01 10:00:{t:05.2f}' for t in T]),
     ('time', [f'10:00:{t:05.2f}' for t in T])])
 def test_times_that_are_no_seconds_are_refused(tmp_path, name, times):

@@ -22,6 +22,8 @@ from scipy.signal import butter, sosfiltfilt
 MIN_SAMPLES = 20
 # Larger numbers are no measurements, and their squares overflow.
 MOST = 1e100
+# The time of no clock in seconds, which begin in 1970 at the earliest.
+_LATEST = 1e11
 # The order of the low-pass filter. It runs forth and back, so it counts twice and shifts no phase.
 _ORDER = 2
 # A filter whose cut-off is above this share of the fastest motion that samples can hold takes
@@ -222,6 +224,10 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
     if not len(motion.t):
         raise DataError(f'{motion.where}: no samples, expected at least {report.least}; record '
                         'for longer')
+    latest = float(np.nanmax(motion.t, initial=0.0))
+    if latest > _LATEST:
+        raise DataError(f'{motion.where}: a time of {latest:.4g} s is after the year 5000: times '
+                        'must be in seconds; convert those of ms, us or ns')
     if motion.v is not None and not np.isfinite(motion.v).any(axis=0).all():
         motion = replace(motion, v=None)
     report.note(*motion.notes, *['velocities estimated'] * (motion.v is None))

@@ -247,9 +247,12 @@ def _delimited(line: str, data: LogColumns, given: bool = True) -> LogColumns:
         return data
     ways = [data.model_copy(update={'delimiter': delimiter}) for delimiter in _SEPARATORS]
     fields = [_fields(line, way, _MOST_COLUMNS) for way in ways]
-    # Where none has all names, the one that has most of their letters is most likely meant.
-    scores = [(len(found) == len(data.columns) if data.columns else
-               sum(map(len, {*data.used} & {*found})), len(found)) for found in fields]
+    # Where none has all names, the one that has most of their letters is most likely meant; where
+    # some have as many, the first: between spaces, the commas of 't , x' are fields too.
+    scores = [len(found) == len(data.columns) if data.columns else
+              sum(map(len, {*data.used} & {*found})) for found in fields]
+    if not any(scores):
+        scores = [*map(len, fields)]
     return ways[scores.index(max(scores))]
 
 
