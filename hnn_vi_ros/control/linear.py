@@ -99,10 +99,12 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     x, begin = np.r_[q, momentum(steps, q, np.zeros(d)), u], q
     for _ in range(_ITERATIONS):
         field, matrix, rows, columns = _scaled(steps, x, begin)
+        if not (np.isfinite(field).all() and np.isfinite(matrix).all()):
+            break
         # The smallest change of all that solves the linear equations.
         change = np.linalg.lstsq(matrix[:, moves], -field, rcond=None)[0]
         x[moves] += columns[moves] * change
-        if not np.abs(change).max(initial=0.0) > _SETTLED or not np.isfinite(x).all():
+        if not np.abs(change).max(initial=0.0) > _SETTLED:
             break
         # Coordinates have no scale at zero; the first change gives them one.
         begin = begin if begin.any() else x[:d].copy()
@@ -151,12 +153,21 @@ def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = 
     hold : int, optional
         For the map of the scene's method over so many steps, under a held command, not for z'.
 
+    Raises
+    ------
+    StateError
+        A derivative is not finite.
+
     """
     if hold is None:
-        return _steps(scene).field_derivatives(*at)
-    steps = BatchStep(scene.scene if isinstance(scene, BatchStep) else scene, hold)
-    _, by_z, by_u = steps.derivatives(*at)
-    return by_z, by_u
+        found = _steps(scene).field_derivatives(*at)
+    else:
+        steps = BatchStep(scene.scene if isinstance(scene, BatchStep) else scene, hold)
+        found = steps.derivatives(*at)[1:]
+    if not all(np.isfinite(matrix).all() for matrix in found):
+        raise StateError(f'no finite derivatives at z, u = {np.array(at[0]).tolist()}, '
+                         f'{np.array(at[1]).tolist()}; linearise elsewhere')
+    return found
 
 
 def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = None) -> Any:

@@ -63,6 +63,14 @@ def test_atoms_of_argon_rest_where_the_potential_of_lennard_and_jones_is_least()
         find_equilibrium(pair, [0.0, 1.5 * numbers['s']])
 
 
+def test_singular_states_are_refused_in_one_line():
+    pair = formula('p_x^2/2 + 1/x + x', [1.0])
+    with refused(StateError):
+        find_equilibrium(pair, [0.0])
+    with refused(StateError):
+        linearise(pair, ([0.0, 0.0], []))
+
+
 def test_a_charge_at_rest_in_a_magnetic_field_has_a_momentum_of_its_own():
     scene = formula('(p_x - b*y)^2/(2*m) + (p_y + b*x)^2/(2*m) + k*((x - a)^2 + y^2)/2',
                     [1e-6, 1e-6], b=1e-20, m=1e-26, k=1e-9, a=2e-6)

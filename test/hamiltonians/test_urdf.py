@@ -248,6 +248,11 @@ def test_argument_that_does_not_fit_the_robot_is_answered_with_the_valid_ones(tm
         build(tmp_path, **arguments)
 
 
+def test_robot_without_joints_is_answered_by_what_it_lacks(tmp_path):
+    with refused(ValueError):
+        build(tmp_path, '<robot name="base"><link name="base"/></robot>', **PLAIN)
+
+
 @pytest.mark.parametrize('mass, inertia, rotor, singular', [
     # A tip without mass; a point on the axis that it turns about; a rod along it.
     (0.0, 0.0, 0.0, True), (1.0, 0.0, 0.0, True), (1.0, 0.1, 0.0, False), (0.0, 0.0, 0.1, False)])

@@ -106,7 +106,9 @@ def _check_joints(order: Sequence[str], moving: Mapping[str, Joint], met: Mappin
         raise ValueError(f'joints leaves out {listed(left)}; name them too, or hold them where '
                          f'they are to be: locked: {{{left[0]}: 0.0}}')
     if not order:
-        raise ValueError('joints has none that moves; take another base, or lock fewer')
+        raise ValueError('no joint moves: ' + (
+            'all are locked; lock fewer' if met else 'behind the base there is none but fixed '
+            'ones; take another base, or a robot with joints'))
     if len(order) > MOST_JOINTS:
         raise ValueError(f'joints: {len(order)} move, at most {MOST_JOINTS} can; lock some, or '
                          f'take another base: {listed(order)}')
