@@ -36,7 +36,6 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.time import Time
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
@@ -54,6 +53,10 @@ _EARLY = 0.01
 # Most calls that compile a controller, the time of one that does [s], and how many that do not
 # show that all is compiled.
 _WARM_CALLS, _COMPILING, _FAST_CALLS = 20, 0.5, 4
+
+# As sensors are heard. Of those that wait the newest is answered: a plan begins at no older state,
+# and of states in parts each counts.
+_STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +154,8 @@ class ControllerNode(ManagedNode):
         # A simulator that was reset publishes its scene: its stamps may be older from now on.
         self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
                            lambda message: self._stamps.reset())
-        self._joins, self._subscription = False, self._hear_states(1)
+        self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
+                           self._on_state, then=self._answer)
         self._timers = [steady_timer(self, 0.25 * self._silence, self._watch),
                         steady_timer(self, _REPORT, self._report)]
         self._times: deque[float] = deque(maxlen=_RECENT)
@@ -204,29 +208,30 @@ class ControllerNode(ManagedNode):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _hear_states(self, depth: int) -> Subscription:
-        """Hear states as sensors are heard, but only the newest: a plan begins at no older one."""
-        qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        return self._hearing.hear(Input(self._states, JointState, frozenset(), None, qos),
-                                  self._on_state)
-
     def _forget(self) -> None:
         """Answer the next state, whatever was before."""
         self._assigned.prediction.forget()
         self._due = -1
+        self._next: tuple[int, np.ndarray, np.ndarray] | None = None
         self._lags: deque[float] = deque(maxlen=_LAGS)
         self._gaps: deque[float] = deque(maxlen=_GAPS)
 
     def _on_state(self, message: JointState) -> None:
-        begin, assigned = time.monotonic(), self._assigned
         if not self._active:
             return
-        self._heard, self._refused = begin, True
+        self._heard, self._refused = time.monotonic(), True
         if (joined := self._joiner(message)) is None:
             return
-        q, v = state_of(joined, assigned.hamiltonian)
-        stamp = self._stamps.accept(nanoseconds(joined.header.stamp))
+        q, v = state_of(joined, self._assigned.hamiltonian)
+        self._next = self._stamps.accept(nanoseconds(joined.header.stamp)), q, v
         self._refused = False
+
+    def _answer(self) -> None:
+        """Answer the newest state, unless that was done, or it comes too soon."""
+        if self._next is None:
+            return
+        (stamp, q, v), self._next = self._next, None
+        begin, assigned = self._heard, self._assigned
         if stamp < self._stamp:
             # The simulator has begun anew, or the clock was set back.
             self._forget()
@@ -293,11 +298,6 @@ class ControllerNode(ManagedNode):
 
     def _watch(self) -> None:
         """Stop or hold, and say so once, when no state comes any more."""
-        if self._joiner.joins and not self._joins:
-            # The newest of each part: drivers publish them at the same time.
-            self._joins = True
-            self._hearing.drop(self._subscription)
-            self._subscription = self._hear_states(len(self._assigned.hamiltonian.coordinates))
         if not self._active or time.monotonic() - self._answered < self._silence:
             return
         cause = self._cause
@@ -342,9 +342,10 @@ class ControllerNode(ManagedNode):
         ignored = self._hearing.ignored[self._states]
         level, message = OK, f'{assigned.task.controller.kind}: {controller.mode}'
         stranger = self._warn_of_stranger(self._stranger)
-        crowd = self._warn_of_crowd(crowded(
-            self, [*[self._states] * (not self._joiner.joins), self._topic,
-                   *[CLOCK_TOPIC] * follows_clock(self)]))
+        # Whether they come in parts is known once one was answered.
+        whole = self._answered < math.inf and not self._joiner.joins
+        crowd = self._warn_of_crowd(crowded(self, [
+            *[self._states] * whole, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
         apart = float(np.median(self._gaps)) if self._gaps else math.nan
         seldom = self._warn_of_gaps('' if not apart > _SELDOM * assigned.task.period else (
             f'{self._states}: states come less often than a period of {assigned.task.period:g} s; '

@@ -14,6 +14,7 @@ from hnn_vi_ros.ros import controller_node
 from hnn_vi_ros.ros.controller_node import ControllerNode
 from hnn_vi_ros.ros.plumbing.graph import Lasting
 from hnn_vi_ros.ros.plumbing.stamps import nanoseconds, Stamps
+from hnn_vi_ros.ros.topics import hearing
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from messages import refused
 from peer import ros, values_of
@@ -168,6 +169,15 @@ def test_older_stamps_are_answered_after_a_reset_or_a_silence(driven: Driven):
     driven.time += 1.0
     driven.node._watch()
     assert len(driven.hear(*take(rising(SECOND // 100), 10))) == 10
+
+
+def test_of_states_that_wait_the_newest_is_answered_and_each_is_heard(
+        driven: Driven, monkeypatch: pytest.MonkeyPatch):
+    states = rising(SECOND)
+    first, *others = [*take(states, 3), JointState(name=['angle']), *take(states, 3)]
+    monkeypatch.setattr(hearing, 'waiting', lambda subscription: map(serialize_message, others))
+    assert len(driven.hear(first)) == 1 and driven.node._hearing.ignored[driven.node._states] == 1
+    assert nanoseconds(driven.commands[0].header.stamp) == SECOND + 5 * SECOND // 100
 
 
 def test_states_in_parts_are_joined_and_not_told_as_a_second_publisher(

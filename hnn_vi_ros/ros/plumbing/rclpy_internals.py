@@ -6,16 +6,18 @@ Internals of rclpy that are used; nothing public of it does the same.
 Its errors RCLError and UnknownROSArgsError have no public name, and neither has the type of a
 node's logger. A managed node's own handler of ``change_state`` lets the error of an illegal
 transition end the process, which is prevented only by an answer of ours from the same service.
+A callback gets one message, and none of the others that wait.
 What its loggers write goes past the streams of Python.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.errors import printable
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 if TYPE_CHECKING:
     from rclpy.lifecycle import LifecycleNodeMixin
@@ -56,3 +58,13 @@ def log(node: Node, text: str, level: str) -> None:
         node.get_logger().warning(text)
     else:
         node.get_logger().error(text)
+
+
+def waiting(subscription: Subscription) -> Iterator[Any]:
+    """Take the messages of a subscription that wait, as its callback would get them."""
+    while True:
+        with subscription.handle:
+            found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        if found is None:
+            return
+        yield found[0]

@@ -4,11 +4,13 @@
 
 from collections import Counter
 from collections.abc import Callable
+from itertools import islice
 import math
 import time
 from typing import Any
 
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_subscription
+from hnn_vi_ros.ros.plumbing.rclpy_internals import waiting
 from hnn_vi_ros.ros.topics.inputs import Input
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
@@ -51,7 +53,8 @@ class Hearing:
         # When the log takes the next line on a topic [s].
         self._due: dict[str, float] = {}
 
-    def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False) -> Subscription:
+    def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False,
+             then: Callable[[], None] | None = None) -> Subscription:
         """
         Hear a topic; what cannot be used is reported and ignored.
 
@@ -63,15 +66,20 @@ class Hearing:
             Uses a message, or raises ValueError and changes nothing.
         raw : bool, optional
             Whether it takes the bytes of a message.
+        then : callable, optional
+            Called when all messages that wait are taken; may raise ValueError too.
 
         """
         topic = one.topic
 
-        def on_message(payload: bytes) -> None:
+        def use(payload: bytes) -> None:
+            if len(payload) > LARGEST_MESSAGE:
+                raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
+            take(payload if raw else deserialize_message(payload, one.message_type))
+
+        def attempt(what: Callable[..., None], *arguments: bytes) -> None:
             try:
-                if len(payload) > LARGEST_MESSAGE:
-                    raise ValueError(f'{len(payload)} bytes, at most {LARGEST_MESSAGE} are taken')
-                take(payload if raw else deserialize_message(payload, one.message_type))
+                what(*arguments)
             except (ValueError, RuntimeError) as problem:
                 # RuntimeError: the bytes are no message of this type.
                 self.ignored[topic] += 1
@@ -81,18 +89,20 @@ class Hearing:
                     self._node.get_logger().error(
                         f'{topic}: message ignored: {reason} ({self.ignored[topic]} so far)')
 
+        def on_message(payload: bytes) -> None:
+            attempt(use, payload)
+            if then is not None:
+                for other in islice(waiting(subscription), one.qos.depth):
+                    attempt(use, other)
+                attempt(then)
+
         subscription = create_subscription(
             self._node, one.message_type, topic, on_message, one.qos, raw=True)
         self._subscriptions.append(subscription)
         self.topics.append(topic)
         return subscription
 
-    def drop(self, subscription: Subscription) -> None:
-        """Take a subscription away."""
-        self._subscriptions.remove(subscription)
-        self._node.destroy_subscription(subscription)
-
     def close(self) -> None:
         """Take the subscriptions away."""
-        for subscription in [*self._subscriptions]:
-            self.drop(subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
