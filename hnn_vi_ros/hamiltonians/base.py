@@ -49,26 +49,41 @@ class Hamiltonian(ABC):
     A subclass gives its coordinates and its kernel, and says whether H(q, p) = T(p) + V(q). Where
     (q, p) is not ``canonical`` but some other 2 d coordinates u, H_p means the first half of u',
     and -H_q the second.
+
+    Attributes
+    ----------
+    coordinates : tuple of Coordinate
+        Names, units and kinds of the coordinates.
+    separable, canonical : bool
+        Whether H(q, p) = T(p) + V(q), and whether p are canonical momenta.
+    robot : Robot or None
+        The robot whose joints the coordinates are, where a URDF describes one.
+    invariants, known_invariants : mapping of str to callable
+        Functions of q and p, of shape (d,), to watch, by name, which a scene sets; and those that
+        motions conserve besides H, where nothing else acts.
+    box : pair of np.ndarray, shape (d, 2) each, or None
+        Bounds of q and p in which H was learned; None if all.
+    smooth : bool
+        Whether the gradient of H is continuous, as the order of every method supposes.
+    barrier : tuple of (str, float) or None
+        The name and the energy [J] of the barrier that confines low motions; None if unknown.
+    provenance : dict of str to str
+        Identifies the data behind H, for recordings; may be empty.
+    scheme : tuple of (str, float) or None
+        The method and the step size [s] that H was learned through and is right for.
+
     """
 
     coordinates: tuple[Coordinate, ...]
     separable: bool = False
     canonical: ClassVar[bool] = True
-    # Whose joints the coordinates are, where a URDF describes one.
     robot: Robot | None = None
-    # Functions of q and p, of shape (d,), to watch, by name. A scene sets them.
     invariants: Mapping[str, Invariant] = MappingProxyType({})
-    # Those that motions conserve besides H, where nothing else acts.
     known_invariants: Mapping[str, Invariant] = MappingProxyType({})
-    # Bounds of q and p, each (d, 2), in which H was learned; None if all.
     box: tuple[np.ndarray, np.ndarray] | None = None
-    # Whether the gradient of H is continuous, as the order of every method supposes.
     smooth: bool = True
-    # The name and the energy [J] of what confines low motions; None if unknown.
     barrier: tuple[str, float] | None = None
-    # The data behind H, for recordings; may be empty.
     provenance: dict[str, str] = {}
-    # The method and the step size [s] that H was learned through and is right for.
     scheme: tuple[str, float] | None = None
 
     @property
