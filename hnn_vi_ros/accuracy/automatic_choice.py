@@ -12,14 +12,14 @@ import math
 import os
 from pathlib import Path
 import platform
-import time
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.accuracy.path_reference import find_reference, PathJudge
+from hnn_vi_ros.accuracy.cost import (
+    Cost, CostStudy, fastest, ladder, measure, refusal, TOO_MUCH, try_between)
+from hnn_vi_ros.accuracy.path_reference import find_reference, Instants, PathReference
 from hnn_vi_ros.accuracy.trials import (
-    EnergyJudge, FAILED, InitialValueProblem, Judge, Method, parts_between, parts_for, PathSurvey,
-    survey, Tolerance, Trial)
-from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
+    InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
+from hnn_vi_ros.errors import CalibrationError
 from hnn_vi_ros.files.resources import cache_folder
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
@@ -28,157 +28,6 @@ import numba
 import numpy as np
 from pydantic import ValidationError
 
-# Measured errors must stay this far below the tolerance: if seen all the way up to the horizon,
-# and if extrapolated from a shorter time.
-_SEEN, _CARRIED = 0.95, 0.5
-# The most trials of a method.
-_TRIALS = 24
-# Slopes of the error over the step, as shares of the order: of steps that resolve the path, and
-# of round-off; and errors that only steps have that do.
-_RESOLVED, _FLAT, _SMALL = 0.5, 0.25, 1e-7
-
-
-@dataclass
-class StepSearch:
-    """
-    Findings of the trials of a method.
-
-    Parameters
-    ----------
-    method : Method
-        The method to try.
-    order : int
-        Its order.
-    base : float
-        A time that the steps divide [s].
-    tried : dict of int to Trial
-        By the number of parts that a step is of the base.
-
-    """
-
-    method: Method
-    order: int
-    base: float
-    tried: dict[int, Trial]
-
-    def allowed(self, trial: Trial, judge: Judge) -> float:
-        """Return the error that a trial may have."""
-        seen = trial.checked >= judge.tolerance.horizon * (1.0 - 1e-9)
-        return (_SEEN if seen else _CARRIED) * judge.tolerance.error - judge.known
-
-    def holds(self, trial: Trial, judge: Judge) -> bool:
-        """Return whether a trial held the tolerance."""
-        return trial.complete and trial.error <= self.allowed(trial, judge)
-
-    def dear(self, parts: int, judge: Judge, bound: float) -> bool:
-        """
-        Return whether a trial, and all with smaller steps, cost more than another method does.
-
-        Where steps are so long that their equations are hard to solve, smaller ones cost less.
-        """
-        trial = self.tried[parts]
-        if not (trial.dear or (trial.complete and trial.cost >= bound)):
-            return False
-        coarser = [other.cost for k, other in self.tried.items() if k < parts]
-        return trial.error <= self.allowed(trial, judge) or (
-            min(coarser, default=math.inf) <= trial.cost)
-
-    def best(self, judge: Judge) -> int | None:
-        """Return the parts of the cheapest trial that held the tolerance."""
-        good = [k for k, trial in self.tried.items() if self.holds(trial, judge)]
-        return min(good, key=lambda k: (self.tried[k].cost, k), default=None)
-
-    def at_floor(self) -> bool:
-        """
-        Return whether smaller steps no longer help: round-off is what is left.
-
-        That is shown by two steps in a row, each at most two thirds as long as the one before,
-        over which the error falls by less than a quarter of the method's order; the error must
-        be small, too, or have fallen by that order before, a sign that steps resolve the path.
-        """
-        rows = sorted((k, trial.error) for k, trial in self.tried.items()
-                      if trial.complete and math.isfinite(trial.error))
-        if not rows:
-            return False
-        flat, resolved, (last, before) = 0, False, rows[0]
-        for k, error in rows[1:]:
-            slope = math.log(max(before, 1e-300) / max(error, 1e-300)) / math.log(k / last)
-            resolved = resolved or slope >= _RESOLVED * self.order or error <= _SMALL
-            if 2 * k >= 3 * last:
-                flat = flat + 1 if slope < _FLAT * self.order else 0
-                last, before = k, error
-        return resolved and flat >= 2
-
-
-def search(problem: InitialValueProblem, method: Method, base: float, judge: Judge, guess: float,
-           bound: float) -> StepSearch:
-    """
-    Try steps until the largest that holds a tolerance is found, or it is shown that none does.
-
-    None does where the round-off floor is shown, see ``StepSearch.at_floor``, or where steps small
-    enough would cost more than is affordable, or than is known to do.
-
-    Parameters
-    ----------
-    problem : InitialValueProblem
-        The problem to simulate.
-    method : Method
-        The method to try.
-    base : float
-        A time that the steps divide [s].
-    judge : Judge
-        Measures a trial.
-    guess : float
-        The first step [s].
-    bound : float
-        Cost of the best that is known [1/s]; more is not looked at.
-
-    """
-    found = StepSearch(method, method.create().order, base, {})
-    parts = parts_for(base / min(guess, base))
-    while len(found.tried) < _TRIALS and parts not in found.tried:
-        found.tried[parts] = now = _try(problem, method, base / parts, judge, bound)
-        wish = _wish(found, parts, now, judge, bound)
-        if wish is None or found.at_floor():
-            break
-        parts = wish
-    return found
-
-
-def _wish(found: StepSearch, parts: int, now: Trial, judge: Judge, bound: float) -> int | None:
-    """Return the parts to try next; None if no other can be better."""
-    # Smaller steps than these hold the tolerance, or cost too much; larger ones than those do not.
-    enough = [k for k, trial in found.tried.items()
-              if found.holds(trial, judge) or found.dear(k, judge, bound)]
-    bad = [k for k, trial in found.tried.items() if trial.error > found.allowed(trial, judge)]
-    low, high = max(bad, default=0), min(enough, default=math.inf)
-    factor = 2.5
-    if 0.0 < now.error < math.inf:
-        allowed = max(found.allowed(now, judge), 1e-300)
-        # The order gives the factor; a tenth more keeps a near miss from missing again.
-        factor = 1.1 * (now.error / allowed) ** (1.0 / found.order)
-    elif now.error == 0.0:
-        factor = 0.25
-    if found.dear(parts, judge, bound):
-        # As many gradients for each step, with longer steps.
-        factor = min(factor, max(1.2 * bound / now.cost, 0.5))
-    wish = parts * min(max(factor, 0.15), 8.0)
-    if math.isfinite(high):
-        between = parts_between(low, high)
-        if not between:
-            return None
-        return min(between, key=lambda k: abs(math.log(k / wish)))
-    return max(parts_for(wish), parts_for(low + 0.5))
-
-
-def _try(problem: InitialValueProblem, method: Method, h: float, judge: Judge, bound: float
-         ) -> Trial:
-    try:
-        return judge(problem.simulation(method, h), bound)
-    except StepFailure:
-        return FAILED
-
-
 # In the order in which they are tried. Every one keeps its energy for ever, so that what a run
 # of many gradients shows holds for a longer one. All Gauss methods share one compiled kernel.
 CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet',
@@ -186,15 +35,13 @@ CANDIDATES = (*(f'gauss{order}' for order in range(16, 2, -2)), 'stormer_verlet'
 # The last one is tried first where the strongest force is so many times the median one; with
 # each of these bases, and forces from which on steps are shortened, in units of the median.
 _CLOSE, _BASES, _FORCES = 6.0, ('gauss8', 'gauss6', 'gauss4'), (1.0, 0.25)
-# First steps: this share of what resolves the path, times the root of the order.
-_FIRST = 0.25
 # Where one method has reached round-off without holding the tolerance, others are tried up to so
 # many times its cost.
 _BEYOND_FLOOR = 10.0
-# Wall time in which the cost that is reported is measured [s], and in how many pieces.
-_TIMED, _PIECES = 0.05, 9
+# Share of a run in which the time that is reported is measured.
+_TIMED = 0.01
 # Format of remembered choices; another number discards them all.
-_FORMAT = 3
+_FORMAT = 4
 # What the integrator taylor is given, as shares of a path error.
 _SERIES = 10.0 ** -np.arange(0.0, 8.0)
 
@@ -284,40 +131,64 @@ def calibrate(problem: InitialValueProblem, tolerance: Tolerance, largest_step: 
         No candidate takes the effects.
 
     """
-    base = largest_step or 0.1 * tolerance.horizon
-    known = survey(problem, tolerance.horizon, base)
-    if tolerance.kind == 'path_error':
-        reference = find_reference(problem, tolerance, base, known)
-        judge: Judge = PathJudge(problem, tolerance, reference)
-    else:
-        judge = EnergyJudge(problem, tolerance, known.energy_scale, known.extent)
-    searches, best = [], None
-    bound = math.inf
-    for method in _candidates(known):
-        try:
-            problem.simulation(method, base)
-        except UnsupportedSystem:
-            continue
-        found = search(problem, method, base, judge, _first_step(method, known), bound)
-        searches.append(found)
-        parts = found.best(judge)
-        if best is None and found.at_floor():
-            # No method has errors far below the round-off of another.
-            bound = min([bound, *(_BEYOND_FLOOR * trial.cost
-                                  for trial in found.tried.values() if trial.complete)])
-        if parts is not None and found.tried[parts].cost < bound:
-            best, bound = (found, parts), found.tried[parts].cost
-    if tolerance.kind == 'path_error':
-        for found in _series(problem, base, judge, bound):
-            best = (found, 1)
+    study = held_costs(problem, tolerance, largest_step or 0.1 * tolerance.horizon)
+    best = study.recommended(tolerance.error)
     if best is None:
-        raise CalibrationError(_refusal(tolerance, base, searches))
-    found, parts = best
-    trial, h = found.tried[parts], base / parts
-    return Choice(found.method.kind, h, trial.error, trial.checked,
-                  _seconds(problem, found.method, h, trial), trial.cost,
-                  dict(found.method.arguments), known.energy_scale,
-                  largest_step if parts == 1 else None)
+        raise CalibrationError(_refusal(study, tolerance))
+    simulation = problem.simulation(best.method, best.step_size)
+    simulation.advance(1)
+    steps = math.ceil(_TIMED * best.checked / best.step_size)
+    return Choice(best.method.kind, best.step_size, study.error(best), best.checked,
+                  fastest(problem, simulation, steps) / (steps * best.step_size), best.work,
+                  dict(best.method.arguments), study.known.energy_scale,
+                  largest_step if best.step_size == largest_step else None)
+
+
+def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) -> CostStudy:
+    """
+    Measure the candidates, each with ever shorter steps until they hold a tolerance.
+
+    Parameters
+    ----------
+    problem, tolerance
+        See ``calibrate``.
+    base : float
+        A time that steps divide [s].
+
+    """
+    known, by_path = survey(problem, tolerance.horizon, base), tolerance.kind == 'path_error'
+    reference = find_reference(problem, tolerance, base, known) if by_path else PathReference(
+        Instants.of(tolerance.horizon, base), np.empty((0, 0)), math.inf, '')
+    study = CostStudy(problem, known, reference, '' if by_path else 'energies are wanted',
+                      tolerance=tolerance)
+    bound = math.inf
+
+    def enough(costs: list[Cost]) -> bool:
+        before, now = costs[-2:] if len(costs) > 1 else (None, costs[-1])
+        # Where steps are so long that their equations are hard to solve, shorter ones cost less.
+        if before is None or not before.work <= now.work < math.inf:
+            return False
+        return before.work >= bound or (study.holds(now, tolerance.error) and not before.failure)
+
+    for method in _candidates(known):
+        if not refusal(study, method):
+            costs = ladder(study, method, bound, enough)
+            # Where the longest of these steps is not too long, longer ones are tried as well.
+            while (costs[0].failure == TOO_MUCH or study.holds(costs[0], tolerance.error)) and (
+                    longer := parts_between(0, round(base / costs[0].step_size))):
+                costs.insert(0, measure(study, method, longer[-1], bound))
+            study.costs += costs
+            best = study.recommended(tolerance.error)
+            if best is not None:
+                bound = best.work
+            elif method in study.at_floor:
+                # No method has errors far below the round-off of another.
+                bound = min([bound, *(_BEYOND_FLOOR * cost.work for cost in costs
+                                      if not cost.failure)])
+    if by_path:
+        _measure_series(study, tolerance.error, bound)
+    try_between(study, tolerance.error)
+    return study
 
 
 def _candidates(known: PathSurvey) -> Iterator[Method]:
@@ -329,60 +200,29 @@ def _candidates(known: PathSurvey) -> Iterator[Method]:
     yield from map(Method, CANDIDATES[:-1])
 
 
-def _series(problem: InitialValueProblem, base: float, judge: Judge, bound: float
-            ) -> Iterator[StepSearch]:
-    """Yield the loosest Taylor series that hold a path error, if they cost less than a bound."""
-    for error in np.clip(_SERIES * judge.tolerance.error, 1e-16, 1e-3):
-        found = StepSearch(Method('taylor', {'tolerance': float(f'{error:.3g}')}), 1, base, {})
-        try:
-            found.tried[1] = _try(problem, found.method, base, judge, bound)
-        except UnsupportedSystem:
+def _measure_series(study: CostStudy, error: float, bound: float) -> None:
+    """Add Taylor series, the loosest first, until one holds a path error or costs too much."""
+    for share in np.clip(_SERIES * error, 1e-16, 1e-3):
+        method = Method('taylor', {'tolerance': float(f'{share:.3g}')})
+        if refusal(study, method):
             return
-        if found.dear(1, judge, bound):
-            return
-        if found.holds(found.tried[1], judge):
-            yield found
+        study.costs.append(measure(study, method, 1, bound))
+        if study.holds(study.costs[-1], error) or study.costs[-1].work >= bound:
             return
 
 
-def _first_step(method: Method, known: PathSurvey) -> float:
-    """Return the step that is tried first [s]: far from right, it only costs trials."""
-    step = _FIRST * method.create().order ** 0.5 * known.step_size
-    if method.kind == 'time_transformed':
-        # Its steps are shortened where it takes them, by the force to the power of 3/4.
-        step *= (known.strongest / method.arguments['force']) ** 0.75
-    return step
-
-
-def _seconds(problem: InitialValueProblem, method: Method, h: float, trial: Trial) -> float:
-    """Return the wall time of a simulated second [s/s]: the median, others use the machine."""
-    simulation = problem.simulation(method, h)
-    simulation.advance(1)
-    start = time.perf_counter()
-    costs: list[float] = []
-    steps = max(1, math.ceil(trial.checked / h / 100.0))
-    while len(costs) < _PIECES and (not costs or time.perf_counter() - start < _TIMED):
-        if simulation.time >= trial.checked:
-            simulation.restart(problem.q, problem.p)
-        begin = time.perf_counter()
-        simulation.advance(steps)
-        costs.append((time.perf_counter() - begin) / (steps * h))
-    return float(np.median(costs))
-
-
-def _refusal(tolerance: Tolerance, base: float, searches: list[StepSearch]) -> str:
+def _refusal(study: CostStudy, tolerance: Tolerance) -> str:
     """Say that no method holds the tolerance, which comes nearest, and what keeps it from more."""
     wanted = f'no method holds {tolerance.kind} {tolerance.error:g} up to {tolerance.horizon:g} s'
-    tried = [(trial.error, found, parts) for found in searches
-             for parts, trial in found.tried.items() if trial.complete]
-    if not tried:
+    nearest = min(study.costs, key=study.error, default=None)
+    if nearest is None or nearest.failure:
         return (f'{wanted}: every step that is short enough costs more gradients than are '
                 'affordable; allow a larger error or a shorter horizon')
-    error, found, parts = min(tried, key=lambda item: item[0])
-    reason = ('smaller steps do not help, for round-off' if found.at_floor() else
+    reason = ('smaller steps do not help, for round-off' if nearest.method in study.at_floor else
               'smaller steps cost more gradients than are affordable')
-    return (f'{wanted}; the nearest is {found.method} with h = {found.base / parts:g} s, which '
-            f'errs by {error:.2g}: {reason}; allow a larger error or a shorter horizon')
+    return (f'{wanted}; the nearest is {nearest.method} with h = {nearest.step_size:g} s, which '
+            f'errs by {study.error(nearest):.2g}: {reason}; allow a larger error or a shorter '
+            'horizon')
 
 
 def remembered(problem: InitialValueProblem, tolerance: Tolerance, largest_step: float | None,

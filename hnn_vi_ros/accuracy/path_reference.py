@@ -2,16 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The path that trials are measured against, and how far it can be known."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.accuracy.trials import (
-    InitialValueProblem, judged, PathSurvey, Tolerance, Trial)
+from hnn_vi_ros.accuracy.trials import InitialValueProblem, PathSurvey, Tolerance
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
 # Instants at which paths are compared: at least and at most; the least of an H that is slow.
@@ -56,7 +53,7 @@ class Instants:
     count: int
 
     @classmethod
-    def of(cls, horizon: float, base: float, least: int) -> 'Instants':
+    def of(cls, horizon: float, base: float, least: int = _LEAST) -> 'Instants':
         """Return instants that steps meet, of base / 4, / 5, / 6, / 8, ...: see parts_for."""
         bases = max(1, round(horizon / base))
         if bases >= least:
@@ -282,41 +279,3 @@ def _refusal(problem: InitialValueProblem, tolerance: Tolerance, known: PathSurv
     return (f'{wanted}{near}: the motion is chaotic, with a Lyapunov time of {time:.3g} s, so '
             f'that round-off alone reaches this error after some {reach:.2g} s; take '
             'energy_error, a shorter horizon or a larger error')
-
-
-class PathJudge:
-    """
-    Measure the distance from a reference.
-
-    Parameters
-    ----------
-    problem : InitialValueProblem
-        The problem to simulate.
-    tolerance : Tolerance
-        What must be held.
-    reference : PathReference
-        The path.
-
-    """
-
-    def __init__(self, problem: InitialValueProblem, tolerance: Tolerance,
-                 reference: PathReference):
-        self._limit, self._reference, self.tolerance = problem.gradients, reference, tolerance
-        self.known = reference.accuracy
-
-    def __call__(self, simulation: Simulation, bound: float) -> Trial:
-        """Run as far as the reference goes and gradients allow; see Trial."""
-        instants, states = self._reference.instants, self._reference.states
-        every, apart = instants.met(round(instants.base / simulation.step_size))
-        reference = states[apart - 1::apart]
-        extent = len(reference) * apart * instants.gap
-
-        def errors() -> Iterator[float]:
-            for done in range(0, len(reference), _CHUNK):
-                part = reference[done:done + _CHUNK]
-                found = np.hstack(simulation.record(len(part), every))
-                yield float(np.abs(found - part).max())
-
-        # Rounding of the time does not count: it is over at the last instant.
-        return judged(simulation, errors(), self.tolerance, extent * (1.0 - 1e-9),
-                      4.0 * PATIENCE * self._limit, bound, 1.0)

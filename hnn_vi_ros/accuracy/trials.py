@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs that measure error and cost of a method at a step size, and the survey of a path."""
+"""The problem that methods are tried on, their work, and the survey of its path."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
-from typing import Any, Protocol
+from typing import Any
 
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.effects.base import Effect
@@ -17,12 +17,6 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# States of a run that are looked at, and those looked at together.
-_SAMPLES, _CHUNK = 20_000, 250
-# The same where effects do work, whose sum must be asked for at each of them.
-_SAMPLES_OF_WORK = 2000
-# An error that is this many times what is allowed need not be known better.
-ENOUGH = 1e3
 # From each to the next by a quarter: a step divides its base into such a number of parts.
 _PARTS = sorted({k * 2 ** e for e in range(40) for k in (4, 5, 6)} | {1, 2, 3})
 
@@ -139,56 +133,6 @@ def work(simulation: Simulation) -> float:
     return simulation.gradients * (1.0 + more / gradient) + simulation.steps * fixed / gradient
 
 
-@dataclass(frozen=True)
-class Trial:
-    """
-    One method at one step.
-
-    Parameters
-    ----------
-    error : float
-        In the measure of the tolerance, at the horizon; infinity where a step failed.
-    checked : float
-        Simulated time that was seen [s].
-    cost : float
-        Work of each simulated second, in gradients [1/s].
-    complete : bool
-        Whether it was seen as long as it must be.
-    dear : bool
-        Whether it was not since it cost too much; or it failed, or erred too far.
-
-    """
-
-    error: float
-    checked: float
-    cost: float
-    complete: bool = True
-    dear: bool = False
-
-
-FAILED = Trial(math.inf, 0.0, math.inf, False)
-
-
-class Judge(Protocol):
-    """
-    Judge of a simulation: takes it up to a horizon and returns the size of its error.
-
-    Attributes
-    ----------
-    tolerance : Tolerance
-        What must be held.
-    known : float
-        What of its error is the reference's.
-
-    """
-
-    tolerance: Tolerance
-    known: float
-
-    def __call__(self, simulation: Simulation, bound: float, /) -> Trial:
-        """Return what a simulation shows; it is given up where it costs more than the bound."""
-
-
 def parts_for(wish: float) -> int:
     """Return the number of parts that a base is divided into, at least as many as wished for."""
     return next((k for k in _PARTS if k >= wish), _PARTS[-1])
@@ -206,88 +150,6 @@ def time_scale(problem: InitialValueProblem) -> float:
     size = max(np.abs(q).max(), np.abs(p).max())
     speed = max(np.abs(dH_dq).max(), np.abs(dH_dp).max())
     return float(size / speed) if size > 0.0 and speed > 0.0 else 1.0
-
-
-class EnergyJudge:
-    """
-    Measure abs(H - H0 - W) over an energy scale.
-
-    Parameters
-    ----------
-    problem : InitialValueProblem
-        The problem to simulate.
-    tolerance : Tolerance
-        What must be held.
-    scale : float
-        The energy scale of the path [J].
-    extent : float
-        Simulated time that must be seen, at most the horizon [s].
-
-    """
-
-    def __init__(self, problem: InitialValueProblem, tolerance: Tolerance, scale: float,
-                 extent: float):
-        self._limit, self._scale, self._extent = problem.gradients, scale, extent
-        self.tolerance, self.known = tolerance, 0.0
-        self._conservative = all(effect.conservative for effect in problem.effects)
-
-    def __call__(self, simulation: Simulation, bound: float) -> Trial:
-        """Run up to the horizon, as far as gradients allow; see Trial."""
-        h = simulation.step_size
-        steps = math.ceil(self.tolerance.horizon / h * (1.0 - 1e-12))
-        every = math.ceil(steps / (_SAMPLES if self._conservative else _SAMPLES_OF_WORK))
-        return judged(simulation, self._errors(simulation, every, math.ceil(steps / every)),
-                      self.tolerance, self._extent, 4.0 * self._limit, bound, 0.0, self._limit)
-
-    def _errors(self, simulation: Simulation, every: int, count: int) -> Iterator[float]:
-        """Yield the largest error of the next samples, of ``count`` that are ``every`` apart."""
-        start = simulation.energy
-        while (left := count - simulation.steps // every) > 0:
-            if self._conservative:
-                energy = simulation.hamiltonian.energy(
-                    *simulation.record(min(_CHUNK, left), every))
-                yield float(np.abs(energy - start).max()) / self._scale
-            else:
-                simulation.advance(every)
-                yield abs(simulation.energy_balance) / self._scale
-
-
-def judged(simulation: Simulation, errors: Iterable[float], tolerance: Tolerance, extent: float,
-           most: float, bound: float, least: float, enough: float = math.inf) -> Trial:
-    """
-    Return what the errors of a simulation show, which is taken on by asking for the next.
-
-    Parameters
-    ----------
-    simulation : Simulation
-        Where it begins.
-    errors : iterable of float
-        The largest of some more samples each, up to the horizon.
-    tolerance : Tolerance
-        What must be held.
-    extent : float
-        Simulated time that must be seen [s].
-    most, enough : float
-        Gradients that it may take up to there, and from which on no more than that is seen.
-    bound : float
-        Its largest cost [1/s].
-    least : float
-        See ``carried``.
-
-    """
-    seen: list[float] = []
-    try:
-        for error in errors:
-            seen.append(error)
-            time, cost = simulation.time, work(simulation) / simulation.time
-            dear = time < extent and (simulation.gradients > most or cost * time > bound * extent)
-            if dear or error > ENOUGH * tolerance.error:
-                return Trial(max(seen), time, cost, False, dear)
-            if simulation.gradients > enough and time >= extent:
-                break
-    except StepFailure:
-        return FAILED
-    return Trial(carried(seen, time, tolerance.horizon, least), time, cost)
 
 
 def carried(errors: list[float], t: float, horizon: float, least: float) -> float:

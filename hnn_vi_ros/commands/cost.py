@@ -84,7 +84,7 @@ def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
 
 
 def _table(study: CostStudy) -> Iterator[str]:
-    kinds = {cost.method.kind: str(cost.method) for cost in study.costs}
+    names = list(dict.fromkeys(str(cost.method) for cost in study.costs))
     reached = min((study.error(cost) for cost in study.costs), default=math.inf)
     errors = [error for error in _ERRORS if reached <= error <= study.lost]
     if len(errors) > _COLUMNS:
@@ -93,12 +93,12 @@ def _table(study: CostStudy) -> Iterator[str]:
     if not errors:
         yield f'no run errs by less than {study.lost:.2g}'
         return
-    width = max(map(len, kinds.values()))
+    width = max(map(len, names))
     best = {error: study.cheapest(error) for error in errors}
     yield f'{"error":{width}}' + ''.join(f'{error:>{_CELL}.0e}' for error in errors)
     yield f'{"method":{width}}' + ''.join(f'{"h [s]  us/s":>{_CELL}}' for _ in errors)
-    for kind, name in kinds.items():
-        cells = (_cell(study.cheapest(error, kind), best[error]) for error in errors)
+    for name in names:
+        cells = (_cell(study.cheapest(error, name), best[error]) for error in errors)
         yield f'{name:{width}}' + ''.join(f'{cell:>{_CELL}}' for cell in cells)
     yield ('us/s: microseconds of the processor for a simulated second; *: the least; '
            '-: not reached')
