@@ -163,6 +163,12 @@ def test_log_with_derivative_columns_is_taken_as_it_is(tmp_path):
     log = dataset(write(tmp_path / 'log', rows), measured(
         columns=['t', 'x', 'v', 'dx', 'dv'], dq_dt=['dx'], dp_dt=['dv'], derivatives=None))
     assert np.array_equal(np.hstack([log.q, log.p, log.dq_dt, log.dp_dt]), rows[:, 1:])
+    # Nothing is estimated, so that each row may be a motion of its own.
+    path = write(tmp_path / 'alone', np.insert(rows, 0, range(30), axis=1))
+    alone = dataset(path, measured(
+        columns=['one', 't', 'x', 'v', 'dx', 'dv'], trial='one', dq_dt=['dx'], dp_dt=['dv'],
+        derivatives=None))
+    assert np.array_equal(alone.q, log.q)
 
 
 def test_momenta_are_mass_times_the_velocity_columns(tmp_path):

@@ -233,7 +233,7 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
     report.note(*motion.notes, *['velocities estimated'] * (motion.v is None))
     kept = _kept(motion, on_bad, report)
     intervals = np.diff(motion.t[kept])
-    spacing = float(np.median(intervals[intervals > 0.0]))
+    spacing = float(np.median(intervals[intervals > 0.0])) if len(kept) > 1 else 0.0
     gap = intervals > GAP * spacing
     if gap.any() and on_bad == 'fail':
         raise DataError(f'{motion.where}: {intervals.max():.3g} s without a sample, '
