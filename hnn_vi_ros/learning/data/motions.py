@@ -121,7 +121,7 @@ class Motion:
 
 
 class Recording(NamedTuple):
-    """What a reader returns: motions, names of their files and runs, and digests of the files."""
+    """Motions that a reader returns, with the names of their files and runs, and digests."""
 
     motions: list[Motion]
     name: str
