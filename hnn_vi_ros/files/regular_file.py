@@ -71,17 +71,28 @@ def replacing(path: Path) -> Iterator[Path]:
 
     So nobody finds half a file, and a full disk or a power failure leaves what was there.
     """
+    with _beside(path) as temporary:
+        yield temporary
+        _put_on_disk(temporary)
+        temporary.replace(path)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Yield the name of a temporary file beside another."""
     temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
     try:
         yield temporary
-        handle = os.open(temporary, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-        temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _put_on_disk(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -92,13 +103,16 @@ def write_text(path: Path, text: str) -> None:
 
 def write_new(path: Path, content: bytes) -> None:
     """Write a file that is new, whole or not at all; FileExistsError if there is one."""
-    path.open('xb').close()  # claims the name: of two that write it, one fails here
-    try:
-        with replacing(path) as temporary:
-            temporary.write_bytes(content)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
+    with _beside(path) as temporary:
+        temporary.write_bytes(content)
+        _put_on_disk(temporary)
+        try:
+            os.link(temporary, path)
+        except FileExistsError:
+            raise
+        except OSError:  # of a file system without second names
+            path.open('xb').close()
+            temporary.replace(path)
 
 
 def write_new_scene(path: Path, text: str, force: bool = False) -> None:

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 
 from hnn_vi_ros.errors import DataError, HnnViRosError, SceneError
-from hnn_vi_ros.files.regular_file import write_new_scene
+from hnn_vi_ros.files.regular_file import write_new, write_new_scene
 from hnn_vi_ros.files.yaml_file import read_yaml
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
@@ -67,3 +67,21 @@ def test_scene_on_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch, befor
         write_new_scene(path, 'description: new', force=bool(before))
     assert [one.name for one in tmp_path.iterdir()] == (['scene.yaml'] if before else [])
     assert not before or path.read_text() == before
+
+
+@pytest.mark.parametrize('second_names', [True, False])
+def test_new_file_is_whole_when_it_appears_and_replaces_none(tmp_path, monkeypatch, second_names):
+    path, seen, link = tmp_path / 'a.json', [], os.link
+
+    def link_it(temporary: Path, target: Path) -> None:
+        seen.append((target.exists(), temporary.read_bytes()))
+        if not second_names:
+            raise PermissionError(errno.EPERM, 'Operation not permitted')
+        link(temporary, target)
+
+    monkeypatch.setattr(os, 'link', link_it)
+    write_new(path, b'whole')
+    with pytest.raises(FileExistsError):
+        write_new(path, b'other')
+    assert seen == [(False, b'whole'), (True, b'other')]
+    assert path.read_bytes() == b'whole' and [*tmp_path.iterdir()] == [path]
