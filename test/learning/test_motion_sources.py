@@ -442,6 +442,13 @@ def test_columns_choose_the_forces_of_the_joints(tmp_path):
         read(path, forces='motors', columns=[7, 3])
 
 
+def test_states_in_parts_are_named_as_the_cause(tmp_path):
+    messages = [state(T[i], [name], [Q[i, k]]) for i in range(len(T))
+                for k, name in enumerate('ab')]
+    with refused(DataError):
+        read(write(tmp_path / 'a.mcap', messages))
+
+
 def test_stamps_that_are_all_alike_name_their_remedy(tmp_path):
     messages = [(*message[:2], T[i], state(0.0, ['a', 'b'], Q[i], V[i], TAU[i])[3])
                 for i, message in enumerate(driver())]

@@ -202,7 +202,13 @@ class SignalReader:
             if prefix + joint not in seen:
                 raise DataError(f'{self.path}: {name} has no joint {prefix + joint!r}; its joints:'
                                 f' {listed(sorted(seen)) or "none"}')
-        return self._times(name, stamps), np.array(rows)
+        values = np.array(rows)
+        there = np.isfinite(values[:, 0])
+        if there.any(axis=0).all() and not there.all(axis=1).any():
+            raise DataError(f'{self.path}: no message of {name} holds {listed(self._joints)} '
+                            'together: only nodes join states in parts; record them in whole, as '
+                            'one joint state broadcaster publishes them')
+        return self._times(name, stamps), values
 
     def forces(self, topic: str, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
