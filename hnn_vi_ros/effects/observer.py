@@ -12,7 +12,7 @@ from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observa
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import listed
 from hnn_vi_ros.hamiltonians.parameters import (
-    check_names_once, check_not_negative, check_positive)
+    check_between, check_names_once, check_not_negative, check_positive)
 from hnn_vi_ros.integrators.base import Integrator, Step
 from hnn_vi_ros.kernels.marks import inlined
 from hnn_vi_ros.phase_space import Coordinate
@@ -145,8 +145,7 @@ class Observer(StepEffect, Commanded):
 
 def _check(names: Sequence[str], deviations: Sequence[float] | None, predictions: int,
            **gains: float) -> None:
-    if not 1 <= predictions <= _MOST_PREDICTIONS:
-        raise ValueError(f'predictions = {predictions} must be from 1 to {_MOST_PREDICTIONS}')
+    check_between(1, _MOST_PREDICTIONS, predictions=predictions)
     check_not_negative(**gains)
     check_names_once(coordinates=names)
     if deviations is not None and (len(deviations) != len(names) or not all(

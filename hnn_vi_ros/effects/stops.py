@@ -16,6 +16,7 @@ from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.parameters import check_between
 from hnn_vi_ros.integrators.arithmetic import copy_point
 from hnn_vi_ros.integrators.base import Integrator, NO_IMPACT, OK, Point, Step
 from hnn_vi_ros.integrators.workspaces import forget
@@ -169,8 +170,7 @@ class RigidContact(StepEffect):
     beyond: ClassVar[str]
 
     def __init__(self, restitution: float):
-        if not 0.0 <= restitution <= 1.0:
-            raise ValueError(f'restitution = {restitution} must be from 0 to 1')
+        check_between(0, 1, restitution=restitution)
         self.restitution, self.conservative = float(restitution), restitution == 1.0
 
     def accepts(self, integrator: Integrator) -> bool:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the constants that define a Hamiltonian or an effect, by the user's names of them."""
+"""Checks of the arguments of Hamiltonians, integrators and effects, by the user's names."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -23,6 +23,11 @@ def check_not_negative(**values: Numbers) -> None:
 def check_finite(**values: Numbers) -> None:
     """Raise ValueError, which names it, for the first value that is not finite."""
     _check(values, lambda value: True, 'a finite number')
+
+
+def check_between(low: float, high: float, /, **values: Numbers) -> None:
+    """Raise ValueError, which names it, for the first value that is not from low to high."""
+    _check(values, lambda value: low <= value <= high, f'from {low} to {high}')
 
 
 def _check(values: dict[str, Numbers], holds: Callable[[float], bool], what: str) -> None:

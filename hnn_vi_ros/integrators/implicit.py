@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common part of the methods that solve an equation in each step."""
 
+from hnn_vi_ros.hamiltonians.parameters import check_between
 from hnn_vi_ros.integrators.base import Integrator, Requirements
 from hnn_vi_ros.integrators.equations import EquationWork
 from hnn_vi_ros.integrators.newton import continuation, krylov, newton
@@ -54,9 +55,7 @@ class ImplicitIntegrator(Integrator):
     def __init__(self, solver: str = 'chain', max_iterations: int = 100):
         if solver not in SOLVERS:
             raise ValueError(f'solver = {solver!r}; valid: {", ".join(SOLVERS)}')
-        if not 1 <= max_iterations <= _MOST_ITERATIONS:
-            raise ValueError(
-                f'max_iterations = {max_iterations} must be from 1 to {_MOST_ITERATIONS}')
+        check_between(1, _MOST_ITERATIONS, max_iterations=max_iterations)
         self.solver, self.max_iterations = solver, max_iterations
         if solver == 'fixed_point':
             # From the state it goes to the same solution each time, or to none.

@@ -4,6 +4,7 @@
 
 from typing import NamedTuple
 
+from hnn_vi_ros.hamiltonians.parameters import check_positive
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point, Requirements, tableau
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -142,9 +143,8 @@ class DOP853(Baseline):
     order, compiled = 8, False
 
     def __init__(self, relative_tolerance: float = 1e-9, absolute_tolerance: float = 1e-12):
-        for name, value in (('relative', relative_tolerance), ('absolute', absolute_tolerance)):
-            if not value > 0.0:
-                raise ValueError(f'{name}_tolerance = {value} must be positive')
+        check_positive(relative_tolerance=relative_tolerance,
+                       absolute_tolerance=absolute_tolerance)
         self._tolerances = Tolerances(relative_tolerance, absolute_tolerance)
 
     def options(self, attempt: int = 0, dimension: int = 1) -> Tolerances:

@@ -14,6 +14,7 @@ from hnn_vi_ros.errors import pip_command
 from hnn_vi_ros.hamiltonians import straight_code
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
+from hnn_vi_ros.hamiltonians.parameters import check_between
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
 from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.kernels.kernel import Kernel
@@ -400,8 +401,7 @@ class Taylor(Integrator):
     requirements = Requirements(symmetric=False, symplectic=False, forces='held')
 
     def __init__(self, tolerance: float = 1e-12):
-        if not 1e-16 <= tolerance <= 1e-3:
-            raise ValueError(f'tolerance = {tolerance} must be from 1e-16 to 1e-3')
+        check_between(1e-16, 1e-3, tolerance=tolerance)
         self._tolerance = float(tolerance)
         self.order = math.ceil(1.0 - 0.5 * math.log(tolerance))
 

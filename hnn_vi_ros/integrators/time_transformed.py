@@ -5,9 +5,9 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-import math
 from typing import NamedTuple
 
+from hnn_vi_ros.hamiltonians.parameters import check_between, check_positive
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
@@ -307,10 +307,8 @@ class TimeTransformed(Integrator):
         bases = CONTROLS[control]
         if base not in bases:
             raise ValueError(f'base = {base!r}; valid with control {control}: {", ".join(bases)}')
-        if not (math.isfinite(force) and force > 0.0):
-            raise ValueError(f'force = {force} must be a positive number of newtons')
-        if not 0.0 <= exponent <= 4.0:
-            raise ValueError(f'exponent = {exponent} must be from 0 to 4')
+        check_positive(force=force)
+        check_between(0, 4, exponent=exponent)
         self.base, self._force, self._exponent = bases[base](), float(force), float(exponent)
         self._control, self.order = control, self.base.order
         self.requirements = replace(
