@@ -297,13 +297,7 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
             error = evaluate(constraints, z1.q, constraints.new) / size
             if iteration == 0 or error > _SLOW * previous:
                 spent += _respond(kernel, h, constraints, start, z1)
-            if iteration == 0:
-                constraints.right[:] = 0.0
-                outcome = _solve(constraints, constraints.old, h)
-                if outcome != OK:
-                    break
-            copy_array(constraints.defect, constraints.right)
-            outcome = _solve(constraints, constraints.new, 0.5 * h)
+            outcome = _solve_for_impulses(constraints, h, iteration == 0)
             if outcome != OK:
                 break
             outcome = NOT_HELD
@@ -320,6 +314,19 @@ def rattle(step: Step, functions: tuple[Callable[..., float], ...] = ()) -> Step
         multipliers[:] = 0.0
         return outcome, residual, spent
     return constrained
+
+
+@inlined
+def _solve_for_impulses(constraints: Constraints, h: float, first: bool) -> int:
+    """Fill the right-hand side with the change of the multipliers; return an outcome."""
+    if first:
+        # Whether the constraints depend on each other where the step begins.
+        constraints.right[:] = 0.0
+        outcome = _solve(constraints, constraints.old, h)
+        if outcome != OK:
+            return outcome
+    copy_array(constraints.defect, constraints.right)
+    return _solve(constraints, constraints.new, 0.5 * h)
 
 
 @called

@@ -106,7 +106,7 @@ def controlled(base_step: Callable) -> Callable:
         if fresh:
             forget(own)
             copy_point(z, ahead)
-            clock[0], clock[1], clock[2] = 0.0, 0.0, 0.0
+            clock[:] = 0.0
         copy_point(ahead, at)
         # As long as that of the clock, unless its length is given.
         own_step = work.own_step[0] if work.own_step[0] > 0.0 else h
@@ -114,7 +114,6 @@ def controlled(base_step: Callable) -> Callable:
         for _ in range(_MOST_STEPS):
             if time >= h:
                 break
-            kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
             rate, square = _rate(kernel, at, force, exponent, work)
             if fresh:
                 # 1 / g at the start, and from there half a step back.
@@ -134,19 +133,18 @@ def controlled(base_step: Callable) -> Callable:
         kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
         forget(at_clock)
         outcome, residual, more = base_step(kernel, h - time, inner, at, z1, at_clock)
-        worst, gradients = max(worst, residual), gradients + more + 1
         if outcome == OK:
             copy_point(at, ahead)
-            clock[0], clock[1], clock[2] = density, time - h, carry
-            work.kept.count[0] = 1
-        return outcome, worst, gradients
+            clock[0], clock[1], clock[2], work.kept.count[0] = density, time - h, carry, 1
+        return outcome, max(worst, residual), gradients + more + 1
     return step
 
 
 @inlined
 def _rate(kernel: Kernel, at: Point, force: float, exponent: float, work: ControlledWork
           ) -> tuple[float, float]:
-    """Return G, and abs(H_q)^2 / F^2, at a state whose gradient is known."""
+    """Return G, and abs(H_q)^2 / F^2, at a state, and fill its gradient."""
+    kernel.gradient(kernel.parameters, at.q, at.p, at.dH_dq, at.dH_dp)
     v_q, v_p, change_q, change_p = work.v_q, work.v_p, work.change_q, work.change_p
     for i in range(at.q.size):
         v_q[i], v_p[i] = at.dH_dp[i], -at.dH_dq[i]
