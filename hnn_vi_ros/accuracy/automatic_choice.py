@@ -164,11 +164,12 @@ def held_costs(problem: InitialValueProblem, tolerance: Tolerance, base: float) 
     bound = math.inf
 
     def enough(costs: list[Cost]) -> bool:
-        before, now = costs[-2:] if len(costs) > 1 else (None, costs[-1])
-        # Where steps are so long that their equations are hard to solve, shorter ones cost less.
-        if before is None or not before.work <= now.work < math.inf:
-            return False
-        return before.work >= bound or (study.holds(now, tolerance.error) and not before.failure)
+        # Of one that is lost the cost is not known; and where steps are so long that their
+        # equations are hard to solve, shorter ones cost less.
+        last = [cost for cost in costs[-2:] if cost.failure in ('', TOO_MUCH)]
+        return len(last) == 2 and last[0].work <= last[1].work and (
+            last[0].failure != '' or last[0].work >= bound
+            or study.holds(last[1], tolerance.error))
 
     for method in _candidates(known):
         if not refusal(study, method):

@@ -383,6 +383,9 @@ def ladder(study: CostStudy, method: Method, bound: float,
     order = method.create().order
     stride = next(stride for below, stride in _STRIDES if order < below)
     longest = max(_LONGEST, order) * study.known.step_size
+    if study.tolerance is not None:
+        # Runs up to a far horizon take long: fewer of them, around what holds an error as a rule.
+        stride, longest = max(stride, 2), order ** 0.5 * study.known.step_size
     if method.kind == _CLOSE_ENCOUNTERS:
         longest *= (study.known.strongest / method.arguments.get('force', 1.0)) ** 0.75
     base, costs, flat, resolved = study.reference.instants.base, list[Cost](), 0, False
