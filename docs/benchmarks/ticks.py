@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work of the simulator's node for each sample, without the executor."""
 
-from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.selection import make_guards
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.recording import Recording

@@ -8,7 +8,7 @@ import warnings
 from hnn_vi_ros.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.errors import AlarmWarning
-from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.guards.base import (
     Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard, Waiting)

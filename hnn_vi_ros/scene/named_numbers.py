@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.scene.scene import Scene
 
 _KEYS = ('hamiltonian', 'effects')
 

@@ -10,7 +10,7 @@ from typing import Any, final, Self, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms import MECHANISMS
+from hnn_vi_ros.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Mechanism
 from hnn_vi_ros.mechanisms.skeleton import skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name

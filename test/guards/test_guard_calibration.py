@@ -6,7 +6,7 @@ from benchmarks.systems import systems
 from helpers import long, mostly_long, Uncompiled
 from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import BAND_LIMIT
+from hnn_vi_ros.guards.selection import BAND_LIMIT
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.paths import PathGuard

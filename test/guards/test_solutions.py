@@ -6,7 +6,7 @@ import math
 
 from helpers import Uncompiled
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.selection import make_guards
 from hnn_vi_ros.guards.steps import SolutionGuard
 from hnn_vi_ros.guards.watch import look
 from hnn_vi_ros.hamiltonians import HAMILTONIANS

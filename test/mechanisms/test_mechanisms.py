@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
-from hnn_vi_ros.mechanisms import COORDINATES, MECHANISMS
+from hnn_vi_ros.mechanisms.registry import COORDINATES, MECHANISMS
 from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Trail
 import numpy as np
 import pytest

@@ -10,7 +10,7 @@ from importlib import import_module
 import inspect
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.guards import make_guards
+from hnn_vi_ros.guards.selection import make_guards
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler

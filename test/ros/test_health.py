@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from helpers import alarm_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.guards import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Block, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard

@@ -8,7 +8,7 @@ from pathlib import Path
 import shutil
 
 from hnn_vi_ros.errors import ParameterError, StepFailure
-from hnn_vi_ros.guards import BoxGuard
+from hnn_vi_ros.guards.selection import BoxGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Requirements

@@ -1,0 +1,72 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Guards that watch a run sample by sample and say when it is no longer to be trusted."""
+
+from collections.abc import Iterator
+import math
+
+from hnn_vi_ros.guards.bands import (
+    BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
+from hnn_vi_ros.guards.base import Guard, Scale
+from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.paths import PathGuard
+from hnn_vi_ros.guards.poles import PoleGuard
+from hnn_vi_ros.guards.saddles import MOST_COORDINATES, SaddleSearch
+from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.models.seen import domain_of
+from hnn_vi_ros.simulation import Simulation
+
+# Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
+BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02
+
+
+def make_guards(simulation: Simulation, scale: Scale, band_limit: float,
+                change_limit: float, barrier: tuple[str, float] | None) -> Iterator[Guard]:
+    """
+    Yield the guards that apply to a simulation: the same ones in a study and in the node.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        The simulation to watch.
+    scale : callable
+        Returns the energy scale at each sample of a block [J]; see SampledScale.
+    band_limit, change_limit : float
+        See ResolutionGuard, InvariantGuard and EnergyGuard.
+    barrier : tuple of (str, float) or None
+        Name and energy [J] of a barrier; see ``Hamiltonian.barrier``.
+
+    """
+    hamiltonian, method = simulation.hamiltonian, simulation.integrator
+    if hamiltonian.box is not None:
+        yield BoxGuard(hamiltonian.box, hamiltonian.gauge, domain_of(hamiltonian))
+    if simulation.conservative:
+        yield ResolutionGuard(band_limit, scale, plain_share(simulation), method.order)
+    yield EnergyGuard(change_limit, scale)
+    if simulation.usual_gradients:
+        yield CostGuard(simulation)
+    for name, function in hamiltonian.invariants.items():
+        yield InvariantGuard(name, function, band_limit, hamiltonian)
+    if barrier is not None and simulation.conservative:
+        yield BarrierGuard(*barrier, method.order)
+    elif searchable(simulation) and simulation.system.integrator is method:
+        # On a constraint, or between walls, those of H are none of the motion.
+        yield BarrierGuard('saddle', math.inf, method.order, SaddleSearch(
+            hamiltonian, lambda: simulation.rescue_ready))
+    if searchable(simulation):
+        # Halved, a step that H was learned through is none that it is right for.
+        if hamiltonian.scheme is None:
+            yield PathGuard(simulation)
+        # A network and a robot have no poles.
+        if hamiltonian.box is None and hamiltonian.robot is None:
+            yield PoleGuard(hamiltonian)
+    if simulation.connected:
+        yield SolutionGuard(simulation)
+    yield RescueGuard(simulation)
+
+
+def searchable(simulation: Simulation) -> bool:
+    """Return whether saddles are looked for, and the path is tried: of small systems."""
+    hamiltonian = simulation.hamiltonian
+    return (simulation.conservative and hamiltonian.canonical and not hamiltonian.rotations
+            and simulation.q.ndim == 1 and hamiltonian.dimension <= MOST_COORDINATES)

@@ -1,0 +1,392 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Bodies to draw: a scene's coordinates as lines, boxes and balls in metres.
+
+A mechanism is a function ``(q, reach) -> {part name: Line | Box | Ball | Trail}``. It knows no
+viewer and no message type, so that one description serves every display. Axes follow REP 103:
+z points up.
+A part that moves carries the leading axes of q; a part that stands still has none.
+"""
+
+from collections.abc import Sequence
+
+from hnn_vi_ros.mechanisms.parts import (
+    AMBER, Ball, Box, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
+import numpy as np
+
+# Angles of the corners of a circle, which the last of them closes.
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 73)
+
+
+def pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a bob on a rod that swings about y; it hangs down along -z at rest, in q = 0.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 1)
+        Angle from the lowest position [rad], positive towards x.
+    reach : float
+        Without effect: a rod is drawn 1 m long, whatever the angles are.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``circle``, on which the bob moves, ``pivot``, ``rod``, ``bob`` and its ``path``.
+
+    """
+    return _swinging(np.asarray(q, dtype=np.float64)[..., :1], ('rod',), ('bob',))
+
+
+def double_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a bob on a rod that hangs from the bob of another, as :func:`pendulum` does.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2)
+        Angles of the upper and the lower rod from the vertical [rad], positive towards x.
+    reach : float
+        Without effect: a rod is drawn 1 m long, whatever the angles are.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``circle``, which the lower bob cannot leave, ``pivot``, ``rod1``, ``bob1``,
+        ``rod2``, ``bob2`` and its ``path``.
+
+    """
+    return _swinging(np.asarray(q, dtype=np.float64)[..., :2], ('rod1', 'rod2'), ('bob1', 'bob2'))
+
+
+def cartesian_pendulum(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a bob by its place, on a rod from the origin.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2) or (..., 3)
+        x and z of the bob in the plane y = 0, or its x, y and z [m].
+    reach : float
+        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``pivot``, ``rod``, as long as the bob is away from the origin, ``bob`` and its
+        ``path``.
+
+    """
+    q = np.asarray(q, dtype=np.float64)
+    bob = place(q[..., 0], q[..., 1] if q.shape[-1] == 3 else 0.0, q[..., -1])
+    return {
+        'pivot': Box(np.zeros(3), (0.06 * reach,) * 3, STEEL),
+        'rod': Line(np.stack([np.zeros_like(bob), bob], axis=-2), 0.02 * reach, SILVER),
+        'bob': Ball(bob, 0.1 * reach, AMBER),
+        'path': Trail(bob, 0.008 * reach, AMBER),
+    }
+
+
+def _swinging(angles: np.ndarray, rods: tuple[str, ...], bobs: tuple[str, ...]
+              ) -> dict[str, Part]:
+    """Draw rods of 1 m, each from the bob of the one before, with angles of shape (..., rods)."""
+    steps = place(np.sin(angles), 0.0, -np.cos(angles))
+    joints = np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
+    circle = len(rods) * place(np.sin(_ROUND), 0.0, -np.cos(_ROUND))
+    parts: dict[str, Part] = {
+        'circle': Line(circle, 0.005, STEEL),
+        'pivot': Box(np.zeros(3), (0.06, 0.06, 0.06), STEEL)}
+    for i, (rod, bob) in enumerate(zip(rods, bobs, strict=True)):
+        parts[rod] = Line(joints[..., i:i + 2, :], 0.02, SILVER)
+        parts[bob] = Ball(joints[..., i + 1, :], 0.12, AMBER)
+    parts['path'] = Trail(joints[..., -1, :], 0.008, AMBER)
+    return parts
+
+
+STIFF = (88, 166, 255)
+COILS, SOFT_COILS, STIFF_COILS = 9, 5, 7
+# A part each for every mass and spring: more would neither be seen nor drawn in time.
+MOST_PAIRS = 20
+
+
+def mass_spring(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a mass that a spring ties to a wall; the mass slides along x, at rest in x = 0.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 1)
+        Displacement of the mass [m].
+    reach : float
+        Largest displacement that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``wall``, ``floor``, ``spring`` and ``mass``.
+
+    """
+    x = np.asarray(q, dtype=np.float64)[..., 0]
+    half, thick, wall, end = 0.4 * reach, 0.05 * reach, -2.7 * reach, 1.6 * reach
+    depth, height = 1.7 * half, 2.6 * half
+    spring = _zigzag(np.full_like(x, wall), x - half, half, 0.5 * half, COILS)
+    return {
+        'wall': Box(np.array([wall - thick, 0.0, 0.5 * height - thick]),
+                    (thick, depth, 0.5 * height + thick), STEEL),
+        'floor': Box(np.array([0.5 * (wall + end), 0.0, -thick]),
+                     (0.5 * (end - wall), depth, thick), STEEL),
+        'spring': Line(spring, 0.025 * reach, SILVER),
+        'mass': Box(place(x, 0.0, half), (half, half, half), AMBER),
+    }
+
+
+def spring_chain(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw the chain of :class:`~hnn_vi_ros.hamiltonians.fput_chain.FputChain` between two walls.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2 m)
+        Centres c_1 to c_m and stretches s_1 to s_m of the m pairs of masses [m], m up to
+        MOST_PAIRS; the masses of pair i are displaced by (c_i - s_i) / sqrt(2) and
+        (c_i + s_i) / sqrt(2).
+    reach : float
+        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``wall1``, ``wall2`` and ``floor``, the soft springs ``soft0`` to ``soft<m>``,
+        the stiff ones ``stiff1`` to ``stiff<m>``, and ``mass1`` to ``mass<2 m>``.
+
+    """
+    q = np.asarray(q, dtype=np.float64)
+    m = q.shape[-1] // 2
+    half, thick, soft, stiff = 0.3 * reach, 0.05 * reach, 2.4 * reach, 1.6 * reach
+    moved = np.stack([q[..., :m] - q[..., m:], q[..., :m] + q[..., m:]], axis=-1) / np.sqrt(2.0)
+    rest = soft * np.arange(1, m + 1)[:, None] + stiff * (np.arange(m)[:, None] + np.array([0, 1]))
+    end = soft * (m + 1) + stiff * m
+    x = (rest - 0.5 * end + moved).reshape(*q.shape[:-1], 2 * m)
+    # Where each spring begins and ends: at a wall, or at the faces of two masses.
+    wall = np.full_like(x[..., :1], 0.5 * end)
+    begins = np.concatenate([-wall, x + half], axis=-1)
+    ends = np.concatenate([x - half, wall], axis=-1)
+    parts: dict[str, Part] = {
+        'wall1': Box(np.array([-0.5 * end - thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
+        'wall2': Box(np.array([0.5 * end + thick, 0.0, half]), (thick, half, 1.5 * half), STEEL),
+        'floor': Box(np.array([0.0, 0.0, -thick]), (0.5 * end, half, thick), STEEL)}
+    for i in range(2 * m + 1):
+        name, coils, width, color = (
+            (f'soft{i // 2}', SOFT_COILS, 0.6 * half, SILVER) if i % 2 == 0
+            else (f'stiff{i // 2 + 1}', STIFF_COILS, 0.35 * half, STIFF))
+        parts[name] = Line(_zigzag(begins[..., i], ends[..., i], half, width, coils),
+                           0.035 * reach, color)
+    for i in range(2 * m):
+        parts[f'mass{i + 1}'] = Box(place(x[..., i], 0.0, half), (half, half, half), AMBER)
+    return parts
+
+
+def _zigzag(start: np.ndarray, end: np.ndarray, height: float, width: float, coils: int
+            ) -> np.ndarray:
+    """Return a spring's corners along x from start to end, shape (..., 2 coils + 4, 3)."""
+    lead = 0.06
+    share = np.concatenate([[0.0], np.linspace(lead, 1.0 - lead, 2 * coils + 2), [1.0]])
+    side = np.zeros(share.size)
+    side[2:-2] = np.where(np.arange(2 * coils) % 2, -width, width)
+    along = start[..., None] + share * (end - start)[..., None]
+    return place(along, 0.0, height + side)
+
+
+SUN, FIELD, LIMIT = (255, 221, 120), (88, 166, 255), (255, 123, 114)
+# Field lines along each side of the frame.
+FIELD_LINES = 7
+
+
+def kepler(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a body that moves around a centre in the plane z = 0.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2)
+        x and y of the body [m].
+    reach : float
+        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``circle`` of radius ``reach``, ``centre``, ``ray`` from there to the body,
+        ``body`` and its ``path``.
+
+    """
+    body = _in_plane(q)
+    return {
+        'circle': Line(reach * place(np.cos(_ROUND), np.sin(_ROUND), 0.0), 0.004 * reach, STEEL),
+        'centre': Ball(np.zeros(3), 0.07 * reach, SUN),
+        'ray': Line(np.stack([np.zeros_like(body), body], axis=-2), 0.006 * reach, STEEL),
+        'body': Ball(body, 0.05 * reach, AMBER),
+        'path': Trail(body, 0.008 * reach, AMBER),
+    }
+
+
+def henon_heiles(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a star in the plane z = 0, in the triangle that it cannot leave below H = 1/6.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2)
+        x and y of the star [1].
+    reach : float
+        Without effect: the triangle has its corners in (0, 1) and (+-sqrt(3) / 2, -1/2).
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``triangle``, ``star`` and its ``path``.
+
+    """
+    corner = 2.0 * np.pi * (0.25 + np.arange(4) / 3.0)
+    star = _in_plane(q)
+    return {
+        'triangle': Line(place(np.cos(corner), np.sin(corner), 0.0), 0.008, LIMIT),
+        'star': Ball(star, 0.045, AMBER),
+        'path': Trail(star, 0.006, AMBER),
+    }
+
+
+def charged_particle(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a particle in the plane z = 0 among the lines of a field along z.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 2)
+        x and y of the particle [m].
+    reach : float
+        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``frame``, around what the drawing leaves room for, ``field<i>``,
+        ``particle`` and its ``path``.
+
+    """
+    corner = np.array([-1.0, 1.0, 1.0, -1.0, -1.0])
+    parts: dict[str, Part] = {
+        'frame': Line(reach * place(corner, np.roll(corner, 1), 0.0), 0.008 * reach, STEEL)}
+    grid = reach * np.linspace(-1.0, 1.0, FIELD_LINES + 2)[1:-1]
+    tall = 0.1 * reach
+    for i, (x, y) in enumerate((x, y) for x in grid for y in grid):
+        parts[f'field{i}'] = Line(place(x, y, np.array([-tall, tall])), 0.006 * reach, FIELD)
+    particle = _in_plane(q)
+    parts['particle'] = Ball(particle, 0.06 * reach, AMBER)
+    parts['path'] = Trail(particle, 0.01 * reach, AMBER)
+    return parts
+
+
+def bouncing_mass(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a mass above a floor, which it touches in z = 0.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 1)
+        Height of the lower face of the mass [m].
+    reach : float
+        Largest height that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``floor``, ``rail``, on which the height can be read, ``tick<i>`` and ``mass``.
+
+    """
+    z = np.asarray(q, dtype=np.float64)[..., 0]
+    half, thick, wide = 0.1 * reach, 0.02 * reach, 0.6 * reach
+    rail = -2.5 * half
+    parts: dict[str, Part] = {
+        'floor': Box(np.array([0.0, 0.0, -thick]), (wide, 0.4 * wide, thick), STEEL),
+        'rail': Line(place(rail, 0.0, np.array([0.0, reach])), 0.008 * reach, STEEL)}
+    for i in range(5):
+        height = 0.25 * reach * i
+        parts[f'tick{i}'] = Line(place(rail + np.array([0.0, 0.6 * half]), 0.0, height),
+                                 0.006 * reach, STEEL)
+    parts['mass'] = Box(place(0.0, 0.0, z + half), (half, half, half), AMBER)
+    return parts
+
+
+def _in_plane(q: np.ndarray) -> np.ndarray:
+    q = np.asarray(q, dtype=np.float64)
+    return place(q[..., 0], q[..., 1], 0.0)
+
+
+RED, GREEN, BLUE = (235, 87, 87), (86, 190, 100), (88, 136, 255)
+# Corners of a cube, by number, in an order that goes along each of its edges at least once.
+_EDGES = (0, 1, 3, 2, 0, 4, 5, 1, 5, 7, 3, 7, 6, 2, 6, 4)
+
+
+def turning_body(q: np.ndarray, reach: float) -> dict[str, Part]:
+    """
+    Draw a body as the edges of a flat box, with its axes, and the path that it has come.
+
+    Parameters
+    ----------
+    q : np.ndarray, shape (..., 4) or (..., 7)
+        Its attitude, a quaternion x, y, z, w that takes vectors of the body to space; or its place
+        [m] and its attitude. Without a place it turns about the origin, and the path is that of
+        the end of its third axis; the vertical and a horizontal circle show how it stands.
+    reach : float
+        Largest coordinate that the drawing leaves room for [m]; it sets every other length.
+
+    Returns
+    -------
+    dict of str to Part
+        The parts ``body``, ``x_axis``, ``y_axis`` and ``z_axis``, red, green and blue, and
+        ``path``; of one without a place ``vertical`` and ``circle`` as well.
+
+    """
+    q = np.asarray(q, dtype=np.float64)
+    from scipy.spatial.transform import Rotation  # slow to import, and only bodies need it
+    turns = Rotation.from_quat(q[..., -4:].reshape(-1, 4)).as_matrix().reshape(
+        *q.shape[:-1], 3, 3)
+    flies = q.shape[-1] == 7
+    center = q[..., :3] if flies else np.zeros_like(q[..., :3])
+    length = (0.2 if flies else 0.8) * reach
+    corners = 0.5 * length * np.array([[x, y, 0.25 * z] for x in (-1.0, 1.0) for y in (-1.0, 1.0)
+                                       for z in (-1.0, 1.0)])[list(_EDGES)]
+    body = center[..., None, :] + corners @ np.swapaxes(turns, -1, -2)
+    ends = center[..., None] + length * turns
+    parts: dict[str, Part] = {'body': Line(body, 0.01 * length, STEEL)}
+    for i, (name, color) in enumerate((('x', RED), ('y', GREEN), ('z', BLUE))):
+        parts[f'{name}_axis'] = Line(np.stack([center, ends[..., i]], axis=-2), 0.02 * length,
+                                     color)
+    if not flies:
+        parts['vertical'] = Line(place(0.0, 0.0, np.array([-length, length])), 0.004 * length,
+                                 SILVER)
+        parts['circle'] = Line(length * place(np.cos(_ROUND), np.sin(_ROUND), 0.0),
+                               0.004 * length, SILVER)
+    parts['path'] = Trail(center if flies else ends[..., 2], 0.01 * length, AMBER)
+    return parts
+
+
+# Each mechanism, and the numbers of columns of q that it draws.
+_COLUMNS: dict[Mechanism, Sequence[int]] = {
+    bouncing_mass: (1,),
+    cartesian_pendulum: (2, 3),
+    charged_particle: (2,),
+    double_pendulum: (2,),
+    henon_heiles: (2,),
+    kepler: (2,),
+    mass_spring: (1,),
+    pendulum: (1,),
+    spring_chain: range(2, 2 * MOST_PAIRS + 1, 2),
+    turning_body: (4, 7),
+}
+MECHANISMS = {draw.__name__: draw for draw in _COLUMNS}
+COORDINATES = {draw.__name__: columns for draw, columns in _COLUMNS.items()}
+# Those of bodies that turn.
+TURNING = frozenset(('turning_body',))

@@ -1,0 +1,422 @@
+# Copyright 2026 The hnn_vi_ros Authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property, partial
+from keyword import iskeyword
+import os
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.effects.base import Effect, EffectError
+from hnn_vi_ros.errors import (
+    CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
+from hnn_vi_ros.files.resources import find_yaml
+from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
+from hnn_vi_ros.files.yaml_text import KeyPlaces
+from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
+from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
+from hnn_vi_ros.mechanisms.registry import COORDINATES, MECHANISMS, TURNING
+from hnn_vi_ros.models.checkpoint import file_digest
+from hnn_vi_ros.phase_space import columns, Coordinate
+from hnn_vi_ros.scene.choices import (
+    AutoChoice, call_factory, choices, EventChoice, InitialState, InvariantChoice, invariants_of,
+    LearnedChoice, PythonChoice, UncertaintyChoice)
+from hnn_vi_ros.scene.origin import Origin
+import numpy as np
+from pydantic import BaseModel, Field, model_validator, PrivateAttr
+
+# A part of a scene that is chosen by its kind.
+Choice = str | Mapping[str, Any] | BaseModel
+
+
+def of_kind(choice: Choice) -> Any:
+    """Return a kind that is named alone as the mapping that YAML has for it."""
+    return {'kind': choice} if isinstance(choice, str) else choice
+
+
+def plain_data(value: Any) -> Any:
+    """Return mappings, sequences, arrays, paths and parts of scenes as dicts, lists and values."""
+    if isinstance(value, BaseModel):
+        return plain_data(value.model_dump())
+    if isinstance(value, Mapping):
+        return {key: plain_data(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if isinstance(value, list | tuple | range):
+        return [plain_data(part) for part in value]
+    return value
+
+
+_EXACT: dict[str, type] = {**HAMILTONIANS, **DESCRIBED}
+
+
+class Scene(StrictModel):
+    """Simulated scene: a Hamiltonian, effects, an integrator, a step size, an initial state."""
+
+    description: str = Field('', max_length=1000, description='one line for lists and titles')
+    hamiltonian: choices(  # type: ignore[valid-type]
+        _EXACT, LearnedChoice, PythonChoice) = Field(description='H(q, p) [J]')
+    effects: list[choices(EFFECTS)] = Field(  # type: ignore[valid-type]
+        [], max_length=100, description='what acts beside H(q, p); nothing else is simulated')
+    integrator: choices(INTEGRATORS, AutoChoice) = Field(  # type: ignore[valid-type]
+        description='the one-step map of (q, p)')
+    step_size: float | None = Field(None, gt=0.0, le=1e6, description=(
+        'h [s]; with the integrator auto, which chooses it, a time that it must divide'))
+    initial_state: InitialState = Field(description='(q, p) at t = 0 s')
+    on_failure: Literal[ON_FAILURE] = Field('substep', description=(  # type: ignore[valid-type]
+        'what is done about a step that fails: it is taken in sub-steps; or by implicit_midpoint, '
+        'as are all steps beyond the limit of stability of an explicit method; or the run stops'))
+    events: list[EventChoice] = Field([], max_length=100, description='what is watched for')
+    invariants: list[InvariantChoice] = Field([], max_length=20, description=(
+        'what the motion conserves beside H: published with the accuracy, and watched'))
+    uncertainty: UncertaintyChoice | None = Field(None, description=(
+        'runs all members of an ensemble beside their mean, and reports their spread'))
+    mechanism: Literal[tuple(MECHANISMS)] | None = Field(  # type: ignore[valid-type]
+        None, description='how the mechanism is drawn; without it only states are shown')
+
+    @model_validator(mode='after')
+    def _check_step_size(self) -> 'Scene':
+        if self.step_size is None and not isinstance(self.integrator, AutoChoice):
+            raise ValueError('step_size: required: h [s]')
+        return self
+
+    _origin: Origin = PrivateAttr(default_factory=Origin)
+
+    @classmethod
+    def build(cls, *, hamiltonian: Choice, integrator: Choice,
+              initial_state: Mapping[str, Any] | tuple[Any, Any],
+              step_size: float | None = None, effects: Sequence[Choice] = (),
+              events: Sequence[Mapping[str, Any]] = (),
+              invariants: Sequence[Mapping[str, Any]] = (),
+              uncertainty: Mapping[str, Any] | None = None, on_failure: str = 'substep',
+              mechanism: str | None = None, description: str = '', name: str = 'scene'
+              ) -> 'Scene':
+        """
+        Return a scene without a file, validated as a YAML file is.
+
+        Parameters
+        ----------
+        hamiltonian, integrator : str or mapping
+            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind. A part of
+            another scene will do as well.
+        initial_state : tuple of (q, p), or mapping
+            Coordinates and momenta, in the order and units of the Hamiltonian.
+        step_size : float, optional
+            h [s]; needed unless the integrator is auto.
+        effects : sequence of str or mapping, optional
+            Effects besides H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+        events, invariants : sequence of mapping, optional
+            Events to watch for, and further invariants of the motion besides H.
+        uncertainty : mapping, optional
+            Of an ensemble, how the spread of its members is reported.
+        on_failure : str, optional
+            Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
+        mechanism : str, optional
+            How it is drawn.
+        description : str, optional
+            One line, for titles.
+        name : str, optional
+            Of the scene, by which files of a run are called.
+
+        Raises
+        ------
+        SceneError
+            A part does not fit the schema; names its key, and what is expected.
+
+        """
+        state = dict(zip('qp', initial_state, strict=True)) if isinstance(
+            initial_state, tuple | list) and len(initial_state) == 2 else initial_state
+        data = plain_data({
+            'description': description, 'hamiltonian': of_kind(hamiltonian),
+            'effects': [of_kind(effect) for effect in effects],
+            'integrator': of_kind(integrator), 'step_size': step_size, 'initial_state': state,
+            'on_failure': on_failure, 'events': events, 'invariants': invariants,
+            'uncertainty': uncertainty,
+            'mechanism': mechanism})
+        scene = _validated(data, f'Scene.build {name}')
+        scene._origin = Origin(Path(name))
+        return scene
+
+    @property
+    def source(self) -> Path:
+        """Return the file that the scene was read from."""
+        return self._origin.path
+
+    @property
+    def name(self) -> str:
+        """Return the name of the file without its suffix."""
+        return self.source.stem
+
+    def place(self, *key: str | int) -> str:
+        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        return self._origin.place(*key)
+
+    def changed(self, changes: Mapping[str, Any]) -> 'Scene':
+        """Return this scene with other values of some keys, or raise SceneError."""
+        # The code that it names was admitted when it was read.
+        scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
+                           f'{self.name} as changed')
+        scene._origin = replace(self._origin, replaced=self._origin.replaced | changes.keys())
+        return scene
+
+    def with_overrides(self, step_size: float | None = None, integrator: str | None = None,
+                       initial_state: Mapping[str, Sequence[float]] | None = None,
+                       effects: Sequence[Mapping[str, Any]] | None = None) -> 'Scene':
+        """
+        Return this scene with other parts, where given; the integrator's is its name.
+
+        Raises
+        ------
+        SceneError
+            An unknown integrator, or a part that does not fit the schema.
+
+        """
+        if integrator == 'auto':
+            raise SceneError('integrator auto needs an error to hold: write it into the scene, as '
+                             'integrator: {kind: auto, path_error: 1.0e-6, horizon: 100.0}')
+        if integrator not in (None, *INTEGRATORS):
+            raise SceneError(f'unknown integrator {integrator!r}'
+                             f'{offered(str(integrator), sorted(INTEGRATORS))}')
+        given = {'step_size': step_size, 'integrator': integrator and {'kind': integrator},
+                 'initial_state': initial_state, 'effects': effects}
+        changes = {name: value for name, value in given.items() if value is not None}
+        return self.changed(changes) if changes else self
+
+    @property
+    def known_step_size(self) -> float:
+        """Return the step size [s]; SceneError where auto is still to choose it."""
+        if self.step_size is None:
+            raise SceneError(f'{self.place("integrator")}: auto chose no step size yet; '
+                             'automatic_choice.resolve(scene) returns a scene with one')
+        return self.step_size
+
+    def parts(self) -> 'Parts':
+        """
+        Build or load what the scene names: H, the integrator, and the effects.
+
+        Raises
+        ------
+        ModelError, SceneError
+            See ``create_hamiltonian``, ``create_integrator`` and ``create_effects``.
+
+        """
+        return Parts(self, self.create_hamiltonian(), self.create_integrator(),
+                     self.create_effects())
+
+    def create_integrator(self) -> Integrator:
+        """
+        Build the integrator that the scene names.
+
+        Raises
+        ------
+        SceneError
+            A parameter is out of its range, or no method is named: it is auto.
+
+        """
+        if isinstance(self.integrator, AutoChoice):
+            raise SceneError(f'{self.place("integrator")}: auto names no method yet; '
+                             'automatic_choice.resolve(scene) returns a scene with one')
+        return self._construct(INTEGRATORS, self.integrator, 'integrator')
+
+    def create_effects(self) -> list[Effect]:
+        """
+        Build the effects that the scene lists, in its order.
+
+        Raises
+        ------
+        ModelError
+            A model does not exist or is damaged.
+        SceneError
+            A parameter is out of its range.
+
+        """
+        return [self._construct(EFFECTS, choice, 'effects', i)
+                for i, choice in enumerate(self.effects)]
+
+    def create_hamiltonian(self) -> Hamiltonian:
+        """
+        Build or load the Hamiltonian that the scene names.
+
+        Raises
+        ------
+        ModelError
+            The model does not exist or is damaged.
+        SceneError
+            A parameter is out of its range, or code of the user's cannot be called.
+
+        """
+        choice = self.hamiltonian
+        if isinstance(choice, LearnedChoice):
+            file = self._origin.model_file(choice.model, 'hamiltonian')
+            # Imported here: networks are compiled, which who only reads a scene has no use for.
+            from hnn_vi_ros.models.confined import load_learned
+            with self.placed('hamiltonian'):
+                hamiltonian = load_learned(file, choice.confine, choice.member)
+        elif isinstance(choice, PythonChoice):
+            hamiltonian = call_factory(choice.factory, self.place('hamiltonian', 'factory'),
+                                       self._origin.code_folder)
+        else:
+            hamiltonian = self._construct(_EXACT, choice, 'hamiltonian')
+        self._check_dimension(hamiltonian.coordinates)
+        state = np.array(self.initial_state.q), np.array(self.initial_state.p)
+        with self.placed('hamiltonian'):
+            hamiltonian.check_state(*state)
+        hamiltonian.invariants = invariants_of(
+            self.invariants, hamiltonian, not self.effects, state, self.place,
+            self._origin.code_folder)
+        return hamiltonian
+
+    def model_files(self) -> dict[str, Path]:
+        """
+        Return the files of the models and robots that it names.
+
+        Raises
+        ------
+        ModelError
+            One is not there.
+
+        """
+        placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
+            (choice, 'effects', i) for i, choice in enumerate(self.effects))]
+        finders = {'model': self._origin.model_file, 'file': self._origin.robot_file}
+        return {name: find(name, *key) for choice, *key in placed
+                for field, find in finders.items() if (name := getattr(choice, field, None))}
+
+    @cached_property
+    def model_digests(self) -> dict[str, str]:
+        """Return the SHA-256 of each model file; of one that is changed later, what it was."""
+        return {name: file_digest(file) for name, file in self.model_files().items()}
+
+    def _check_dimension(self, coordinates: Sequence[Coordinate]) -> None:
+        names, momenta = columns(coordinates)
+        for (key, values), own in zip(self.initial_state, (names, momenta), strict=True):
+            if len(values) != len(own):
+                raise SceneError(
+                    f'{self.place("initial_state", key)}: {len(values)} values, expected '
+                    f'{len(own)}, one for each coordinate: {listed(own)}')
+        if self.mechanism and (self.mechanism in TURNING) != (len(names) != len(momenta)):
+            raise SceneError(
+                f'{self.place("mechanism")}: {self.mechanism} draws '
+                f'{"a body that turns" if self.mechanism in TURNING else "scalar coordinates"}, '
+                f'but H has {listed(c.name for c in coordinates)}; leave it out or take another')
+        if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
+            numbers = [str(number) for number in COORDINATES[self.mechanism]]
+            if len(numbers) > 3:
+                numbers[2:-1] = ['...']
+            raise SceneError(
+                f'{self.place("mechanism")}: {self.mechanism} draws {", ".join(numbers)} '
+                f'coordinates, but H has {len(names)}; leave it out or take another')
+
+    def _construct(self, classes: Mapping[str, type], choice: BaseModel, *key: str | int) -> Any:
+        arguments = choice.model_dump()
+        kind = arguments.pop('kind')
+        self._origin.find_code(arguments)
+        if arguments.get('model'):
+            arguments['model'] = self._origin.model_file(arguments['model'], *key)
+        if arguments.get('file'):
+            arguments['file'] = self._origin.robot_file(arguments['file'], *key)
+        with self.placed(*key):
+            return classes[kind](**{
+                f'{name}_' if iskeyword(name) else name: value
+                for name, value in arguments.items()})
+
+    @contextmanager
+    def placed(self, *key: str | int) -> Iterator[None]:
+        """
+        Add to errors in the scene's requests the place of their cause in its file.
+
+        Parameters
+        ----------
+        *key : str or int
+            Of what is made inside; ``'initial_state'`` for the simulation of the scene.
+
+        Raises
+        ------
+        CalibrationError, ModelError, SceneError, UnsupportedSystem
+            In place of the error raised inside.
+
+        """
+        try:
+            yield
+        except (ValueError, OverflowError) as problem:
+            if isinstance(problem, EffectError):
+                key = 'effects', problem.index
+            raise SceneError(self._blame(key, str(problem))) from problem
+        except (CalibrationError, ModelError) as problem:
+            raise type(problem)(self._blame(key, str(problem))) from problem
+        except UnsupportedSystem as problem:
+            raise UnsupportedSystem(f'{self.place("integrator")}: {problem}') from problem
+
+    def _blame(self, key: tuple[str | int, ...], message: str) -> str:
+        value: Any = self
+        for part in key:
+            value = value[part] if isinstance(part, int) else getattr(value, part)
+        # The message begins with the wrong key, if there is a single one.
+        name = message.partition(' ')[0]
+        own = name in type(value).model_fields
+        kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
+        return f'{self.place(*key, *[name] * own)}: {kind}{message}'
+
+
+class Parts(NamedTuple):
+    """
+    Scene with all that it names, made once and handed to whatever simulates it.
+
+    Simulations can share an integrator and effects: what these keep from step to step is in the
+    simulation. The kernel of H has working memory, so simulations of several threads, or one whose
+    numbers change, take a copy of H.
+    """
+
+    scene: Scene
+    hamiltonian: Hamiltonian
+    integrator: Integrator
+    effects: list[Effect]
+
+    def copy(self) -> 'Parts':
+        """Return them with a copy of H."""
+        return self._replace(hamiltonian=self.hamiltonian.copy())
+
+
+def _validated(data: dict[str, Any], where: str) -> Scene:
+    """Return the scene of plain data that its user vouches for, or raise SceneError."""
+    return validate(data, partial(KeyPlaces.of_data, data, where), Scene, SceneError,
+                    trust_code=True)
+
+
+def load_scene(scene: str | Path) -> Scene:
+    """
+    Read and validate a scene.
+
+    Parameters
+    ----------
+    scene : str or Path
+        The name of a shipped scene, or the path of a YAML file.
+
+    Returns
+    -------
+    Scene
+        The validated scene; its model is loaded when a simulation is made of it.
+
+    Raises
+    ------
+    SceneError
+        No such scene, or a file that is not a valid one; names file, line and key.
+
+    """
+    if str(scene).endswith(('.urdf', '.xacro')):
+        raise SceneError(f'{scene}: a robot, which needs a scene; write one with: '
+                         f'hnn scene --new --robot {scene}')
+    path = find_yaml('scene', str(scene), SceneError)
+    loaded, places = read_yaml(path, Scene, SceneError)
+    # A module next to the scene is found like an installed one.
+    loaded._origin = Origin(path, places, code_folder=str(path.resolve().parent))
+    return loaded
