@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 
 from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.rattle import (
-    ConstraintEquation, Constraints, evaluator, rattle_kind)
+from hnn_vi_ros.effects.rattle import ConstraintEquation, Constraints, evaluator, rattle_kind
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
 import numba

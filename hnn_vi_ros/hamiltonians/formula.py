@@ -8,8 +8,7 @@ from typing import Any
 from hnn_vi_ros.files.yaml_file import StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import Graph
-from hnn_vi_ros.hamiltonians.straight_code import (
-    check_names, graph_kernel, NAME, read_hamiltonian)
+from hnn_vi_ros.hamiltonians.straight_code import check_names, graph_kernel, NAME, read_hamiltonian
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.phase_space import Coordinate, IN_DEGREES
 import numpy as np

@@ -4,8 +4,7 @@
 
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.models.attitude_features import (
-    add_turn_slope, group_of, see, see_change, widened)
+from hnn_vi_ros.models.attitude_features import add_turn_slope, group_of, see, see_change, widened
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard

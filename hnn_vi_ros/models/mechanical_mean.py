@@ -5,8 +5,8 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.addresses import (
-    by_address, energy as member_energy, gradient as member_slope,
-    hessian_vector as member_change, Target)
+    by_address, energy as member_energy, gradient as member_slope, hessian_vector as member_change,
+    Target)
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.linking import part

@@ -5,8 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
-from hnn_vi_ros.kernels.addresses import (
-    by_address, energy, gradient, hessian_vector, Target)
+from hnn_vi_ros.kernels.addresses import by_address, energy, gradient, hessian_vector, Target
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
 from hnn_vi_ros.kernels.linking import part

@@ -9,9 +9,9 @@ from typing import Any
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_file import validate
 from hnn_vi_ros.files.yaml_text import parse_mapping
-from hnn_vi_ros.scene.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.scene.origin import Origin
+from hnn_vi_ros.scene.scene import Scene
 
 # Remedy for a bag of several runs.
 ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the simulator begins a '

@@ -20,9 +20,9 @@ from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, TURNING
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
-from hnn_vi_ros.mechanisms.registry import COORDINATES, MECHANISMS, TURNING
 from hnn_vi_ros.models.checkpoint import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (

@@ -20,8 +20,7 @@ from hnn_vi_ros.integrators.step_addresses import (
 from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
 from hnn_vi_ros.kernels.addresses import provide_for, Target
 from hnn_vi_ros.kernels.blocks import bare, clear
-from hnn_vi_ros.kernels.compilation import (
-    compiled, compiled_loop, compiled_options, entry_point)
+from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
 from hnn_vi_ros.kernels.kernel import Kernel, Parameters
 from hnn_vi_ros.kernels.linking import LINK_ONLY
 from numba.core import types

@@ -10,8 +10,7 @@ from typing import Any, cast
 import warnings
 
 from hnn_vi_ros.effects import effect_name, EFFECTS
-from hnn_vi_ros.effects.base import (
-    Effect, EffectError, EffectState, Force, Joined, Layer, Place)
+from hnn_vi_ros.effects.base import Effect, EffectError, EffectState, Force, Joined, Layer, Place
 from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
     POSITION)

@@ -9,7 +9,7 @@ from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
-from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 from hnn_vi_ros.trajectory.trajectory import Trajectory
 from hnn_vi_ros.viewer.phase_portrait import contours as level_sets, Frame

@@ -10,9 +10,9 @@ from typing import Any, final, Self, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import Mechanism
-from hnn_vi_ros.mechanisms.skeleton import skeleton
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Mechanism
+from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians.mechanisms.skeleton import skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation

@@ -12,9 +12,9 @@ from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Mechanism, SILVER
+from hnn_vi_ros.hamiltonians.mechanisms.skeleton import bones, moved, shapes_of, tip_of
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
-from hnn_vi_ros.mechanisms.parts import Ball, Box, Mechanism, SILVER
-from hnn_vi_ros.mechanisms.skeleton import bones, moved, shapes_of, tip_of
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import Bounds, fitted, frame_of
@@ -227,7 +227,7 @@ class ForceArrows:
     hamiltonian : Hamiltonian
         H, whose coordinates the effects name.
     mechanism : callable
-        The mechanism to draw; see :mod:`hnn_vi_ros.mechanisms`.
+        The mechanism to draw; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     step_size : float
         h [s]: effects count the time from step 0 on.
     reach, size : float

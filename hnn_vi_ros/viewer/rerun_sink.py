@@ -13,8 +13,9 @@ import warnings
 from hnn_vi_ros.effects.base import Effect
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians.mechanisms.parts import (
+    Ball, bounds_of, Box, Line, Mechanism, Part, Trail)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
-from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_blueprint as layout
 from hnn_vi_ros.viewer.phase_portrait import Bounds, ends_of, reach_of
@@ -63,7 +64,7 @@ class RerunSink:
     box : tuple of np.ndarray, shape (d, 2) each
         Lowest and highest q and p of the training data, or of a path.
     mechanism : callable, optional
-        What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
+        What to draw for q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     effects : sequence of Effect, optional
         Of the scene, whose forces are shown on the bodies of the mechanism.
     step_size : float

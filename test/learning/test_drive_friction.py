@@ -9,8 +9,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, smoothed
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.steps import simulated
-from hnn_vi_ros.learning.tasks.machine import (
-    estimated_delay, MachineTask, problem_of, whole)
+from hnn_vi_ros.learning.tasks.machine import estimated_delay, MachineTask, problem_of, whole
 from hnn_vi_ros.models.mechanical_card import FrictionCard
 from messages import misfit, refused
 import numpy as np

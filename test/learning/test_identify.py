@@ -18,8 +18,7 @@ from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
 from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, FitProblem
 from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
 from hnn_vi_ros.learning.scene_numbers.identify import main
-from hnn_vi_ros.learning.scene_numbers.intervals import (
-    Estimates, estimates_of, processes, profile)
+from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, processes, profile
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.trajectory.trajectory import Trajectory

@@ -10,8 +10,7 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.checkpoint import load_checkpoint, save_checkpoint
 from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.mechanical_card import (
-    FrictionCard, MechanicalCard, PriorCard, Quantity)
+from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard, PriorCard, Quantity
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, parameter_names
 from hnn_vi_ros.scene import Scene

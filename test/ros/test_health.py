@@ -12,12 +12,12 @@ from diagnostic_msgs.msg import DiagnosticArray
 from helpers import alarm_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.guards.base import Alarm, Block, Guard
 from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.guards.paths import PathGuard
 from hnn_vi_ros.guards.poles import PoleGuard
+from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS

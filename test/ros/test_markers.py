@@ -5,8 +5,8 @@
 from collections.abc import Iterator
 import time
 
-from hnn_vi_ros.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.mechanisms.parts import Ball, Box, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder
 from hnn_vi_ros.simulation import Sample
 import numpy as np

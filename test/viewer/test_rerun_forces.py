@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer.rerun_entities import ForceArrows
 import numpy as np

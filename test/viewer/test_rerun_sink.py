@@ -16,7 +16,7 @@ from types import SimpleNamespace
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
-from hnn_vi_ros.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.viewer import rerun_sink, rerun_stream
 from hnn_vi_ros.viewer.rerun_blueprint import BANDS, series_labels

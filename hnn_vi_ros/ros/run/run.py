@@ -12,10 +12,10 @@ from typing import Any
 from hnn_vi_ros.companions.members import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.guards.selection import make_guards
 from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.base import Alarm
 from hnn_vi_ros.guards.bounds import BoxGuard
+from hnn_vi_ros.guards.selection import make_guards
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock

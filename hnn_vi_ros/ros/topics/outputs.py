@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.settings import Settings

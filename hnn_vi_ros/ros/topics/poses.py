@@ -7,7 +7,7 @@ import time
 
 from geometry_msgs.msg import Point
 from hnn_vi_ros.bags.cdr import Template
-from hnn_vi_ros.mechanisms.parts import Ball, Box, Line, Mechanism, Part, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.simulation import Sample
 from nav_msgs.msg import Odometry
@@ -97,7 +97,7 @@ class MarkerEncoder:
     subscribers : callable
         Returns their number.
     mechanism : callable
-        What to draw for q; see :mod:`hnn_vi_ros.mechanisms`.
+        What to draw for q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     reach : float
         Largest coordinate that the drawing leaves room for.
     frame_id : str

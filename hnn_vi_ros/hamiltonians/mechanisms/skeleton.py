@@ -15,8 +15,8 @@ from hnn_vi_ros.errors import ModelError
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import package_file, SCHEME
 from hnn_vi_ros.files.xml_text import parse_xml
+from hnn_vi_ros.hamiltonians.mechanisms.parts import AMBER, Ball, Line, Mechanism, Part, SILVER
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Link, Robot, SLIDING
-from hnn_vi_ros.mechanisms.parts import AMBER, Ball, Line, Mechanism, Part, SILVER
 import numpy as np
 
 if TYPE_CHECKING:

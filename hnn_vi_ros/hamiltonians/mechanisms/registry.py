@@ -11,7 +11,7 @@ A part that moves carries the leading axes of q; a part that stands still has no
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.mechanisms.parts import (
+from hnn_vi_ros.hamiltonians.mechanisms.parts import (
     AMBER, Ball, Box, Line, Mechanism, Part, place, SILVER, STEEL, Trail)
 import numpy as np
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 from hnn_vi_ros.hamiltonians.fput_chain import FputChain
 from hnn_vi_ros.hamiltonians.henon_heiles import HenonHeiles
-from hnn_vi_ros.mechanisms.registry import COORDINATES, MECHANISMS
-from hnn_vi_ros.mechanisms.parts import Ball, bounds_of, Box, Line, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Box, Line, Trail
+from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
