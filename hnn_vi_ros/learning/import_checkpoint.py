@@ -49,7 +49,7 @@ from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint, widths_of
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.networks.activations import SMOOTH
+from hnn_vi_ros.models.networks.activations import SMOOTH
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError

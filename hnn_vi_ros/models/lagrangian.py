@@ -10,9 +10,9 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import part_gradient
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 # States of the box at which the Lagrangian must be regular, and how much L_vv may vary there.

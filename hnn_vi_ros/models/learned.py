@@ -11,8 +11,8 @@ from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.kernels.addresses import by_address
 from hnn_vi_ros.kernels.kernel import Energy, Gradient, HessianVector, Kernel, Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.networks.activations import SMOOTH
-from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
+from hnn_vi_ros.models.networks.activations import SMOOTH
+from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

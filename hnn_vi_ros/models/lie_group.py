@@ -8,9 +8,9 @@ from hnn_vi_ros.models.attitude_features import add_turn_slope, group_of, see, s
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
+from hnn_vi_ros.models.networks.perceptron_memory import pack
 from hnn_vi_ros.models.outputs import pack_layers
 from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order
-from hnn_vi_ros.networks.perceptron_memory import pack
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

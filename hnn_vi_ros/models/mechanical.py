@@ -16,6 +16,8 @@ from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, even_layers, Features, pack_features, see, see_change)
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.mechanical_card import MechanicalCard
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 from hnn_vi_ros.models.outputs import (
     output_tangents, pack_layers, PackedOutputs, part_gradient, weigh)
 from hnn_vi_ros.models.priors import (
@@ -23,8 +25,6 @@ from hnn_vi_ros.models.priors import (
     subtract_turned_mass)
 from hnn_vi_ros.models.roots import (
     evaluate_root, transposed_product, turn_root, weigh_entries, weigh_entry_changes)
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
 
 

@@ -5,7 +5,7 @@
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.networks import perceptron
+from hnn_vi_ros.models.networks import perceptron
 
 
 class NeuralHamiltonian(LearnedHamiltonian):

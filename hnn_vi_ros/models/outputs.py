@@ -12,8 +12,8 @@ from typing import NamedTuple
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import padded
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import pack, PackedPerceptron
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron
 import numpy as np
 
 

@@ -14,10 +14,10 @@ moves with v = S (L w + floor u) + V_pi, and H_x = V_x + sum_ij u_i w_j (L_ij)_x
 from typing import NamedTuple
 
 from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import (
     evaluate_outputs, output_tangents, PackedOutputs, part_gradient, weigh)
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 

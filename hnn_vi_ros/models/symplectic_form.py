@@ -12,9 +12,9 @@ from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.kernels.marks import called
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, rounding
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import pack_outputs, PackedOutputs, weigh
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 # States of the box at which W is looked at.

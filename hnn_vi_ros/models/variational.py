@@ -7,9 +7,9 @@ from typing import NamedTuple
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
 from hnn_vi_ros.models.learned import LearnedHamiltonian
+from hnn_vi_ros.models.networks import perceptron
+from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import part_gradient
-from hnn_vi_ros.networks import perceptron
-from hnn_vi_ros.networks.perceptron_memory import PackedPerceptron
 import numpy as np
 
 

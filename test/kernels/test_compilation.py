@@ -154,7 +154,7 @@ def inner(x: float) -> float:
 """
 OUTER = """
 from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.networks import inner
+from hnn_vi_ros.models.networks import inner
 
 @kept()
 def outer(x: float) -> float:

@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from helpers import EPS
-from hnn_vi_ros.networks import activations
+from hnn_vi_ros.models.networks import activations
 from mpmath import mp, mpf
 import numba
 import numpy as np

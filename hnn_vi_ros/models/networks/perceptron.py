@@ -14,8 +14,9 @@ tiles of eight rows of weights.
 
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.networks.activations import activate, FASTMATH, scale, scale_forth, scale_tangent
-from hnn_vi_ros.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
+from hnn_vi_ros.models.networks.activations import (
+    activate, FASTMATH, scale, scale_forth, scale_tangent)
+from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE
 import numpy as np
 
 _compiled = kept(fastmath=FASTMATH, error_model='numpy')

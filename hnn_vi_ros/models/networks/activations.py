@@ -13,7 +13,7 @@ from typing import Any
 
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.kernels.linking import LINK_ONLY, part
-from hnn_vi_ros.networks.perceptron_memory import (
+from hnn_vi_ros.models.networks.perceptron_memory import (
     PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
 from numba.extending import overload
 import numpy as np
