@@ -10,17 +10,17 @@ from hnn_vi_ros.version import __version__
 if TYPE_CHECKING:
     from hnn_vi_ros.companions.members import simulate_spread
     from hnn_vi_ros.scene import load_scene, Scene
+    from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
+    from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
     from hnn_vi_ros.sweeps.sweep import sweep
-    from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
-    from hnn_vi_ros.trajectory.trajectory import Trajectory
 
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']
 
-_HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.trajectory.simulate',
-          'simulate_many': 'hnn_vi_ros.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.sweep',
+_HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.simulation.trajectory.simulate',
+          'simulate_many': 'hnn_vi_ros.simulation.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.sweep',
           'simulate_spread': 'hnn_vi_ros.companions.members', 'Scene': 'hnn_vi_ros.scene',
-          'Trajectory': 'hnn_vi_ros.trajectory.trajectory'}
+          'Trajectory': 'hnn_vi_ros.simulation.trajectory.trajectory'}
 
 
 def __getattr__(name: str) -> object:

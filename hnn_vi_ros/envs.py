@@ -20,7 +20,7 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-from hnn_vi_ros.trajectory.simulate import changed_parts
+from hnn_vi_ros.simulation.trajectory.simulate import changed_parts
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -29,7 +29,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.trajectory.record import check_memory
+from hnn_vi_ros.simulation.trajectory.record import check_memory
 import numpy as np
 import torch
 

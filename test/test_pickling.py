@@ -24,7 +24,7 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.phase_space import Event
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import load_code
-from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 import numpy as np
 import pytest
 

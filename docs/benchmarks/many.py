@@ -13,8 +13,8 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.processors import usable_processors
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.trajectory.record import BLOCK
-from hnn_vi_ros.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.record import BLOCK
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 import numpy as np
 
 SEED = 2

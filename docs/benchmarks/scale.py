@@ -18,11 +18,11 @@ from benchmarks.measurement import (
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
-from hnn_vi_ros.trajectory.simulate import simulate_many
 import numpy as np
 from studies.peers import diffrax_run, jax_rates, load_jax
 

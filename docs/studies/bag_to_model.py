@@ -21,8 +21,8 @@ from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.trajectory.simulate import simulate_many
-from hnn_vi_ros.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 import numpy as np

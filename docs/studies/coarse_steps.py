@@ -25,7 +25,7 @@ from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.trajectory.simulate import record_one
+from hnn_vi_ros.simulation.trajectory.simulate import record_one
 import numpy as np
 from scipy.integrate import solve_ivp
 

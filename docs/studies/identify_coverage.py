@@ -23,7 +23,7 @@ from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
 from hnn_vi_ros.learning.scene_numbers.intervals import (
     covariances, errors_of, estimates_of, processes, quantile)
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
 import numpy as np
 from scipy.signal import butter, lfilter
 

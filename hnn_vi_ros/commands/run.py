@@ -12,8 +12,8 @@ from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.regular_file import no_file, replacing
 from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.guards.bands import is_wrong
-from hnn_vi_ros.trajectory.simulate import simulate
-from hnn_vi_ros.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 
 # The exit status of a run that is not to be trusted, if asked for.

@@ -20,9 +20,9 @@ from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.trajectory.record import BLOCK
 from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
-from hnn_vi_ros.trajectory.record import BLOCK
 from hnn_vi_ros.version import __version__
 import numpy as np
 

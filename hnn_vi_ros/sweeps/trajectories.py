@@ -21,11 +21,11 @@ from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation.trajectory.record import record_block, Schedule
+from hnn_vi_ros.simulation.trajectory.simulate import record_one
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
-from hnn_vi_ros.trajectory.record import record_block, Schedule
-from hnn_vi_ros.trajectory.simulate import record_one
-from hnn_vi_ros.trajectory.trajectory import Trajectory
 import numpy as np
 
 if TYPE_CHECKING:
@@ -349,7 +349,7 @@ class _Made:
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
         """Return what takes the steps on a device."""
-        from hnn_vi_ros.trajectory.devices import ensemble_on
+        from hnn_vi_ros.simulation.trajectory.devices import ensemble_on
         scene = self.parts.scene
         if scene.events:
             raise HnnViRosError('trajectories step on a device without events; leave those of '
@@ -362,7 +362,7 @@ class _Made:
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
-        from hnn_vi_ros.trajectory.devices import one_thread_each, record_on
+        from hnn_vi_ros.simulation.trajectory.devices import one_thread_each, record_on
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
         assert device is not None, 'it is asked for'

@@ -16,7 +16,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from messages import refused
 import numpy as np
 from plain_systems import Plain

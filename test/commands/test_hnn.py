@@ -19,7 +19,7 @@ from hnn_vi_ros.files import standard_streams
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from hnn_vi_ros.version import __version__
 from messages import assert_message, refused
 import numpy as np

@@ -15,7 +15,7 @@ from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.trajectory.simulate import record_one
+from hnn_vi_ros.simulation.trajectory.simulate import record_one
 import numpy as np
 import pytest
 

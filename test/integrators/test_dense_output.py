@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.time_transformed import CONTROLS, TimeTransformed
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
-from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest

@@ -14,7 +14,7 @@ from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from messages import refused
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.scene_numbers.identify import main
 from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, processes, profile
 from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from messages import refused
 import numpy as np
 import pytest

@@ -13,7 +13,7 @@ from hnn_vi_ros.models.confined import ConfinedHamiltonian
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from lockstep_scenes import random_network
 from messages import refused
 import numpy as np

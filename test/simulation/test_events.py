@@ -11,7 +11,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
-from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest

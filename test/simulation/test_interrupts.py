@@ -21,7 +21,7 @@ from hnn_vi_ros.simulation import Simulation, simulation as stepping
 from hnn_vi_ros.simulation.assembly import Loop
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.events import watched
-from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from numba.core.registry import CPUDispatcher
 import numpy as np
 import pytest

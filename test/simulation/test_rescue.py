@@ -12,7 +12,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import assembly, RescuePending, Simulation
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.rescue import ON_FAILURE, stability_limit
-from hnn_vi_ros.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from messages import refused
 import numpy as np
 from plain_systems import Plain

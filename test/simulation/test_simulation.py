@@ -16,7 +16,7 @@ from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.dense_step import record_at
-from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from messages import refused
 import numba
 import numpy as np

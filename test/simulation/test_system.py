@@ -17,8 +17,8 @@ from hnn_vi_ros.kernels.addresses import original
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.trajectory.record import BLOCK
-from hnn_vi_ros.trajectory.simulate import simulate, simulate_many
+from hnn_vi_ros.simulation.trajectory.record import BLOCK
+from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from messages import refused
 import numpy as np
 import pytest

@@ -11,7 +11,7 @@ from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
 import pytest
 
 # Of the scenes whose energy is conserved, those in which it is by these steps too: most of bodies

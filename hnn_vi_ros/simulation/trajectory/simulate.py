@@ -25,10 +25,10 @@ from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_secon
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.trajectory.record import (
+from hnn_vi_ros.simulation.trajectory.record import (
     BLOCK, check_commands, Commands, in_blocks, MOST_NUMBERS, record, record_block, record_rows,
     Schedule)
-from hnn_vi_ros.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -466,7 +466,7 @@ class _Many:
                              'whole; take another duration or samples')
         with optional('torch', f'device = {device}'):
             from hnn_vi_ros.lockstep.ensemble import open_device
-            from hnn_vi_ros.trajectory.devices import (
+            from hnn_vi_ros.simulation.trajectory.devices import (
                 ensemble_on, one_thread_each, record_on, TOGETHER)
         size = TOGETHER if open_device(device).type == 'cpu' else self.count
         samples, failures = [k * self._every for k in range(self.t.size)], {}

@@ -10,9 +10,9 @@ import sys
 from hnn_vi_ros.errors import MissingPackage
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.trajectory.figures import ALARM, COLOURS, MOST_NAMED
-from hnn_vi_ros.trajectory.simulate import simulate
-from hnn_vi_ros.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation.trajectory.figures import ALARM, COLOURS, MOST_NAMED
+from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 from matplotlib.colors import to_rgb
 from messages import refused
 import numpy as np

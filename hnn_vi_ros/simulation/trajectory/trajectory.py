@@ -205,7 +205,7 @@ class Trajectory:
             No such coordinate.
 
         """
-        from hnn_vi_ros.trajectory.figures import draw_series
+        from hnn_vi_ros.simulation.trajectory.figures import draw_series
         return draw_series(self.of(coordinates))
 
     def phase_portrait(self, coordinates: Sequence[str] | None = None) -> 'Figure':
@@ -230,7 +230,7 @@ class Trajectory:
             No such coordinate, or none that has a plane with its momentum.
 
         """
-        from hnn_vi_ros.trajectory.figures import draw_portrait
+        from hnn_vi_ros.simulation.trajectory.figures import draw_portrait
         return draw_portrait(self.of(coordinates), contours=len(self.coordinates) == 1)
 
     def animate(self, speed: float = 1.0, rate: float = 25.0) -> 'FuncAnimation':
@@ -257,7 +257,7 @@ class Trajectory:
             Several trajectories (see ``select``), or speed or rate not above 0.
 
         """
-        from hnn_vi_ros.trajectory.figures import animate
+        from hnn_vi_ros.simulation.trajectory.figures import animate
         return animate(self, speed, rate)
 
     def to_dataframe(self) -> 'pandas.DataFrame':
