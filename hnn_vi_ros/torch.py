@@ -13,7 +13,6 @@ from pathlib import Path
 import re
 from typing import Any, NamedTuple, NoReturn
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
 from hnn_vi_ros.gradients.dependences import Dependence, States
@@ -27,6 +26,7 @@ from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
 from hnn_vi_ros.models.torch_network import Network
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.named_numbers import check_names
+from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.trajectory.record import check_memory

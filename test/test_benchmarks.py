@@ -18,8 +18,8 @@ from benchmarks.bench import GROUPS, run, write
 from benchmarks.choosing import accurate_ways, cheapest, first_good, path_run, problem_of, Way
 from benchmarks.measurement import assert_close, compare, interleave, race, Row, Settings
 from benchmarks.report import Group, measured_here, read_groups
-from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
 from packaging.utils import canonicalize_name
 import pytest

@@ -20,10 +20,10 @@ import time
 from benchmarks.choosing import path_run
 from benchmarks.measurement import interleave
 from benchmarks.systems import System, systems
-from hnn_vi_ros.accuracy.automatic_choice import calibrate
-from hnn_vi_ros.accuracy.diagnostics import energy_scale
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance, work
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
+from hnn_vi_ros.simulation.accuracy.automatic_choice import calibrate
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance, work
 import numpy as np
 from scipy.integrate import solve_ivp
 from studies.results import commit, machine

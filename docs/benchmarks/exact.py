@@ -17,10 +17,10 @@ from benchmarks.choosing import (
     accurate_ways, cheapest, first_good, largest_error, path_run, problem_of)
 from benchmarks.measurement import Contestant, race, Row, Settings
 import heyoka
-from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators.taylor import Taylor, TaylorWork
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 import numpy as np
 
 _INSTANTS, _BATCH = 10, 8

@@ -17,7 +17,6 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
@@ -25,6 +24,7 @@ from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.simulation.trajectory.simulate import record_one
 import numpy as np
 from scipy.integrate import solve_ivp

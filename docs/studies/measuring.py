@@ -10,11 +10,11 @@ import math
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.accuracy.cost import run_errors, RunErrors
-from hnn_vi_ros.accuracy.path_reference import PathReference
 from hnn_vi_ros.errors import reduce_error, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.cost import run_errors, RunErrors
+from hnn_vi_ros.simulation.accuracy.path_reference import PathReference
 import numpy as np
 
 # solve(z0, duration, setting) returns (q, p) at the end, shape (2 d,), and gradients evaluated;

@@ -4,13 +4,13 @@
 
 from collections.abc import Callable, Sequence
 
-from hnn_vi_ros.accuracy.diagnostics import state_scales
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import is_finite
 from hnn_vi_ros.integrators.base import (
     Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, step_failure)
 from hnn_vi_ros.integrators.variational_euler import VariationalEuler
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 import numpy as np
 
 BLOCKS = 100

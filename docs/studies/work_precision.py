@@ -6,8 +6,8 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
-from hnn_vi_ros.accuracy.path_reference import Instants, PathReference
 from hnn_vi_ros.command_line import Parser, seconds
+from hnn_vi_ros.simulation.accuracy.path_reference import Instants, PathReference
 import numpy as np
 from studies.measuring import measure_row, MethodRun, StudyRow, TOO_LONG
 from studies.references import Floor, floor_of, make_reference

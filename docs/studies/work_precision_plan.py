@@ -12,13 +12,13 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import Field

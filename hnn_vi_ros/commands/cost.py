@@ -9,9 +9,6 @@ import math
 from pathlib import Path
 import sys
 
-from hnn_vi_ros.accuracy.automatic_choice import problem_of
-from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs
-from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.command_line import called
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
@@ -20,6 +17,9 @@ from hnn_vi_ros.files.standard_streams import ProgressLine
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation.accuracy.automatic_choice import problem_of
+from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs
+from hnn_vi_ros.simulation.accuracy.trials import Method
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 

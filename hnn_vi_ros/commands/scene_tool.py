@@ -60,8 +60,8 @@ def main(argv: list[str]) -> int:
 
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
-    from hnn_vi_ros.accuracy.automatic_choice import resolve
     from hnn_vi_ros.companions.members import ensemble_card
+    from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     status = 0
@@ -115,8 +115,8 @@ def explain(scene: Scene) -> Iterator[str]:
         The scene cannot be built or fails.
 
     """
-    from hnn_vi_ros.accuracy.automatic_choice import resolve
     from hnn_vi_ros.run.scene_report import measure_effects
+    from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched
     if isinstance(scene.integrator, AutoChoice):
@@ -170,7 +170,7 @@ def _choice(role: str, choice: Any) -> Iterator[str]:
 
 def lyapunov_line(scene: Scene, steps: int) -> str:
     """Return the line on the Lyapunov time, looked for during so many steps."""
-    from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
+    from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
     duration = steps * scene.known_step_size
     try:
         time = lyapunov_time(scene, duration)

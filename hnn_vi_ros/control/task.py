@@ -11,7 +11,6 @@ from operator import add
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Protocol, Self
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.control.balance import Balance, weights_of
 from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
@@ -27,6 +26,7 @@ from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from pydantic import Field, model_validator

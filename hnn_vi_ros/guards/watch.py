@@ -5,8 +5,6 @@
 import math
 import warnings
 
-from hnn_vi_ros.accuracy.diagnostics import (
-    EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.errors import AlarmWarning
 from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
 from hnn_vi_ros.guards.base import (
@@ -18,6 +16,8 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import (
+    EnergyScale, follow, RECORD, rounding_walk, scales_along)
 import numpy as np
 
 # An error of energy must be this many times larger, over the scale, to differ from rounding: a

@@ -8,10 +8,10 @@ from pathlib import Path
 import time
 from typing import Any
 
-from hnn_vi_ros.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.automatic_choice import Chosen
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import platform
 from typing import Any
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.errors import DataError, optional
 from hnn_vi_ros.files.resources import is_path
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.trajectory.record import BLOCK
 from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
-from hnn_vi_ros.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.errors import HnnViRosError, listed, StepFailure
 from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.guards.base import Alarm
@@ -17,6 +16,7 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.scene.named_numbers import with_values
+from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched

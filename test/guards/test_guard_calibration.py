@@ -4,7 +4,6 @@
 
 from benchmarks.systems import systems
 from helpers import long, mostly_long, Uncompiled
-from hnn_vi_ros.accuracy.diagnostics import energy_scale
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.guards.bands import ResolutionGuard
 from hnn_vi_ros.guards.bounds import BoxGuard
@@ -14,6 +13,7 @@ from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
 import numpy as np
 from plain_systems import kepler, Motion, MOTIONS, pendulum
 import pytest

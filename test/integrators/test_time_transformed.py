@@ -3,7 +3,6 @@
 """Close encounters at equal steps of a transformed time."""
 
 from helpers import mostly_long, Uncompiled
-from hnn_vi_ros.accuracy.diagnostics import energy_band, secular_change
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
@@ -14,6 +13,7 @@ from hnn_vi_ros.integrators.time_transformed import TimeTransformed
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, secular_change
 from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 from messages import refused
 import numpy as np

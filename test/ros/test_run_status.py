@@ -9,7 +9,6 @@ from types import SimpleNamespace
 from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.errors import RecordingError, StepFailure
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.run.health import Health, RunStatus, STEP_FAILED
@@ -17,6 +16,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
+from hnn_vi_ros.simulation.accuracy.trials import Tolerance
 from hnn_vi_ros.simulation.build import build
 from peer import hearing, values_of
 from processes import finish, read_bag, start

@@ -6,11 +6,11 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.accuracy import automatic_choice
-from hnn_vi_ros.accuracy.automatic_choice import Choice, resolve
-from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.ros.run.preparation import report
 from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.simulation.accuracy import automatic_choice
+from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, resolve
+from hnn_vi_ros.simulation.accuracy.trials import Tolerance
 from hnn_vi_ros.simulation.build import build
 from processes import finish, start
 import pytest

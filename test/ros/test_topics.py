@@ -7,7 +7,6 @@ from pathlib import Path
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.accuracy.diagnostics import local_error
 from hnn_vi_ros.guards.bands import EnergyGuard
 from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.settings import Settings
@@ -18,6 +17,7 @@ from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 from hnn_vi_ros.simulation.build import build
 from nav_msgs.msg import Odometry
 import numpy as np

@@ -17,9 +17,9 @@ import tempfile
 from textwrap import dedent, indent
 import time
 
-from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from hnn_vi_ros.sweeps import parquet, trajectories
 from hnn_vi_ros.sweeps.folder import SweepFolder

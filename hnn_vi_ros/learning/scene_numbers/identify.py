@@ -13,7 +13,6 @@ import shlex
 import tempfile
 from typing import NamedTuple
 
-from hnn_vi_ros.accuracy.automatic_choice import resolve
 from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
@@ -31,6 +30,7 @@ from hnn_vi_ros.learning.scene_numbers.intervals import (
     Estimate, Estimates, estimates_of, profile, quantile)
 from hnn_vi_ros.learning.scene_numbers.windows import check_times, Windows
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 import numpy as np
 
 REPORT, FIT, CORRELATIONS = 'report.md', 'fit.png', 'correlations.png'

@@ -8,8 +8,6 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
-from hnn_vi_ros.accuracy.trials import Tolerance
 from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
@@ -33,6 +31,8 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
+from hnn_vi_ros.simulation.accuracy.trials import Tolerance
 from hnn_vi_ros.simulation.build import build
 import numpy as np
 

@@ -9,7 +9,6 @@ import math
 import re
 from typing import Any
 
-from hnn_vi_ros.accuracy.diagnostics import local_error
 from hnn_vi_ros.bags.bag_metadata import Topic
 from hnn_vi_ros.bags.cdr import state_names, Template
 from hnn_vi_ros.errors import RecordingError
@@ -18,6 +17,7 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy

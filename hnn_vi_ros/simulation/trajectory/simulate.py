@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 import warnings
 
-from hnn_vi_ros.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.effects.commands import LARGEST
 from hnn_vi_ros.errors import optional, StepFailure
 from hnn_vi_ros.guards.bands import ResolutionGuard
@@ -20,6 +19,7 @@ from hnn_vi_ros.phase_space import check_state
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
@@ -228,7 +228,7 @@ def _resolved(scene: Scene) -> Scene:
     if not isinstance(scene.integrator, AutoChoice):
         return scene
     # Imported here: few scenes ask for a choice.
-    from hnn_vi_ros.accuracy.automatic_choice import resolve
+    from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     return resolve(scene)[0]
 
 

@@ -3,9 +3,9 @@
 """Lyapunov times, against the variational equations and for motions that are not chaotic."""
 
 
-from hnn_vi_ros.accuracy.lyapunov import lyapunov_time
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
 from messages import refused
 import numpy as np
 import pytest

@@ -6,12 +6,12 @@ from functools import cache
 import math
 
 from helpers import exact_orbit, problem_of
-from hnn_vi_ros.accuracy import cost
-from hnn_vi_ros.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
-from hnn_vi_ros.accuracy.path_reference import exact_path, Instants
-from hnn_vi_ros.accuracy.trials import Method
 from hnn_vi_ros.errors import StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation.accuracy import cost
+from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs, run_errors
+from hnn_vi_ros.simulation.accuracy.path_reference import exact_path, Instants
+from hnn_vi_ros.simulation.accuracy.trials import Method
 import numpy as np
 import pytest
 

@@ -5,14 +5,14 @@
 import math
 
 from helpers import EPS, exact_orbit, exact_pendulum
-from hnn_vi_ros.accuracy.path_reference import best_reference, PathReference
-from hnn_vi_ros.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
 from hnn_vi_ros.effects.thermostat import Thermostat
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.double_pendulum import DoublePendulum
 from hnn_vi_ros.hamiltonians.harmonic_oscillator import HarmonicOscillator
 from hnn_vi_ros.hamiltonians.kepler import Kepler
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
+from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference
+from hnn_vi_ros.simulation.accuracy.trials import EVERY_SURVEYOR, InitialValueProblem, survey
 import numpy as np
 import pytest
 

@@ -9,12 +9,13 @@ import math
 from benchmarks import campaign
 from benchmarks.systems import orbit
 from helpers import long, problem_of
-from hnn_vi_ros.accuracy.automatic_choice import calibrate, CANDIDATES, Choice, remembered, resolve
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.errors import CalibrationError, SceneError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene import load_scene
+from hnn_vi_ros.simulation.accuracy.automatic_choice import (
+    calibrate, CANDIDATES, Choice, remembered, resolve)
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from messages import refused
@@ -133,7 +134,7 @@ def test_path_that_round_off_hides_is_not_called_chaotic():
 
 def test_path_that_ends_where_no_survey_came_is_refused(monkeypatch):
     """Beside an oscillation something moves slowly to where H is not defined, at t = 200 s."""
-    monkeypatch.setattr('hnn_vi_ros.accuracy.trials._PLAIN', 3000)
+    monkeypatch.setattr('hnn_vi_ros.simulation.accuracy.trials._PLAIN', 3000)
 
     def gradient(q, p):
         return np.array([q[0], 0.0]) if q[1] < 1.0 else np.full(2, np.nan), p
@@ -217,7 +218,7 @@ def test_scene_with_the_integrator_auto_is_simulated(scene):
 def test_choice_is_remembered(scene, monkeypatch):
     mine = scene('energy_error: 1e-5, horizon: 100.0')
     _, first = resolve(mine)
-    monkeypatch.setattr('hnn_vi_ros.accuracy.automatic_choice.calibrate', None)
+    monkeypatch.setattr('hnn_vi_ros.simulation.accuracy.automatic_choice.calibrate', None)
     assert resolve(mine)[1] == first
     # Another tolerance is another question.
     with pytest.raises(TypeError):

@@ -14,15 +14,15 @@ from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.accuracy.cost import (
-    Cost, CostStudy, fastest, ladder, measure, refusal, TOO_MUCH, try_between)
-from hnn_vi_ros.accuracy.path_reference import find_reference, Instants, PathReference
-from hnn_vi_ros.accuracy.trials import (
-    InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
 from hnn_vi_ros.errors import CalibrationError
 from hnn_vi_ros.files.resources import cache_folder
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.simulation.accuracy.cost import (
+    Cost, CostStudy, fastest, ladder, measure, refusal, TOO_MUCH, try_between)
+from hnn_vi_ros.simulation.accuracy.path_reference import find_reference, Instants, PathReference
+from hnn_vi_ros.simulation.accuracy.trials import (
+    InitialValueProblem, Method, parts_between, PathSurvey, survey, Tolerance)
 from hnn_vi_ros.version import __version__
 import numba
 import numpy as np

@@ -5,10 +5,10 @@
 from dataclasses import dataclass, replace
 import math
 
-from hnn_vi_ros.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.accuracy.trials import InitialValueProblem, PathSurvey, Tolerance
 from hnn_vi_ros.errors import CalibrationError, HnnViRosError, StepFailure
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
+from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, PathSurvey, Tolerance
 import numpy as np
 
 # Instants at which paths are compared: at least and at most; the least of an H that is slow.

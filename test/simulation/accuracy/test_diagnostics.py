@@ -5,15 +5,15 @@
 import math
 
 from helpers import kepler_orbit
-from hnn_vi_ros.accuracy.diagnostics import (
-    energy_band, energy_scale, EnergyScale, local_error, rounding_walk, scales_along, scales_of,
-    secular_change)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.scene.choices import Condition
 from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.accuracy.diagnostics import (
+    energy_band, energy_scale, EnergyScale, local_error, rounding_walk, scales_along, scales_of,
+    secular_change)
 from hnn_vi_ros.simulation.events import EventFunction, WatchedSimulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
