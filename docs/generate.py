@@ -14,9 +14,9 @@ from gallery import write_gallery
 import hnn_vi_ros
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
 from hnn_vi_ros.errors import AlarmWarning, HnnViRosError
-from hnn_vi_ros.guards.base import Guard
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.run.timing import OverrunGuard
+from hnn_vi_ros.simulation.guards.base import Guard
 
 # Beside this file, and in no commit.
 FOLDER = 'generated'
@@ -119,8 +119,8 @@ def errors() -> list[type[Exception]]:
 
 def guards() -> list[type[Guard]]:
     """Return every guard whose alarm users can meet."""
-    for module in pkgutil.iter_modules(import_module('hnn_vi_ros.guards').__path__):
-        import_module(f'hnn_vi_ros.guards.{module.name}')
+    for module in pkgutil.iter_modules(import_module('hnn_vi_ros.simulation.guards').__path__):
+        import_module(f'hnn_vi_ros.simulation.guards.{module.name}')
     assert issubclass(OverrunGuard, Guard)
     # Bases of several guards have no kind of their own.
     return [guard for guard in _subclasses(Guard) if hasattr(guard, 'kind')

@@ -15,7 +15,6 @@ from typing import Any
 from benchmarks import systems
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import INTEGRATORS, solvers
@@ -28,6 +27,7 @@ from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
+from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, judge, Observed, Waiting
 from mpmath import mp, mpf
 import numpy as np
 from numpy.typing import ArrayLike

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Work of the simulator's node for each sample, without the executor."""
 
-from hnn_vi_ros.guards.selection import make_guards
-from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros import settings as parameters
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.outputs import Material
@@ -14,6 +12,8 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.simulation.guards.selection import make_guards
+from hnn_vi_ros.simulation.guards.watch import SampledScale
 from rclpy.node import Node
 
 _LIMITS = 0.05, 0.02

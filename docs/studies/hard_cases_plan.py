@@ -29,7 +29,7 @@ Steps = Annotated[int, Field(ge=100)]
 
 
 class Guards(StrictModel):
-    """Limits of the guards, over the energies in play; see hnn_vi_ros.guards."""
+    """Limits of the guards, over the energies in play; see hnn_vi_ros.simulation.guards."""
 
     under_resolved: Positive
     drift: Positive

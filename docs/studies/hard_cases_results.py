@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.guards.steps import RescueGuard
+from hnn_vi_ros.simulation.guards.steps import RescueGuard
 from studies.hard_cases_gates import failed_gates, limit_of, Measured, verdict
 from studies.hard_cases_plan import Job
 

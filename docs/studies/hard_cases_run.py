@@ -6,14 +6,14 @@ from collections.abc import Iterator
 import math
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.paths import PathGuard
-from hnn_vi_ros.guards.poles import PoleGuard
-from hnn_vi_ros.guards.steps import RescueGuard
-from hnn_vi_ros.guards.watch import energies_of, look, Watch
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_band, rounding_walk, secular_change
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.paths import PathGuard
+from hnn_vi_ros.simulation.guards.poles import PoleGuard
+from hnn_vi_ros.simulation.guards.steps import RescueGuard
+from hnn_vi_ros.simulation.guards.watch import energies_of, look, Watch
 import numpy as np
 from studies.hard_cases_gates import Measured
 from studies.hard_cases_plan import Job

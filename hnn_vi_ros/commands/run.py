@@ -11,7 +11,7 @@ from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.regular_file import no_file, replacing
 from hnn_vi_ros.files.standard_streams import elapsed
-from hnn_vi_ros.guards.bands import is_wrong
+from hnn_vi_ros.simulation.guards.bands import is_wrong
 from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np

@@ -10,8 +10,8 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.files.standard_streams import rewrite_line
-from hnn_vi_ros.guards.base import Alarm, Observed, StateGuard
 from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
 import numpy as np
 
 # More debt than this is given up: the run is then slower than asked, but loses no step [s]. A

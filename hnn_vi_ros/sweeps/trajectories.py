@@ -10,8 +10,6 @@ import warnings
 
 from hnn_vi_ros.errors import HnnViRosError, listed, StepFailure
 from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.watch import show_many
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
@@ -20,6 +18,8 @@ from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
 from hnn_vi_ros.simulation.build import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
+from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation.guards.watch import show_many
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.record import record_block, Schedule
 from hnn_vi_ros.simulation.trajectory.simulate import record_one

@@ -9,11 +9,11 @@ from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate, simulate_spread
 from hnn_vi_ros.companions.members import Accompanied, deviation, Members
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.guards.base import Look
-from hnn_vi_ros.guards.bounds import SpreadGuard
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.base import Look
+from hnn_vi_ros.simulation.guards.bounds import SpreadGuard
 from messages import refused
 import numpy as np
 import pytest

@@ -5,8 +5,6 @@
 from functools import cache
 
 from helpers import alarm_of
-from hnn_vi_ros.guards.base import Look
-from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 from hnn_vi_ros.learning.families.choices import AUTO, Structure
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
@@ -16,6 +14,8 @@ from hnn_vi_ros.learning.tasks.machine import problem_of
 from hnn_vi_ros.learning.tasks.selection import best_of, held_out, RIGID, selected
 from hnn_vi_ros.models.planar_chain import chain_angles, chain_terms
 from hnn_vi_ros.models.seen import CandidateCard, Domain, DomainCard
+from hnn_vi_ros.simulation.guards.base import Look
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from machines import machine_config
 import numpy as np
 import pytest

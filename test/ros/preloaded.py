@@ -10,11 +10,11 @@ from importlib import import_module
 import inspect
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.guards.selection import make_guards
-from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.selection import make_guards
+from hnn_vi_ros.simulation.guards.watch import SampledScale
 
 # Each fork runs the main module of the tests again, which imports pytest.
 for name in ('pytest', 'hnn_vi_ros.bags.mcap_sink', 'hnn_vi_ros.control.planning',

@@ -12,14 +12,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 from helpers import alarm_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.guards.base import Alarm, Block, Guard
-from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.paths import PathGuard
-from hnn_vi_ros.guards.poles import PoleGuard
-from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
-from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.ros.run.health import Health
@@ -30,6 +22,14 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.simulation.guards.base import Alarm, Block, Guard
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.paths import PathGuard
+from hnn_vi_ros.simulation.guards.poles import PoleGuard
+from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.guards.watch import SampledScale
 import numpy as np
 from peer import hearing, values_of
 from processes import finish, read_bag, start
@@ -95,7 +95,7 @@ PROVOCATIONS = {
         scene_text(integrator='variational_euler'),
         {'duration': 150, 'real_time_factor': 1e6}, 'real-time overrun', WARN, 'behind the clock'),
 }
-# Each level and each way to end; test/guards provokes every guard without a node.
+# Each level and each way to end; test/simulation/guards provokes every guard without a node.
 QUICK = ('unconverged', 'outside', 'gain', 'overrun')
 
 

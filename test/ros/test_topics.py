@@ -7,8 +7,6 @@ from pathlib import Path
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.guards.bands import EnergyGuard
-from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import Material
@@ -19,6 +17,8 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.bands import EnergyGuard
+from hnn_vi_ros.simulation.guards.watch import SampledScale
 from nav_msgs.msg import Odometry
 import numpy as np
 from peer import nodes_of

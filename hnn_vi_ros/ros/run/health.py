@@ -8,8 +8,6 @@ import math
 import time
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.guards.bands import EnergyGuard
-from hnn_vi_ros.guards.base import Alarm, Guard
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
@@ -17,6 +15,8 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.simulation.guards.bands import EnergyGuard
+from hnn_vi_ros.simulation.guards.base import Alarm, Guard
 
 STEP_FAILED = 'step failed'
 # More samples at a time are told: who controls by them has only the last of each burst.

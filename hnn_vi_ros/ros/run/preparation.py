@@ -13,11 +13,6 @@ from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.guards.bands import BandGuard, EnergyGuard
-from hnn_vi_ros.guards.base import StateGuard
-from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.poles import PoleGuard
-from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
@@ -34,6 +29,11 @@ from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
 from hnn_vi_ros.simulation.accuracy.trials import Tolerance
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard
+from hnn_vi_ros.simulation.guards.base import StateGuard
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.poles import PoleGuard
+from hnn_vi_ros.simulation.guards.watch import look, Watch
 import numpy as np
 
 

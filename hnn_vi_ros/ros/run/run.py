@@ -12,11 +12,6 @@ from typing import Any
 from hnn_vi_ros.companions.members import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.guards.bands import EnergyGuard
-from hnn_vi_ros.guards.base import Alarm
-from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.selection import make_guards
-from hnn_vi_ros.guards.watch import SampledScale
 from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
@@ -35,6 +30,11 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
 from hnn_vi_ros.simulation import RescuePending, Sample
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+from hnn_vi_ros.simulation.guards.bands import EnergyGuard
+from hnn_vi_ros.simulation.guards.base import Alarm
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.selection import make_guards
+from hnn_vi_ros.simulation.guards.watch import SampledScale
 from rclpy.node import Node
 
 

@@ -6,10 +6,10 @@ import warnings
 
 from helpers import EPS, long
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
-from hnn_vi_ros.guards.watch import look, Watch
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.guards.watch import look, Watch
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.record import BLOCK
 from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many

@@ -6,18 +6,18 @@ import math
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
-from hnn_vi_ros.guards.bands import EnergyGuard, InvariantGuard, plain_share
-from hnn_vi_ros.guards.base import (
-    Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard, Waiting)
-from hnn_vi_ros.guards.bounds import BoxGuard
-from hnn_vi_ros.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
-from hnn_vi_ros.guards.steps import CostGuard, RescueGuard, SolutionGuard
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
+from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
+from hnn_vi_ros.simulation.guards.base import (
+    Alarm, Block, BlockGuard, Guard, judge, Look, StateGuard, Waiting)
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
+from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
+from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
 import numpy as np
 
 # An error of energy must be this many times larger, over the scale, to differ from rounding: a

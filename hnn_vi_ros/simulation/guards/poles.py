@@ -5,9 +5,9 @@
 from itertools import pairwise
 import math
 
-from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
 import numpy as np
 
 # Second derivatives this many times as large as their mean so far are searched for a pole.

@@ -5,9 +5,9 @@
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
 from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.models.seen import Domain
+from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
 import numpy as np
 
 

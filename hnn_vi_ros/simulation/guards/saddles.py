@@ -4,9 +4,9 @@
 
 from collections.abc import Callable, Iterator
 
-from hnn_vi_ros.guards.base import Block
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.simulation.guards.base import Block
 import numpy as np
 
 # The search solves 2 d equations: in fewer coordinates than this it takes a millisecond or two.

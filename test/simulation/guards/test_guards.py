@@ -5,10 +5,10 @@
 import math
 
 from helpers import alarm_of
-from hnn_vi_ros.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
-from hnn_vi_ros.guards.base import accounted_energy, Block, BlockGuard, judge, Waiting
-from hnn_vi_ros.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
+from hnn_vi_ros.simulation.guards.base import accounted_energy, Block, BlockGuard, judge, Waiting
+from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 import numpy as np
 import pytest
 

@@ -9,12 +9,12 @@ from helpers import alarm_of
 from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.errors import AlarmWarning, SceneError
 from hnn_vi_ros.files.resources import shipped_file
-from hnn_vi_ros.guards.bands import InvariantGuard
-from hnn_vi_ros.guards.base import Look
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian
 from hnn_vi_ros.scene import Scene
+from hnn_vi_ros.simulation.guards.bands import InvariantGuard
+from hnn_vi_ros.simulation.guards.base import Look
 from messages import refused
 import numpy as np
 from pydantic import ValidationError
