@@ -138,7 +138,7 @@ class SweepPlan:
         """Return all that the results depend on, and how they are cut: JSON's plain data."""
         record: dict[str, Any] = {}
         if self.device is not None:
-            from hnn_vi_ros.lockstep.ensemble import description
+            from hnn_vi_ros.simulation.lockstep.ensemble import description
             record['device'] = description(self.device)
         record |= {
             'sweep': self.sweep.model_dump(mode='json'),
@@ -189,7 +189,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     """
     if device is not None:
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.lockstep.ensemble import open_device
+            from hnn_vi_ros.simulation.lockstep.ensemble import open_device
         open_device(device)
     sweep, places, folder = load_sweep(definition)
     beside = folder / sweep.scene

@@ -29,7 +29,7 @@ from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.lockstep.ensemble import LockstepEnsemble
+    from hnn_vi_ros.simulation.lockstep.ensemble import LockstepEnsemble
 
 
 def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,

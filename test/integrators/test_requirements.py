@@ -12,7 +12,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.integrators import check_method, INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, Requirements
-from hnn_vi_ros.lockstep.steps import step_of
+from hnn_vi_ros.simulation.lockstep.steps import step_of
 from hnn_vi_ros.simulation.system import System
 import pytest
 

@@ -465,7 +465,7 @@ class _Many:
                              f'{self._interval / self.step_size:g} steps: on a device these are '
                              'whole; take another duration or samples')
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.lockstep.ensemble import open_device
+            from hnn_vi_ros.simulation.lockstep.ensemble import open_device
             from hnn_vi_ros.simulation.trajectory.devices import (
                 ensemble_on, one_thread_each, record_on, TOGETHER)
         size = TOGETHER if open_device(device).type == 'cpu' else self.count

@@ -22,7 +22,7 @@ from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
     BACK, COMMON, fixed_point, GO_ON, OWN, QUICK, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
-from hnn_vi_ros.lockstep.gradient import dot, Gradient
+from hnn_vi_ros.simulation.lockstep.gradient import dot, Gradient
 import numpy as np
 import torch
 
