@@ -15,10 +15,6 @@ from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.gradients.dependences import Dependence, States
-from hnn_vi_ros.gradients.derivatives import Change, Recorded
-from hnn_vi_ros.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
-from hnn_vi_ros.gradients.scene_run import check_in_files, Numbers, SceneRun
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.families import FAMILIES
@@ -29,6 +25,10 @@ from hnn_vi_ros.scene.named_numbers import check_names
 from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 from hnn_vi_ros.simulation.checks import check_count, check_seconds
 from hnn_vi_ros.simulation.dense_step import whole_steps
+from hnn_vi_ros.simulation.gradients.dependences import Dependence, States
+from hnn_vi_ros.simulation.gradients.derivatives import Change, Recorded
+from hnn_vi_ros.simulation.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
+from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
 from hnn_vi_ros.simulation.trajectory.record import check_memory
 import numpy as np
 import torch

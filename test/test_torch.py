@@ -12,11 +12,11 @@ import tracemalloc
 
 import hnn_vi_ros
 from hnn_vi_ros.errors import SceneError, StateError, UnsupportedSystem
-from hnn_vi_ros.gradients.dependences import States
-from hnn_vi_ros.gradients.scene_run import model_of, numbers_of_model
 from hnn_vi_ros.integrators.gauss import gauss_tableau
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.scene import load_scene, Scene
+from hnn_vi_ros.simulation.gradients.dependences import States
+from hnn_vi_ros.simulation.gradients.scene_run import model_of, numbers_of_model
 from hnn_vi_ros.simulation.trajectory.record import BLOCK
 from hnn_vi_ros.torch import DifferentiableSimulation, Motion, OnWeights, simulate
 from mechanical_models import random_mechanical, saved, SHAPES

@@ -6,9 +6,9 @@ from helpers import (
     EPS, exact, jacobian, Method, METHODS, python_step, symplectic_defect, Uncompiled)
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.gradients.derivatives import Change, DifferentiableRun
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun
 from messages import refused
 from mpmath import mpf
 import numpy as np

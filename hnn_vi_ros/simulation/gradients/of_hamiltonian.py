@@ -4,12 +4,12 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.gradients.dependences import Dependence, MIDDLE, States
 from hnn_vi_ros.hamiltonians.base import compiled_kernel
 from hnn_vi_ros.kernels.addresses import (
     by_address, energy as base_energy, gradient as base_gradient,
     hessian_vector as base_hessian_vector, original, Target)
 from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, States
 import numpy as np
 
 # Spacing of differences by velocities, as a share of the largest one.
