@@ -15,7 +15,7 @@ from benchmarks.measurement import Row, Settings, summarise
 from benchmarks.processes import heard, own_node, resident, run_apart, simulator
 from benchmarks.scale import definition
 from benchmarks.ticks import Ticks
-from hnn_vi_ros.bags import mcap_sink
+from hnn_vi_ros.recording.bags import mcap_sink
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build

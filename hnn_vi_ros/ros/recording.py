@@ -8,12 +8,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, final, NamedTuple
 
-from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.bags.cdr import serialize
-from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import optional, RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings

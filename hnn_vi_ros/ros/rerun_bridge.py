@@ -11,13 +11,13 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.bags.cdr import decode_state, State
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
 from hnn_vi_ros.files.regular_file import numbered
 from hnn_vi_ros.files.resources import expand_user
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.phase_space import momentum_rates
+from hnn_vi_ros.recording.bags.cdr import decode_state, State
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once

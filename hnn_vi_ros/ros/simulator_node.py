@@ -7,9 +7,9 @@ from contextlib import suppress
 import gc
 import time
 
-from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.kernels.compilation import announced
+from hnn_vi_ros.recording.bags.bag_metadata import BagTopics
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.initial_state import hear_initial_states
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown

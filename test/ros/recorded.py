@@ -7,9 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from bag_content import content_of
-from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.bags.cdr import serialize
-from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.ros.recording import BagOutput, Beginning
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings

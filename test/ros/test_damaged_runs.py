@@ -10,12 +10,12 @@ import shutil
 
 from bags.bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_file import MAGIC
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions
 from hnn_vi_ros.learning.data.sources import make_dataset, read_motions
+from hnn_vi_ros.recording.bags.mcap_file import MAGIC
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.recorded_run import resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.opcode import Opcode
@@ -37,7 +37,7 @@ def bag(tmp_path_factory) -> Path:
     scene = write_scene(folder / 'scene.yaml', 'pendulum', (
         '{kind: external_force, coordinates: [angle], timeout: 0.1}'), step_size=0.005)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**13)
+        patch.setattr('hnn_vi_ros.recording.bags.mcap_sink.CHUNK_SIZE', 2**13)
         return record_run(folder / 'bag', load_scene(scene), TICKS,
                           commands={step: [[0.01 * step]] for step in range(0, 100, 7)})
 

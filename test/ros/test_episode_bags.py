@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Episodes of sweeps as bags: what the simulator would have recorded, and replayed as its own."""
 
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.episode_bags import main
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.scene import load_scene

@@ -8,11 +8,11 @@ import shutil
 
 from bag_content import content_of
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_file import McapFile
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import DataError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData
 from hnn_vi_ros.learning.data.sources import make_dataset
+from hnn_vi_ros.recording.bags.mcap_file import McapFile
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from messages import refused
@@ -183,7 +183,7 @@ def many_chunks(tmp_path_factory) -> Path:
     """Return a bag of ours that ends without a summary, each second in a chunk of its own."""
     folder = tmp_path_factory.mktemp('chunks') / 'bag'
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**15)
+        patch.setattr('hnn_vi_ros.recording.bags.mcap_sink.CHUNK_SIZE', 2**15)
         return record_run(folder, load_scene('exact_pendulum'), 400)
 
 

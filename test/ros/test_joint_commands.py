@@ -6,11 +6,11 @@ from pathlib import Path
 
 from builtin_interfaces.msg import Duration, Time
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.effects.servo import Servo
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.free_particle import FreeParticle
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.topics.hearing import LONGEST_REASON

@@ -12,8 +12,8 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from executables import Executable
-from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 import numpy as np
 from peer import Peer, peer

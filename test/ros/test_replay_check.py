@@ -8,11 +8,11 @@ import re
 
 from bags.bag_mutations import records_of
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_file import MAGIC
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.learning.data.bag_signals import SignalReader
+from hnn_vi_ros.recording.bags.mcap_file import MAGIC
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay import replay_check
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, resume
 from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays
@@ -295,7 +295,7 @@ def test_samples_that_are_there_twice_are_named_and_not_confirmed(tmp_path):
 
 @pytest.mark.parametrize('keep', ['summary', 'metadata.yaml'])
 def test_last_chunk_that_is_cut_out_is_missed_by_what_counts_it(tmp_path, monkeypatch, keep):
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.CHUNK_SIZE', 2**13)
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.mcap_sink.CHUNK_SIZE', 2**13)
     path = record_run(tmp_path / 'bag', load_scene('exact_pendulum'), 100) / 'bag_0.mcap'
     records = records_of(path.read_bytes())
     last = max(i for i, record in enumerate(records) if record[0] == Opcode.CHUNK)

@@ -7,9 +7,9 @@ import signal
 
 from executables import Executable
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge, target_of

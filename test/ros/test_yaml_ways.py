@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.bags.bag_metadata import qos_profiles
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.commands.scene_tool import check
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.recording.bags.bag_metadata import qos_profiles
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_node import recorded_qos

@@ -7,10 +7,10 @@ import logging
 from pathlib import Path
 from typing import final, TypeVar
 
-from hnn_vi_ros.bags.bag_metadata import qos_profiles
-from hnn_vi_ros.bags.cdr import decode_float64_multi_array, decode_joint_state, MOMENTUM
-from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import DataError, listed, RecordingError
+from hnn_vi_ros.recording.bags.bag_metadata import qos_profiles
+from hnn_vi_ros.recording.bags.cdr import decode_float64_multi_array, decode_joint_state, MOMENTUM
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.run.held_state import STATE_FILE
 import numpy as np
 import safetensors

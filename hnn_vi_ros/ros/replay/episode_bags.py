@@ -5,10 +5,10 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.cdr import serialize
-from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.recording.bags.bag_metadata import Topic
+from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from hnn_vi_ros.ros.topics.messages import describe_topic
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file

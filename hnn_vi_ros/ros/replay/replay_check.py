@@ -7,11 +7,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.bags.mcap_reader import BagReader
 from hnn_vi_ros.effects.commands import Command
 from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run.held_state import restore_state, STATE_FILE

@@ -10,9 +10,9 @@ import sys
 from typing import Any
 
 from ament_index_python.resources import has_resource
-from hnn_vi_ros.bags.bag_metadata import qos_profiles
-from hnn_vi_ros.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
+from hnn_vi_ros.recording.bags.bag_metadata import qos_profiles
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (

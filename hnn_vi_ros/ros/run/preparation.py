@@ -8,12 +8,12 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.bags.bag_metadata import BagTopics
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
+from hnn_vi_ros.recording.bags.bag_metadata import BagTopics
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import math
 import time
 
-from hnn_vi_ros.bags.cdr import MOMENTUM, Template
 from hnn_vi_ros.companions.members import Members
 from hnn_vi_ros.companions.twin import Report, Twin
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.phase_space import columns
+from hnn_vi_ros.recording.bags.cdr import MOMENTUM, Template
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import encode_numbers, named_numbers

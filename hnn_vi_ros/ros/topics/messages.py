@@ -9,12 +9,12 @@ import math
 import re
 from typing import Any
 
-from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.cdr import state_names, Template
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.resources import prefixes
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
+from hnn_vi_ros.recording.bags.bag_metadata import Topic
+from hnn_vi_ros.recording.bags.cdr import state_names, Template
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
-from hnn_vi_ros.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.bags.cdr import serialize
+from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
+from hnn_vi_ros.recording.bags.cdr import serialize
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint

@@ -14,13 +14,13 @@ import socket
 
 from bag_content import content_of
 from bag_mutations import Mutant, mutants, records_of
-from hnn_vi_ros.bags.bag_metadata import Topic
-from hnn_vi_ros.bags.mcap_file import MAGIC
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover, Recovery
-from hnn_vi_ros.bags.mcap_sink import McapSink
-from hnn_vi_ros.bags.recover_bag import main
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording.bags.bag_metadata import Topic
+from hnn_vi_ros.recording.bags.mcap_file import MAGIC
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
+from hnn_vi_ros.recording.bags.recover_bag import main
 from mcap.opcode import Opcode
 from messages import refused
 import pytest
@@ -238,7 +238,7 @@ def test_status_says_whether_something_was_lost(tmp_path, killed, capsys):
 
 
 def test_result_that_does_not_read_back_leaves_the_bag_as_it_is(tmp_path, killed, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_recovery.copy_messages',
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.mcap_recovery.copy_messages',
                         lambda file, stamps, target: target.write(killed))
     bag = cut(tmp_path / 'bag', killed)
     with pytest.raises(RecordingError, match='reads back with'):
@@ -274,7 +274,7 @@ def test_what_recover_bag_cannot_write_is_refused(tmp_path, suffix):
 
 def test_stopped_disk_or_interruption_leaves_no_second_file(tmp_path, killed):
     bag = cut(tmp_path / 'bag', killed)
-    code = ('import sys, hnn_vi_ros.bags.mcap_recovery as r\n'
+    code = ('import sys, hnn_vi_ros.recording.bags.mcap_recovery as r\n'
             'def stop(*arguments): raise KeyboardInterrupt\n'
             'r._read_back = stop\n'
             'from hnn_vi_ros.cli import recover_bag\nrecover_bag()')

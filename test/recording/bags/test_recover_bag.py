@@ -12,10 +12,10 @@ import sys
 import tempfile
 import time
 
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover
-from hnn_vi_ros.bags.mcap_sink import McapSink
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from hypothesis import example, given, settings, strategies
 from mcap.reader import make_reader
 from mcap.records import Message
@@ -196,8 +196,8 @@ FULL = """
 import resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.bags.recover_bag import main
-from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.recording.bags.recover_bag import main
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
 try:
     recover(Path(sys.argv[1]))
@@ -259,7 +259,7 @@ def split_bag(folder: Path) -> tuple[Path, Path]:
 ENDLESS = """
 import mmap, os, struct, sys, time
 from pathlib import Path
-from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from test_mcap_sink import payloads, TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})
 with open(sys.argv[2], 'r+b') as stream:

@@ -5,11 +5,11 @@
 from pathlib import Path
 import struct
 
-from hnn_vi_ros.bags import mcap_reader
-from hnn_vi_ros.bags.mcap_file import _unpack, LARGEST
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.recording.bags import mcap_reader
+from hnn_vi_ros.recording.bags.mcap_file import _unpack, LARGEST
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
 import lz4.frame
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Message, Schema
@@ -76,7 +76,7 @@ def test_chunk_that_lies_about_its_size_is_damaged_and_the_next_is_read(
 @pytest.mark.parametrize('compression', PACKERS)
 def test_no_more_is_unpacked_than_a_chunk_declares_or_256_mebibytes(monkeypatch, compression):
     unpacked = []
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_file.unpack_zstd',
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.mcap_file.unpack_zstd',
                         lambda data, most: unpacked.append(most) or b'')
     data = records()
     assert LARGEST == 256 * 2**20
@@ -91,8 +91,8 @@ BOMB = """
 import resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for use in (lambda path: list(BagReader(path).messages()), recover):
     try:
@@ -131,7 +131,7 @@ def test_packed_messages_are_unpacked_only_until_they_are_too_large_together(
 
 
 def test_packed_file_that_grows_too_large_is_refused_with_the_remedy(tmp_path, monkeypatch):
-    monkeypatch.setattr('hnn_vi_ros.bags.bag_files.LARGEST', 2**22)
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.bag_files.LARGEST', 2**22)
     scratch = tmp_path / 'scratch'
     scratch.mkdir()
     monkeypatch.setattr('tempfile.tempdir', str(scratch))

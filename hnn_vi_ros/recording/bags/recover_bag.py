@@ -5,10 +5,10 @@
 from pathlib import Path
 import sys
 
-from hnn_vi_ros.bags import arguments
-from hnn_vi_ros.bags.mcap_recovery import recover, Recovery
 from hnn_vi_ros.command_line import called
 from hnn_vi_ros.errors import printable, RecordingError
+from hnn_vi_ros.recording.bags import arguments
+from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
 
 
 def main(argv: list[str]) -> int:

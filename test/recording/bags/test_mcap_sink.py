@@ -11,11 +11,11 @@ import time
 import tracemalloc
 
 import hnn_vi_ros
-from hnn_vi_ros.bags.mcap_reader import BagReader
-from hnn_vi_ros.bags.mcap_recovery import recover
-from hnn_vi_ros.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording.bags.mcap_recovery import recover
+from hnn_vi_ros.recording.bags.mcap_sink import CHUNK_SIZE, McapSink, Topic
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader, McapReader
 from mcap.records import McapRecord, Message
@@ -185,7 +185,7 @@ def test_summary_agrees_with_the_messages_from_stamp_zero(tmp_path):
 
 def test_chunks_are_compressed_indexed_and_limited(tmp_path, monkeypatch):
     # A flush just after a chunk became full in the middle of a tick would end one of a message.
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.FLUSH_INTERVAL', 1e6)
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.mcap_sink.FLUSH_INTERVAL', 1e6)
     chunks = mcap_of(record(tmp_path / 'bag', 4000)).get_summary().chunk_indexes
     largest_record = 31 + max(map(len, payloads(0)))
     for chunk in chunks:
@@ -322,7 +322,7 @@ def test_file_gets_its_name_once_it_holds_what_explains_it(tmp_path, monkeypatch
         begun.append(source.read_bytes())
         os.replace(source, target)
 
-    monkeypatch.setattr('hnn_vi_ros.bags.mcap_sink.os.rename', rename)
+    monkeypatch.setattr('hnn_vi_ros.recording.bags.mcap_sink.os.rename', rename)
     sink = McapSink(tmp_path / 'bag', TOPICS, ATTACHMENTS)
     path = tmp_path / 'copy.mcap'
     path.write_bytes(*begun)
@@ -370,7 +370,7 @@ import os, resource, sys
 from pathlib import Path
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.kernels.sources import identity
-from hnn_vi_ros.bags.mcap_sink import McapSink
+from hnn_vi_ros.recording.bags.mcap_sink import McapSink
 from test_mcap_sink import TOPICS
 sink = McapSink(Path(sys.argv[1]), TOPICS, {})
 # The system refuses to let a file grow beyond this, with an OSError as for a full disk.

@@ -12,11 +12,12 @@ from threading import Event, RLock, Thread
 import time
 from typing import Any, BinaryIO, final
 
-from hnn_vi_ros.bags.bag_metadata import bag_metadata, Extent, NEVER, Topic, write_bag_metadata
 from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.recording.bags.bag_metadata import (
+    bag_metadata, Extent, NEVER, Topic, write_bag_metadata)
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
