@@ -16,6 +16,7 @@ from benchmarks.processes import heard, own_node, resident, run_apart, simulator
 from benchmarks.scale import definition
 from benchmarks.ticks import Ticks
 from hnn_vi_ros.recording.bags import mcap_sink
+from hnn_vi_ros.recording.viewer import rerun_sink
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.build import build
@@ -23,7 +24,6 @@ from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan
 from hnn_vi_ros.sweeps.trajectories import Runner
-from hnn_vi_ros.viewer import rerun_sink
 import rclpy
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger

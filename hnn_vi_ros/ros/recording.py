@@ -209,7 +209,7 @@ class PictureOutput(Sink):
             # Imported here: a run without a picture starts without the viewer's libraries. One
             # that lacks them ends before anything is recorded.
             with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
-                from hnn_vi_ros.viewer.rerun_sink import RerunSink
+                from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
             self._make = RerunSink
 
     def open(self, begin: Beginning) -> bool:  # noqa: A003

@@ -18,6 +18,8 @@ from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.phase_space import momentum_rates
 from hnn_vi_ros.recording.bags.cdr import decode_state, State
+from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
+from hnn_vi_ros.recording.viewer.rerun_stream import Target
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once
@@ -37,8 +39,6 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.described_scene import described_scene
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
-from hnn_vi_ros.viewer.rerun_sink import RerunSink
-from hnn_vi_ros.viewer.rerun_stream import Target
 import numpy as np
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile

@@ -5,8 +5,8 @@
 import time
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, box_of
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.viewer.phase_portrait import Bounds, box_of
 import numpy as np
 
 # Wall time that looking ahead may take, but for the batch of steps that exceeds it [s].

@@ -16,7 +16,7 @@ from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.viewer.rerun_diagram import PredictedRun, write_curves, write_predictions
+from hnn_vi_ros.recording.viewer.rerun_diagram import PredictedRun, write_curves, write_predictions
 from matplotlib.figure import Figure
 import numpy as np
 import torch

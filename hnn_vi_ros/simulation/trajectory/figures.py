@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 from hnn_vi_ros.errors import optional
 from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
+from hnn_vi_ros.recording.viewer.phase_portrait import contours as level_sets, Frame
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
-from hnn_vi_ros.viewer.phase_portrait import contours as level_sets, Frame
 import numpy as np
 
 if TYPE_CHECKING:

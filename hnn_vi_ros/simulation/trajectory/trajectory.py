@@ -338,8 +338,8 @@ class Trajectory:
         """
         # Tables need no rerun.
         with optional('rerun', 'to_rerun'):
-            from hnn_vi_ros.viewer.phase_portrait import box_of
-            from hnn_vi_ros.viewer.rerun_sink import RerunSink
+            from hnn_vi_ros.recording.viewer.phase_portrait import box_of
+            from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
         run, simulation = self.single(), self.simulation()
         scene = run.scene
         hamiltonian = simulation.hamiltonian

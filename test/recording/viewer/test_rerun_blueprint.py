@@ -3,7 +3,7 @@
 """The views fit into the window, whatever there is to show."""
 
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.viewer.rerun_blueprint import (
+from hnn_vi_ros.recording.viewer.rerun_blueprint import (
     _left_column, Arrangement, BAR, COLUMN, eye_of, height_for, make_blueprint, MARGINS, raised,
     room_after, series_labels, VIEW_ANGLE, with_ticks, without_unit)
 import numpy as np

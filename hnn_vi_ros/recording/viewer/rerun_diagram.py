@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.viewer.rerun_blueprint import PALETTE, WHITE
+from hnn_vi_ros.recording.viewer.rerun_blueprint import PALETTE, WHITE
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb

@@ -16,13 +16,13 @@ from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.mechanisms.parts import (
     Ball, bounds_of, Box, Line, Mechanism, Part, Trail)
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
-from hnn_vi_ros.simulation import Sample
-from hnn_vi_ros.viewer import rerun_blueprint as layout
-from hnn_vi_ros.viewer.phase_portrait import Bounds, ends_of, reach_of
-from hnn_vi_ros.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
-from hnn_vi_ros.viewer.rerun_entities import (
+from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
+from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, ends_of, reach_of
+from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
+from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
-from hnn_vi_ros.viewer.rerun_stream import RerunStream, Target
+from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
+from hnn_vi_ros.simulation import Sample
 import numpy as np
 import rerun as rr
 
