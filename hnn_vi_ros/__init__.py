@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.companions.members import simulate_spread
+    from hnn_vi_ros.run.companions.members import simulate_spread
     from hnn_vi_ros.scene import load_scene, Scene
     from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
     from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
@@ -19,7 +19,7 @@ __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simu
 
 _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.simulation.trajectory.simulate',
           'simulate_many': 'hnn_vi_ros.simulation.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.sweep',
-          'simulate_spread': 'hnn_vi_ros.companions.members', 'Scene': 'hnn_vi_ros.scene',
+          'simulate_spread': 'hnn_vi_ros.run.companions.members', 'Scene': 'hnn_vi_ros.scene',
           'Trajectory': 'hnn_vi_ros.simulation.trajectory.trajectory'}
 
 

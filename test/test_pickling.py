@@ -13,7 +13,6 @@ from typing import Any
 
 from ensembles import ensemble
 import hnn_vi_ros
-from hnn_vi_ros.companions.members import simulate_spread
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import (
     HnnViRosError, listed, ModelError, SceneError, StepFailure, StoppedByEvent)
@@ -22,6 +21,7 @@ from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.phase_space import Event
+from hnn_vi_ros.run.companions.members import simulate_spread
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.companions.members import Accompanied
-from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.learning.judging.evaluation import (
     parts_of, score, simulated, simulation_of, variance_of)
+from hnn_vi_ros.run.companions.members import Accompanied
+from hnn_vi_ros.run.companions.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.build import build
 import numpy as np

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hnn_vi_ros.command_line import Parser
-from hnn_vi_ros.companions.members import deviation
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
@@ -26,6 +25,7 @@ from hnn_vi_ros.learning.judging.ensemble import held_exact, machine_scores, sco
 from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import EnsembleHamiltonian, load_member
+from hnn_vi_ros.run.companions.members import deviation
 import numpy as np
 from scipy.stats import rankdata
 

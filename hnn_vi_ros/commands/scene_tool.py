@@ -60,7 +60,7 @@ def main(argv: list[str]) -> int:
 
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
-    from hnn_vi_ros.companions.members import ensemble_card
+    from hnn_vi_ros.run.companions.members import ensemble_card
     from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     from hnn_vi_ros.simulation.build import build
     from hnn_vi_ros.simulation.events import watched

@@ -10,7 +10,6 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.companions.members import Accompanied, deviation, member_scenes, Members
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.momenta import momentum
@@ -21,6 +20,7 @@ from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
 from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
 from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
 from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
+from hnn_vi_ros.run.companions.members import Accompanied, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.trajectory.simulate import simulate_many

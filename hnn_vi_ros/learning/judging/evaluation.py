@@ -8,7 +8,6 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.companions.twin import VALID
 from hnn_vi_ros.effects.base import Effect, EffectState, Force
 from hnn_vi_ros.effects.commands import Commanded
 from hnn_vi_ros.effects.damping import Damping
@@ -29,6 +28,7 @@ from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.energy_error import rows_of_each
 from hnn_vi_ros.models.seen import Domain
+from hnn_vi_ros.run.companions.twin import VALID
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve

@@ -8,8 +8,6 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.companions.members import Members
-from hnn_vi_ros.companions.twin import Twin
 from hnn_vi_ros.effects.commands import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
 from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
@@ -19,6 +17,8 @@ from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
+from hnn_vi_ros.run.companions.members import Members
+from hnn_vi_ros.run.companions.twin import Twin
 from hnn_vi_ros.run.compiled_beside import compiled_beside
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.sampling import Sampler

@@ -9,7 +9,6 @@ import math
 import time
 from typing import Any
 
-from hnn_vi_ros.companions.members import accompany
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
@@ -25,6 +24,7 @@ from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
+from hnn_vi_ros.run.companions.members import accompany
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ensembles import ensemble
 from hnn_vi_ros import load_scene, simulate, simulate_spread
-from hnn_vi_ros.companions.members import Accompanied, deviation, Members
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.models.checkpoint import save_checkpoint
+from hnn_vi_ros.run.companions.members import Accompanied, deviation, Members
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation.build import build
 from hnn_vi_ros.simulation.guards.base import Look

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hnn_vi_ros import load_scene, Scene
-from hnn_vi_ros.companions.members import Accompanied
-from hnn_vi_ros.companions.twin import Twin, VALID
 from hnn_vi_ros.effects.commands import Observation
 from hnn_vi_ros.errors import SceneError
+from hnn_vi_ros.run.companions.members import Accompanied
+from hnn_vi_ros.run.companions.twin import Twin, VALID
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.build import build
 from messages import refused
