@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.control import (
     BatchStep, find_equilibrium, Ilqr, Kinetic, linearise, lqr, momentum, Point, Quadratic,
     Regulator, velocity)
-from hnn_vi_ros.learning.scene_numbers.identify import main as identify
+from hnn_vi_ros.identify.identify import main as identify
 from hnn_vi_ros.scene import Scene
 import numpy as np
 import yaml

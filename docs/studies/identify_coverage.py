@@ -17,11 +17,10 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.identify.fit import fit
+from hnn_vi_ros.identify.free_numbers import free_scene
+from hnn_vi_ros.identify.intervals import covariances, errors_of, estimates_of, processes, quantile
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
-from hnn_vi_ros.learning.scene_numbers.fit import fit
-from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
-from hnn_vi_ros.learning.scene_numbers.intervals import (
-    covariances, errors_of, estimates_of, processes, quantile)
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.trajectory.simulate import simulate
 import numpy as np

@@ -13,13 +13,13 @@ import tempfile
 import time
 
 from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.identify.fit import fit
+from hnn_vi_ros.identify.free_numbers import free_scene
+from hnn_vi_ros.identify.intervals import estimates_of
 from hnn_vi_ros.learning.data.arrays import Archive, ArraysData
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.judging.evaluation import Predict, simulated, simulation_of, variance_of
-from hnn_vi_ros.learning.scene_numbers.fit import fit
-from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
-from hnn_vi_ros.learning.scene_numbers.intervals import estimates_of
 from hnn_vi_ros.scene import load_scene, Scene
 import numpy as np
 from studies.machine_tables import dfki_errors, Measure, multiarm_errors

@@ -12,12 +12,12 @@ from helpers import long, mostly_long
 import hnn_vi_ros
 from hnn_vi_ros.errors import HnnViRosError, ModelError
 from hnn_vi_ros.files.resources import shipped_file
+from hnn_vi_ros.identify.fit import _INNER, fit, FitProblem
+from hnn_vi_ros.identify.free_numbers import DELAY, edited, free_scene, FreeScene
+from hnn_vi_ros.identify.identify import main
+from hnn_vi_ros.identify.intervals import Estimates, estimates_of, processes, profile
+from hnn_vi_ros.identify.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, steps_between
-from hnn_vi_ros.learning.scene_numbers.fit import _INNER, fit, FitProblem
-from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, edited, free_scene, FreeScene
-from hnn_vi_ros.learning.scene_numbers.identify import main
-from hnn_vi_ros.learning.scene_numbers.intervals import Estimates, estimates_of, processes, profile
-from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.gradients.dependences import difference
 from hnn_vi_ros.simulation.gradients.derivatives import DifferentiableRun

@@ -10,6 +10,7 @@ from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.identify.identify import _arrays
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.learning.data.arrays import ArraysData, split_runs
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed, train_and_test
@@ -20,7 +21,6 @@ from hnn_vi_ros.learning.fit.machine import (
     acceleration_loss, balanced_step, discrete_loss, MachineProblem, mean_forces, runge_kutta,
     samples_of, scales_of)
 from hnn_vi_ros.learning.judging.evaluation import constant_velocity, predicted_by, score
-from hnn_vi_ros.learning.scene_numbers.identify import _arrays
 from hnn_vi_ros.learning.tasks.machine import fix_scale
 from hnn_vi_ros.simulation import Simulation
 from machines import compiled, driven, from_file, machine_config, shaken

@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import hnn_vi_ros
+from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import smoothed, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.learning.judging.evaluation import balance
-from hnn_vi_ros.learning.scene_numbers.free_numbers import free_scene
 import numpy as np
 import pytest
 from studies import simulated_arm

@@ -22,9 +22,9 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.learning.scene_numbers.fit import (
+from hnn_vi_ros.identify.fit import (
     FitProblem, projected, search, Solution, told_directions, units_of)
-from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene, STATES
+from hnn_vi_ros.identify.free_numbers import FreeScene, STATES
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
 import numpy as np
 from scipy.linalg import qr

@@ -12,9 +12,9 @@ from hnn_vi_ros.effects.external_force import ExternalForce
 from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
 from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, UnsupportedSystem
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.identify.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
-from hnn_vi_ros.learning.scene_numbers.free_numbers import DELAY, FreeScene
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.gradients.acting_effects import flow_rates

@@ -19,16 +19,14 @@ from hnn_vi_ros.errors import (
 from hnn_vi_ros.files.regular_file import write_text
 from hnn_vi_ros.files.standard_streams import elapsed
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.identify.fit import fit, FitProblem, search, Solution
+from hnn_vi_ros.identify.free_numbers import DELAY, free_scene, FreeScene, STATES, write_fitted
+from hnn_vi_ros.identify.intervals import Estimate, Estimates, estimates_of, profile, quantile
+from hnn_vi_ros.identify.windows import check_times, Windows
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
-from hnn_vi_ros.learning.scene_numbers.fit import fit, FitProblem, search, Solution
-from hnn_vi_ros.learning.scene_numbers.free_numbers import (
-    DELAY, free_scene, FreeScene, STATES, write_fitted)
-from hnn_vi_ros.learning.scene_numbers.intervals import (
-    Estimate, Estimates, estimates_of, profile, quantile)
-from hnn_vi_ros.learning.scene_numbers.windows import check_times, Windows
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
 import numpy as np

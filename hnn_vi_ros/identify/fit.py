@@ -18,9 +18,9 @@ import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
 from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.identify.free_numbers import FreeScene
+from hnn_vi_ros.identify.windows import Prediction, Windows, windows_of
 from hnn_vi_ros.learning.data.motions import EvenMotion
-from hnn_vi_ros.learning.scene_numbers.free_numbers import FreeScene
-from hnn_vi_ros.learning.scene_numbers.windows import Prediction, Windows, windows_of
 import numpy as np
 from scipy.optimize import least_squares
 
