@@ -21,10 +21,10 @@ from hnn_vi_ros.integrators.dense_output import DenseOutput
 from hnn_vi_ros.integrators.taylor import TaylorWork
 from hnn_vi_ros.integrators.workspaces import arrays_of, forget
 from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep
 from hnn_vi_ros.simulation.following import follow_each, Law
+from hnn_vi_ros.simulation.processors import heed
 from hnn_vi_ros.simulation.rescue import Rescue
 from hnn_vi_ros.simulation.state import State
 from hnn_vi_ros.simulation.system import System

@@ -12,10 +12,10 @@ from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK
 from hnn_vi_ros.integrators.gauss import Tableau
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.processors import heed
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
 from hnn_vi_ros.simulation.lockstep.steps import first_state, State, step_of, System
+from hnn_vi_ros.simulation.processors import heed
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
 import torch
