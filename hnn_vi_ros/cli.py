@@ -15,9 +15,9 @@ from types import FrameType
 from typing import Any, NoReturn
 import warnings
 
-from hnn_vi_ros.command_line import call_by_hnn, called
 from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError, pip_command
+from hnn_vi_ros.files.command_line import call_by_hnn, called
 from hnn_vi_ros.files.resources import private_folder, usual_folder
 from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output, write_problem
 from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment

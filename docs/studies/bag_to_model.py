@@ -15,8 +15,8 @@ import shlex
 import subprocess
 import sys
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError, RecordingError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.recording.bags.cdr import decode_float64_multi_array
 from hnn_vi_ros.recording.bags.mcap_reader import BagReader

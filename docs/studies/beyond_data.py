@@ -9,7 +9,7 @@ import tempfile
 import time
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions

@@ -17,8 +17,8 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS

@@ -8,8 +8,8 @@ from itertools import groupby
 from pathlib import Path
 import time
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.simulation.processors import (
     ignore_sigint_in_children, usable_processors, worker_processes)
 from hnn_vi_ros.version import __version__

@@ -16,7 +16,7 @@ from pathlib import Path
 import tempfile
 import time
 
-from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.identify.fit import fit
 from hnn_vi_ros.identify.free_numbers import free_scene
 from hnn_vi_ros.identify.intervals import covariances, errors_of, estimates_of, processes, quantile

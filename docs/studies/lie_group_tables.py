@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import DataError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.learning.data.arrays import read_bodies
 from hnn_vi_ros.learning.families.lie_group import LieGroupNetwork

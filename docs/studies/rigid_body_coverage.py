@@ -15,7 +15,7 @@ import re
 import tempfile
 import time
 
-from hnn_vi_ros.command_line import Parser
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.files.resources import share_folder
 from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.learning.data.motions import EvenMotion

@@ -14,8 +14,8 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.learning.data.arrays import Archive
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions

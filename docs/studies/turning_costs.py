@@ -9,8 +9,8 @@ from pathlib import Path
 import time
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.hamiltonians.heavy_top import HeavyTop
 from hnn_vi_ros.hamiltonians.quadrotor import Quadrotor
 from hnn_vi_ros.integrators import INTEGRATORS

@@ -11,8 +11,8 @@ sample, with the measured forces as commands. The twin's report is printed with 
 from collections.abc import Sequence
 from pathlib import Path
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.effects.commands import Observation
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.learning.data.motions import EvenMotion, train_and_test
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_machine

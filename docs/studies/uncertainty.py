@@ -14,10 +14,10 @@ q and q'; AUROC is the probability that one outside has the larger one.
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.learned_friction import LearnedFriction
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import Parser
 from hnn_vi_ros.hamiltonians.momenta import momentum
 from hnn_vi_ros.learning.data.sources import read_motions
 from hnn_vi_ros.learning.fit.config import find_config, load_config, load_machine, MachineConfig

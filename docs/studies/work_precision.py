@@ -6,7 +6,7 @@ from dataclasses import replace
 import math
 from pathlib import Path
 
-from hnn_vi_ros.command_line import Parser, seconds
+from hnn_vi_ros.files.command_line import Parser, seconds
 from hnn_vi_ros.simulation.accuracy.path_reference import Instants, PathReference
 import numpy as np
 from studies.measuring import measure_row, MethodRun, StudyRow, TOO_LONG

@@ -9,10 +9,10 @@ import math
 from pathlib import Path
 import sys
 
-from hnn_vi_ros.command_line import called
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
+from hnn_vi_ros.files.command_line import called
 from hnn_vi_ros.files.standard_streams import ProgressLine
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.scene import load_scene, Parts, Scene

@@ -11,8 +11,8 @@ from pathlib import Path
 import re
 import sys
 
-from hnn_vi_ros.command_line import command, Parser
 from hnn_vi_ros.errors import ModelError, SceneError
+from hnn_vi_ros.files.command_line import command, Parser
 from hnn_vi_ros.files.regular_file import write_new_scene
 from hnn_vi_ros.files.resources import package_file, SCHEME, share_folder
 from hnn_vi_ros.files.yaml_text import dump_yaml, one_line

@@ -8,9 +8,9 @@ import math
 import sys
 from typing import Any, TYPE_CHECKING
 
-from hnn_vi_ros.command_line import called
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import HnnViRosError, ModelError
+from hnn_vi_ros.files.command_line import called
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NoReturn
 
-from hnn_vi_ros.command_line import Parser
 from hnn_vi_ros.errors import did_you_mean
+from hnn_vi_ros.files.command_line import Parser
 
 # Each command, by what it is for, and the module of the package whose ``main(argv)`` it calls.
 GROUPS = {

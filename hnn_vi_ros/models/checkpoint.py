@@ -21,8 +21,8 @@ import os
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
-from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError
+from hnn_vi_ros.files.command_line import command
 from hnn_vi_ros.files.limits import parse_json, safetensors_header
 from hnn_vi_ros.files.regular_file import limited, refuse_pointer, replacing, write_new
 from hnn_vi_ros.files.yaml_file import in_plain_words

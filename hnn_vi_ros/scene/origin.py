@@ -8,8 +8,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import ModelError, offered
+from hnn_vi_ros.files.command_line import command
 from hnn_vi_ros.files.named_code import find_beside
 from hnn_vi_ros.files.regular_file import no_file
 from hnn_vi_ros.files.resources import is_path, package_file, SCHEME, shipped_file, shipped_names

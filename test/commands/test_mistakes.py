@@ -6,9 +6,9 @@ from contextvars import copy_context
 from pathlib import Path
 
 from hnn_vi_ros.cli import run_module
-from hnn_vi_ros.command_line import call_by_hnn
 from hnn_vi_ros.commands.table import module_of
 from hnn_vi_ros.errors import offered
+from hnn_vi_ros.files.command_line import call_by_hnn
 from hnn_vi_ros.files.resources import shipped_names
 from messages import assert_message
 import numpy as np

@@ -12,8 +12,8 @@ from threading import Event, RLock, Thread
 import time
 from typing import Any, BinaryIO, final
 
-from hnn_vi_ros.command_line import command
 from hnn_vi_ros.errors import RecordingError
+from hnn_vi_ros.files.command_line import command
 from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.kernels.sources import identity
 from hnn_vi_ros.recording.bags.bag_metadata import (
