@@ -5,7 +5,7 @@
 from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.models.energy_error import EnergyError, Interval
+from hnn_vi_ros.models.box_error import EnergyError, Interval
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.mechanical_card import check_alike, MechanicalCard, MOST_MEMBERS

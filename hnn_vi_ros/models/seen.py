@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.models.energy_error import Interval
+from hnn_vi_ros.models.box_error import Interval
 import numpy as np
 from pydantic import Field
 

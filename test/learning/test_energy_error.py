@@ -18,9 +18,9 @@ from hnn_vi_ros.learning.judging.evaluation import (
     balance, energy_mismatch, friction_work, momentum, unaccounted)
 from hnn_vi_ros.learning.tasks.field import model_work
 from hnn_vi_ros.learning.train import main
+from hnn_vi_ros.models.box_error import energy_error, energy_spread, interval_text
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.energy_error import energy_error, energy_spread, interval_text
 import mechanical_models
 from messages import refused
 import numpy as np

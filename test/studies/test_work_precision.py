@@ -11,7 +11,7 @@ from helpers import exact_orbit, exact_pendulum, long, random_checkpoint
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.pendulum import Pendulum
-from hnn_vi_ros.models.energy_error import EnergyError
+from hnn_vi_ros.models.box_error import EnergyError
 from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.scene import load_scene
 from messages import refused

@@ -13,7 +13,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.learning.data.motions import (
     cubic, Motion, OnBad, part_of, pieces_of, Recording, Report, resampled, unwound_piece)
-from hnn_vi_ros.models.energy_error import Interval
+from hnn_vi_ros.models.box_error import Interval
 from hnn_vi_ros.models.model_card import Box
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator

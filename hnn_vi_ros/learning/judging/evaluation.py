@@ -24,9 +24,9 @@ from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
+from hnn_vi_ros.models.box_error import rows_of_each
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.energy_error import rows_of_each
 from hnn_vi_ros.models.seen import Domain
 from hnn_vi_ros.run.companions.twin import VALID
 from hnn_vi_ros.scene import load_scene

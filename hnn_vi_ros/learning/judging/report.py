@@ -12,8 +12,8 @@ from hnn_vi_ros.files.yaml_text import dump_yaml
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.judging.evaluation import Fan
+from hnn_vi_ros.models.box_error import interval_text
 from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.energy_error import interval_text
 from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.recording.viewer.rerun_diagram import PredictedRun, write_curves, write_predictions

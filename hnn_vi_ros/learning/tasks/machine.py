@@ -28,8 +28,8 @@ from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import selected
+from hnn_vi_ros.models.box_error import energy_spread, interval_text
 from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.energy_error import energy_spread, interval_text
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
 from hnn_vi_ros.models.planar_chain import CHAINS, PLANAR_CHAIN
