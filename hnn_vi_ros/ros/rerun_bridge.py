@@ -36,7 +36,7 @@ from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.scene.description import described_scene
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.build import build
 import numpy as np

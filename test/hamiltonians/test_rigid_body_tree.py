@@ -11,7 +11,7 @@ from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.kernels.addresses import by_address, original
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.scene.described_scene import described_scene
+from hnn_vi_ros.scene.description import described_scene
 from hnn_vi_ros.simulation import Simulation
 from messages import refused
 import numpy as np

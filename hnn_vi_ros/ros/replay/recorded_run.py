@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.described_scene import described_scene, ONE_RUN, only_scene
+from hnn_vi_ros.scene.description import described_scene, ONE_RUN, only_scene
 import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
