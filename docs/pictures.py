@@ -15,7 +15,7 @@ from gallery import picture_of
 from hnn_vi_ros import load_scene, Scene, simulate, simulate_many, simulate_spread
 from hnn_vi_ros.control.task import assign
 from hnn_vi_ros.identify import identify
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch

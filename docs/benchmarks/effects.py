@@ -17,7 +17,7 @@ from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_opt
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 _H = 0.01

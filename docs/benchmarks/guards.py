@@ -12,7 +12,7 @@ from benchmarks.processes import own_node
 from benchmarks.ticks import Ticks
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 from rclpy.node import Node
 

@@ -19,7 +19,7 @@ from hnn_vi_ros.recording.bags import mcap_sink
 from hnn_vi_ros.recording.viewer import rerun_sink
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan

@@ -21,7 +21,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
 from hnn_vi_ros.run.companions.members import Accompanied
 from hnn_vi_ros.run.companions.twin import Twin
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0

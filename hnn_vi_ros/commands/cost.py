@@ -20,7 +20,7 @@ from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation.accuracy.automatic_choice import problem_of
 from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs
 from hnn_vi_ros.simulation.accuracy.trials import Method
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 # Candidates for the columns of the table, and how many columns it has at most.

@@ -62,7 +62,7 @@ def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
     from hnn_vi_ros.run.companions.members import ensemble_card
     from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.construction import build
     from hnn_vi_ros.simulation.events import watched
     status = 0
     for name in names:
@@ -117,7 +117,7 @@ def explain(scene: Scene) -> Iterator[str]:
     """
     from hnn_vi_ros.run.scene_report import measure_effects
     from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.simulation.build import build
+    from hnn_vi_ros.simulation.construction import build
     from hnn_vi_ros.simulation.events import watched
     if isinstance(scene.integrator, AutoChoice):
         print('selecting a method ...', file=sys.stderr)

@@ -38,7 +38,7 @@ from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
 from hnn_vi_ros.simulation import Sample
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile

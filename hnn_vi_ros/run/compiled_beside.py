@@ -17,7 +17,7 @@ from threading import Thread
 
 from hnn_vi_ros.kernels.compilation import kept_only, NotKept
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.simulation.build import compile_loop
+from hnn_vi_ros.simulation.construction import compile_loop
 from hnn_vi_ros.simulation.processors import usable_processors
 
 _CODE = f'from {__name__} import help_out; help_out()'

@@ -14,7 +14,7 @@ import warnings
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.processors import (
     ignore_sigint_in_children, usable_processors, worker_processes)
 from hnn_vi_ros.simulation.trajectory.simulate import simulate

@@ -12,7 +12,7 @@ from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.automatic_choice import Chosen
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 

@@ -15,7 +15,7 @@ from hnn_vi_ros.scene import Parts
 from hnn_vi_ros.scene.choices import load_code
 from hnn_vi_ros.scene.named_numbers import with_values
 from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.simulation.build import build_at
+from hnn_vi_ros.simulation.construction import build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.base import Alarm

@@ -10,7 +10,7 @@ from hnn_vi_ros.commands.scene_tool import main
 from hnn_vi_ros.errors import ModelError, SceneError
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

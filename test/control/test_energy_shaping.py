@@ -9,7 +9,7 @@ from hnn_vi_ros.control.balance import Balance, weights_of
 from hnn_vi_ros.control.energy_shaping import EnergyShaping
 from hnn_vi_ros.control.hover import Hover
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 import pytest
 

@@ -10,7 +10,7 @@ from hnn_vi_ros.control.task import assign, load_task, Prediction, Task
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

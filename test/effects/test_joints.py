@@ -16,7 +16,7 @@ from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.models.mechanical_card import FrictionCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.system import System
 from mechanical_models import random_mechanical
 from messages import refused

@@ -53,7 +53,7 @@ from hnn_vi_ros.sweeps.axes import file_axis
 STATE = """\
 from hnn_vi_ros.run.held_state import restore_state
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 simulation = build(load_scene('exact_pendulum'))
 """
 READERS = {

@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.tasks.body import BodyProblem, joined, network_of, publ
 from hnn_vi_ros.models.attitude_features import turn_matrices
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

@@ -25,7 +25,7 @@ from hnn_vi_ros.models.mechanical import MechanicalHamiltonian
 from hnn_vi_ros.models.mechanical_card import FrictionCard, MechanicalCard
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from machines import compiled, from_file, machine_config, shaken
 from mechanical_models import random_mechanical, saved
 from messages import misfit, refused

@@ -20,7 +20,7 @@ from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard, Scheme
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.system import System
 from mechanical_models import assert_agrees_with_torch, network, random_mechanical
 from messages import misfit, refused

@@ -15,7 +15,7 @@ from hnn_vi_ros.models.model_card import ModelCard
 from hnn_vi_ros.models.planar_chain import chain_kernel, chain_terms, parameter_names
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from mechanical_models import (
     assert_agrees_with_torch, network, PRIOR, random_mechanical, ROUND_OFF, saved, seen, SHAPES)
 from messages import misfit, refused

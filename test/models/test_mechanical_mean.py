@@ -14,7 +14,7 @@ from hnn_vi_ros.models.confined import load_learned
 from hnn_vi_ros.models.ensemble import load_member
 from hnn_vi_ros.run.companions.members import Accompanied, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from mechanical_models import assert_agrees_with_torch, random_mechanical, ROUND_OFF
 from messages import refused
 import numpy as np

@@ -8,7 +8,7 @@ from hnn_vi_ros.learning.fit.config import find_config, load_config
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -9,7 +9,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.learning.families.choices import AUTO
 from hnn_vi_ros.learning.fit.config import find_config, load_machine
 from hnn_vi_ros.models.planar_chain import PLANAR_CHAIN
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 import pytest
 from studies.machine_tables import CASES, DEFAULT

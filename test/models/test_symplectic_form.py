@@ -21,7 +21,7 @@ from hnn_vi_ros.models.neural import NeuralHamiltonian
 from hnn_vi_ros.models.symplectic_form import irregularity, SymplecticFormHamiltonian
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

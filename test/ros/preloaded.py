@@ -12,7 +12,7 @@ import inspect
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.selection import make_guards
 from hnn_vi_ros.simulation.guards.watch import SampledScale
 

@@ -21,7 +21,7 @@ from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from mcap.writer import Writer
 import numpy as np
 from rclpy.qos import QoSProfile

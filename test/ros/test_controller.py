@@ -13,7 +13,7 @@ from hnn_vi_ros.ros.controller_node import state_of
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.topics.messages import encode_state
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import assert_message, refused
 import numpy as np
 from peer import peer, SIMULATOR

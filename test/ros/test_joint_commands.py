@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.topics.messages import encode_feedback
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 from peer import simulating, SIMULATOR, stamp

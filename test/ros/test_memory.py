@@ -11,7 +11,7 @@ import sys
 import time
 
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from peer import Peer, simulating
 import pytest
 

@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.replay.replay_check import check_replay, check_replays
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture
 from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from mcap.opcode import Opcode
 from messages import assert_message, refused
 import numpy as np

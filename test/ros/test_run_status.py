@@ -17,7 +17,7 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from peer import hearing, values_of
 from processes import finish, read_bag, start
 import pytest

@@ -11,7 +11,7 @@ from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation.accuracy import automatic_choice
 from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, resolve
 from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from processes import finish, start
 import pytest
 from scene_files import scene_text

@@ -15,7 +15,7 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.ros.run import control
 from hnn_vi_ros.ros.topics.messages import CLOCK_QOS, ClockEncoder
 from hnn_vi_ros.run.timing import Pacer
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 from peer import Peer, peer, simulating, SIMULATOR, stamp, wait_for_way_back
 from processes import finish, read_bag, standard_error, start

@@ -16,7 +16,7 @@ from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard
 from hnn_vi_ros.simulation.guards.watch import SampledScale
 from nav_msgs.msg import Odometry

@@ -24,7 +24,7 @@ from hnn_vi_ros.ros.topics.outputs import LATCHED
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 from peer import ros
 from processes import (

@@ -14,7 +14,7 @@ from hnn_vi_ros.run import compiled_beside as beside
 from hnn_vi_ros.run.compiled_beside import compiled_beside
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import assembly
-from hnn_vi_ros.simulation.build import build, compile_loop
+from hnn_vi_ros.simulation.construction import build, compile_loop
 import pytest
 
 TELL = """

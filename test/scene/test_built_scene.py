@@ -5,7 +5,7 @@
 from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.files.resources import shipped_names
 from hnn_vi_ros.scene import load_scene, plain_data, Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

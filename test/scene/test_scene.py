@@ -7,7 +7,7 @@ from pathlib import Path
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError, UnsupportedSystem
 from hnn_vi_ros.files.resources import shipped_file
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import pytest
 from python_process import run_code

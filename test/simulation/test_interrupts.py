@@ -18,7 +18,7 @@ from hnn_vi_ros.kernels.compilation import kept
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import Simulation, simulation as stepping
 from hnn_vi_ros.simulation.assembly import Loop
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.processors import in_threads
 from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many

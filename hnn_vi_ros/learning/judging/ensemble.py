@@ -22,7 +22,7 @@ from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
 from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
 from hnn_vi_ros.run.companions.members import Accompanied, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline

@@ -16,7 +16,7 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
 from hnn_vi_ros.run.held_state import restore_state, STATE_FILE
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 # Relative changes of the initial state: one that is far above round-off and far below the motion,

@@ -28,7 +28,7 @@ from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
 from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard
 from hnn_vi_ros.simulation.guards.base import StateGuard
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard

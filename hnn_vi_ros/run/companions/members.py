@@ -20,7 +20,7 @@ from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.model_card import EnsembleCard
 from hnn_vi_ros.scene import Parts, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.trajectory.simulate import changed_parts, simulate
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np

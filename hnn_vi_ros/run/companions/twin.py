@@ -15,7 +15,7 @@ from hnn_vi_ros.models.seen import domain_of
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 import numpy as np
 
 # A prediction is valid until sum_i (error of q_i)^2 / var_i reaches this (M. Lutter, J. Peters,

@@ -17,8 +17,8 @@ from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
-from hnn_vi_ros.simulation.build import build, build_at
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
+from hnn_vi_ros.simulation.construction import build, build_at
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard

@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.models.checkpoint import save_checkpoint
 from hnn_vi_ros.run.companions.members import Accompanied, deviation, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.base import Look
 from hnn_vi_ros.simulation.guards.bounds import SpreadGuard
 from messages import refused

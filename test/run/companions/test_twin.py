@@ -11,7 +11,7 @@ from hnn_vi_ros.errors import SceneError
 from hnn_vi_ros.run.companions.members import Accompanied
 from hnn_vi_ros.run.companions.twin import Twin, VALID
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from messages import refused
 import numpy as np
 import pytest

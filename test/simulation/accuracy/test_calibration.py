@@ -16,7 +16,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation.accuracy.automatic_choice import (
     calibrate, CANDIDATES, Choice, remembered, resolve)
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, Method, Tolerance
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.trajectory.simulate import simulate
 from messages import refused
 import numpy as np

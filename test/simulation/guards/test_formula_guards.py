@@ -7,7 +7,7 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.formula import Formula
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard
 from hnn_vi_ros.simulation.guards.base import Block, judge
 from hnn_vi_ros.simulation.guards.paths import PathGuard

@@ -6,7 +6,7 @@ import warnings
 
 from helpers import long
 from hnn_vi_ros import load_scene
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.watch import energies_of, suspects, Watch
 import numpy as np

@@ -8,7 +8,7 @@ from helpers import EPS, long
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StepFailure
 from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.build import build
+from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.watch import look, Watch
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.record import BLOCK
