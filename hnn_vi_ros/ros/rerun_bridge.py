@@ -34,7 +34,7 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
 from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
-from hnn_vi_ros.run.look_ahead import look_ahead
+from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
 from hnn_vi_ros.simulation import Sample

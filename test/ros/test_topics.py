@@ -11,8 +11,8 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run.look_ahead import look_ahead
 from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
