@@ -8,8 +8,8 @@ from hnn_vi_ros.ros.topics.outputs import Material
 from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.preview import look_ahead
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample, Simulation
 from hnn_vi_ros.simulation.guards.selection import make_guards

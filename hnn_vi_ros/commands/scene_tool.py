@@ -18,7 +18,7 @@ from hnn_vi_ros.scene import load_scene, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.run.scene_report import EffectCosts
+    from hnn_vi_ros.run.report import EffectCosts
 
 # What simulates is imported by what needs it: a list and a schema are there without it at once.
 
@@ -115,7 +115,7 @@ def explain(scene: Scene) -> Iterator[str]:
         The scene cannot be built or fails.
 
     """
-    from hnn_vi_ros.run.scene_report import measure_effects
+    from hnn_vi_ros.run.report import measure_effects
     from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
     from hnn_vi_ros.simulation.construction import build
     from hnn_vi_ros.simulation.events import watched

@@ -11,7 +11,7 @@ import re
 from hnn_vi_ros.commands.scene_tool import explain, lyapunov_line, main
 from hnn_vi_ros.files.resources import shipped_file, shipped_names
 from hnn_vi_ros.files.yaml_file import json_schema
-from hnn_vi_ros.run.scene_report import measure_effects
+from hnn_vi_ros.run.report import measure_effects
 from hnn_vi_ros.scene import load_scene, Scene
 from messages import assert_message
 import pytest

@@ -18,7 +18,7 @@ from hnn_vi_ros.simulation.guards.watch import SampledScale
 
 # Each fork runs the main module of the tests again, which imports pytest.
 for name in ('pytest', 'hnn_vi_ros.recording.bags.mcap_sink', 'hnn_vi_ros.control.planning',
-             'hnn_vi_ros.ros.arguments', 'hnn_vi_ros.run.scene_report', 'diagnostic_msgs.msg',
+             'hnn_vi_ros.ros.arguments', 'hnn_vi_ros.run.report', 'diagnostic_msgs.msg',
              'lifecycle_msgs.srv', 'nav_msgs.msg', 'rcl_interfaces.srv', 'sensor_msgs.msg',
              'std_srvs.srv', 'trajectory_msgs.msg', 'visualization_msgs.msg'):
     import_module(name)

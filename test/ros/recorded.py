@@ -16,9 +16,9 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.messages import describe_topic
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE, TICKS
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Sample
 from hnn_vi_ros.simulation.construction import build

@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.rerun_bridge import BridgePicture, RerunBridge, target_of
 from hnn_vi_ros.ros.settings import BridgeSettings
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.simulation.construction import build
 from messages import assert_message, refused
 import numpy as np

@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.replay.replay_node import find_type, main as replay
 from hnn_vi_ros.ros.rerun_bridge import RerunBridge
 from hnn_vi_ros.ros.topics.outputs import LATCHED
-from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
 from hnn_vi_ros.simulation.construction import build

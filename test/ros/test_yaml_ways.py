@@ -14,7 +14,7 @@ from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros import rerun_bridge
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.ros.replay.replay_node import recorded_qos
-from hnn_vi_ros.run.scene_report import scene_report
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.simulation.construction import build
 from hypothesis import given, HealthCheck, settings, strategies
 import pytest

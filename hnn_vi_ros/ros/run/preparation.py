@@ -21,8 +21,8 @@ from hnn_vi_ros.run.companions.members import Members
 from hnn_vi_ros.run.companions.twin import Twin
 from hnn_vi_ros.run.compiled_beside import compiled_beside
 from hnn_vi_ros.run.preview import look_ahead
+from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.scene_report import scene_report
 from hnn_vi_ros.scene import load_scene, Parts, Scene
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.simulation import Simulation
