@@ -10,8 +10,8 @@ from subprocess import PIPE, Popen
 import sys
 import time
 
-from hnn_vi_ros.run import compiled_beside as beside
-from hnn_vi_ros.run.compiled_beside import compiled_beside
+from hnn_vi_ros.run import compilation as beside
+from hnn_vi_ros.run.compilation import compiled_beside
 from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import assembly
 from hnn_vi_ros.simulation.construction import build, compile_loop

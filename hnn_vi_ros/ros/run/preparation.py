@@ -19,7 +19,7 @@ from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
 from hnn_vi_ros.run.companions.members import Members
 from hnn_vi_ros.run.companions.twin import Twin
-from hnn_vi_ros.run.compiled_beside import compiled_beside
+from hnn_vi_ros.run.compilation import compiled_beside
 from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.sampling import Sampler
