@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from hnn_vi_ros.scene import load_scene, Scene
     from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
     from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
-    from hnn_vi_ros.sweeps.sweep import sweep
+    from hnn_vi_ros.sweeps.running import sweep
 
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']
 
 _HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.simulation.trajectory.simulate',
-          'simulate_many': 'hnn_vi_ros.simulation.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.sweep',
+          'simulate_many': 'hnn_vi_ros.simulation.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.running',
           'simulate_spread': 'hnn_vi_ros.run.companions.members', 'Scene': 'hnn_vi_ros.scene',
           'Trajectory': 'hnn_vi_ros.simulation.trajectory.trajectory'}
 

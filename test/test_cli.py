@@ -136,7 +136,7 @@ def test_working_directory_that_was_removed_is_one_line(tmp_path):
 def test_missing_ray_is_one_line_before_anything_is_written(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, 'ray', None)
     argv = ['pendulum_lengths', '--ray', 'local', '--out', str(tmp_path / 'out')]
-    said = cli.run_module('hnn_vi_ros.sweeps.sweep', argv, 'sweep')
+    said = cli.run_module('hnn_vi_ros.sweeps.running', argv, 'sweep')
     assert said.startswith('sweep: the Python package ray is missing') and '\n' not in said
     assert said.endswith('-m pip install "ray"')
     assert not (tmp_path / 'out').exists()

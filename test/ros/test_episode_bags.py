@@ -7,7 +7,7 @@ from hnn_vi_ros.recording.bags.mcap_reader import BagReader
 from hnn_vi_ros.ros.replay.episode_bags import main
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.sweeps.sweep import sweep
+from hnn_vi_ros.sweeps.running import sweep
 from messages import refused
 import numpy as np
 import pyarrow.parquet as pq

@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.sweeps.episodes import selected
-from hnn_vi_ros.sweeps.sweep import main
+from hnn_vi_ros.sweeps.running import main
 from messages import refused
 import pytest
 

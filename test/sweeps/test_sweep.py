@@ -24,7 +24,7 @@ from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
 from hnn_vi_ros.sweeps import parquet, trajectories
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.plan import make_plan
-from hnn_vi_ros.sweeps.sweep import main, sweep
+from hnn_vi_ros.sweeps.running import main, sweep
 from hnn_vi_ros.sweeps.trajectories import Runner
 from messages import refused
 import numpy as np

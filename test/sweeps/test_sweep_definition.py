@@ -5,7 +5,7 @@
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.resources import share_folder, shipped_file, shipped_names
 from hnn_vi_ros.sweeps.plan import make_plan
-from hnn_vi_ros.sweeps.sweep import main, sweep
+from hnn_vi_ros.sweeps.running import main, sweep
 from messages import refused
 import pytest
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.ros.topics.messages import describe_topic
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE
 from hnn_vi_ros.run.held_state import STATE_FILE, state_file
 from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.sweeps import sweep
+from hnn_vi_ros.sweeps import running
 from hnn_vi_ros.sweeps.episodes import Episode
 from hnn_vi_ros.sweeps.plan import SweepPlan
 from rclpy.qos import QoSProfile
