@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.integrators.arithmetic import copy_array, largest, plus
 from hnn_vi_ros.integrators.base import OK, Point, Requirements, Step
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.newton import by_differences
+from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel

@@ -5,7 +5,7 @@
 from hnn_vi_ros.hamiltonians.parameters import check_between
 from hnn_vi_ros.integrators.base import Integrator, Requirements
 from hnn_vi_ros.integrators.equations import EquationWork
-from hnn_vi_ros.integrators.newton import continuation, krylov, newton
+from hnn_vi_ros.integrators.newton_solver import continuation, krylov, newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant, SolverOptions
 from hnn_vi_ros.integrators.workspaces import FAST_MATRIX, LARGEST_MATRIX
 import numpy as np

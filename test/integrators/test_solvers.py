@@ -12,7 +12,7 @@ from hnn_vi_ros.integrators import INTEGRATORS, solvers
 from hnn_vi_ros.integrators.base import OK, Point
 from hnn_vi_ros.integrators.gauss import gauss_tableau, modes_of, simplified_newton
 from hnn_vi_ros.integrators.implicit_midpoint import MidpointWork
-from hnn_vi_ros.integrators.newton import krylov, newton
+from hnn_vi_ros.integrators.newton_solver import krylov, newton
 from hnn_vi_ros.integrators.solvers import anderson, fixed_point, secant
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.linear_algebra import invert

@@ -16,7 +16,7 @@ from hnn_vi_ros.integrators.base import OK, Point, Requirements, TURNED
 from hnn_vi_ros.integrators.equations import set_scale
 from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivialised, turn
-from hnn_vi_ros.integrators.newton import by_differences
+from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel

@@ -11,7 +11,7 @@ from hnn_vi_ros.integrators.gauss import Collocation, orders_of, Tableau
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, fill_forces, FURTHEST, FURTHEST_CAYLEY, move, set_turn_scale, turns_beyond)
 from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
-from hnn_vi_ros.integrators.newton import by_differences
+from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.marks import called, inlined

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau
 from hnn_vi_ros.integrators.equations import set_scale
-from hnn_vi_ros.integrators.newton import newton
+from hnn_vi_ros.integrators.newton_solver import newton
 from hnn_vi_ros.integrators.solvers import anderson
 from hnn_vi_ros.integrators.workspaces import SolverWork
 from hnn_vi_ros.kernels.blocks import bare
