@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate learned Hamiltonian dynamics with variational integrators, in ROS 2 and in Python."""
 
-from importlib import import_module
 from typing import TYPE_CHECKING
 
+from hnn_vi_ros.exports import lazy_exports
 from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
@@ -17,19 +17,5 @@ if TYPE_CHECKING:
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']
 
-_HOMES = {'load_scene': 'hnn_vi_ros.scene', 'simulate': 'hnn_vi_ros.simulation.trajectory.simulate',
-          'simulate_many': 'hnn_vi_ros.simulation.trajectory.simulate', 'sweep': 'hnn_vi_ros.sweeps.running',
-          'simulate_spread': 'hnn_vi_ros.run.companions.members', 'Scene': 'hnn_vi_ros.scene',
-          'Trajectory': 'hnn_vi_ros.simulation.trajectory.trajectory'}
-
-
-def __getattr__(name: str) -> object:
-    # Imported on first use: an executable can then still report a missing dependency.
-    if name not in _HOMES:
-        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    # For completion, which would not offer what is imported on first use.
-    return sorted(__all__)
+# Not `__version__`, which is there at once.
+__getattr__, __dir__ = lazy_exports(__name__)

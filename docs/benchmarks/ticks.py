@@ -11,7 +11,8 @@ from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.guards.selection import make_guards
 from hnn_vi_ros.simulation.guards.watch import SampledScale
 from rclpy.node import Node

@@ -12,14 +12,14 @@ from hnn_vi_ros.files.command_line import Parser
 # Each command, by what it is for, and the module of the package whose ``main(argv)`` it calls.
 GROUPS = {
     'simulate': {'run': 'commands.run', 'scene': 'commands.scene_tool', 'cost': 'commands.cost',
-                 'sweep': 'sweeps.sweep'},
+                 'sweep': 'sweeps.running'},
     'learn': {'train': 'learning.train', 'evaluate': 'learning.evaluate',
-              'identify': 'learning.scene_numbers.identify',
+              'identify': 'identify.identify',
               'import_checkpoint': 'learning.import_checkpoint'},
     'control': {'controller': 'ros.controller_node'},
     'ROS': {'simulator': 'ros.simulator_node', 'rerun_bridge': 'ros.rerun_bridge',
             'listener': 'ros.listener_node'},
-    'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'bags.recover_bag'},
+    'data': {'replay': 'ros.replay.replay_node', 'recover_bag': 'recording.bags.recover_bag'},
     'this installation': {'doctor': 'commands.doctor', 'completion': 'commands.completion'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.kernels.compilation import identify, kept
 from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.attitude_features import group_of, see, widened
+from hnn_vi_ros.models.attitude_features import group_of, see_attitude, widened
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
 from hnn_vi_ros.phase_space import Coordinate
@@ -92,7 +92,7 @@ def add_drag(entries: np.ndarray, block: int, velocity: np.ndarray, product: np.
 
 @kept(error_model='numpy')
 def _evaluate(own: BodyNetwork, q: np.ndarray, p: np.ndarray) -> None:
-    see(q, p, own.features)
+    see_attitude(q, p, own.features)
     half = own.features.size // 2
     evaluate_outputs(own.outputs, own.features[:half], own.features[half:], own.entries)
 

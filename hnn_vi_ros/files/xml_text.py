@@ -14,7 +14,7 @@ from xml.parsers import expat
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.files.yaml_text import one_line
 
-MAX_BYTES = 8 << 20
+MAX_XML_BYTES = 8 << 20
 MAX_DEPTH = 64
 MAX_ELEMENTS = 100_000
 
@@ -61,8 +61,8 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
         The exception to raise, with one line: where, the line, what is wrong.
 
     """
-    if len(text) > MAX_BYTES:
-        raise error(f'{where}: more than {MAX_BYTES >> 20} MiB of XML')
+    if len(text) > MAX_XML_BYTES:
+        raise error(f'{where}: more than {MAX_XML_BYTES >> 20} MiB of XML')
     parser, numbers = expat.ParserCreate(), count(1)
     # The elements that are open, within one that holds the root.
     opened = [Element('', {}, 0)]

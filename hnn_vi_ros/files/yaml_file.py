@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, offered
 from hnn_vi_ros.files.named_code import trusting
 from hnn_vi_ros.files.regular_file import read_limited
-from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_BYTES, one_line, parse_mapping
+from hnn_vi_ros.files.yaml_text import KeyPlaces, MAX_YAML_BYTES, one_line, parse_mapping
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.json_schema import GenerateJsonSchema
 
@@ -120,7 +120,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
 def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
     """Return the content of a regular file, unless it is larger than YAML may be."""
     try:
-        return read_limited(path, MAX_BYTES)
+        return read_limited(path, MAX_YAML_BYTES)
     except OSError as problem:
         raise error(f'{path}: {problem.strerror}; give a YAML file') from problem
 

@@ -21,7 +21,7 @@ from yaml.parser import ParserError
 from yaml.reader import Reader
 from yaml.scanner import ScannerError
 
-MAX_BYTES = 1 << 20
+MAX_YAML_BYTES = 1 << 20
 MAX_DEPTH = 32
 # Keys, values and lists; the longest initial state has 20,000.
 MAX_NODES = 50_000
@@ -101,8 +101,8 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
 
     """
     raw = text.encode('utf-8', 'surrogatepass') if isinstance(text, str) else text
-    if len(raw) > MAX_BYTES:
-        raise error(f'{where}: larger than {MAX_BYTES >> 20} MiB, which no such YAML needs')
+    if len(raw) > MAX_YAML_BYTES:
+        raise error(f'{where}: larger than {MAX_YAML_BYTES >> 20} MiB, which no such YAML needs')
     try:
         decoded = raw.decode('utf-8')
     except UnicodeDecodeError as problem:

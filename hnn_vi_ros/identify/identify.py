@@ -23,7 +23,7 @@ from hnn_vi_ros.identify.fit import fit, FitProblem, search, Solution
 from hnn_vi_ros.identify.free_numbers import DELAY, free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import Estimate, Estimates, estimates_of, profile, quantile
 from hnn_vi_ros.identify.windows import check_times, Windows
-from hnn_vi_ros.learning import arguments as command_lines
+from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions

@@ -36,7 +36,7 @@ def turn_matrices(q: np.ndarray) -> np.ndarray:
 
 
 @called
-def see(q: np.ndarray, p: np.ndarray, z: np.ndarray) -> None:
+def see_attitude(q: np.ndarray, p: np.ndarray, z: np.ndarray) -> None:
     """Fill (x, R row by row, pi) of one state, in the layout of a kernel."""
     places = q.size - 4
     for i in range(places):

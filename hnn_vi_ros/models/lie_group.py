@@ -4,7 +4,7 @@
 
 from hnn_vi_ros.kernels.kernel import Kernel
 from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.models.attitude_features import add_turn_slope, group_of, see, see_change, widened
+from hnn_vi_ros.models.attitude_features import add_turn_slope, group_of, see_attitude, see_change, widened
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
@@ -72,7 +72,7 @@ class LieGroupHamiltonian(LearnedHamiltonian):
 
 
 def _energy(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> float:
-    see(q, p, parameters.work.z)
+    see_attitude(q, p, parameters.work.z)
     return energy(parameters)
 
 
@@ -130,7 +130,7 @@ def _hessian_vector(parameters: RootParameters, q: np.ndarray, p: np.ndarray,
 def _first_order(parameters: RootParameters, q: np.ndarray, p: np.ndarray) -> None:
     """Fill the derivative c of H by (x, R) at held p, and the velocities v."""
     c, v = parameters.work.c, parameters.work.v
-    see(q, p, parameters.work.z)
+    see_attitude(q, p, parameters.work.z)
     first_order(parameters)
     if v.size > 3:
         for i in range(3):

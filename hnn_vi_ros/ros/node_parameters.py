@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
-from hnn_vi_ros.files.yaml_text import MAX_BYTES, parse_mapping
+from hnn_vi_ros.files.yaml_text import MAX_YAML_BYTES, parse_mapping
 from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected, parameter_names, PREFIX
 from hnn_vi_ros.ros.settings import (
     PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)
@@ -108,7 +108,7 @@ def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
         if option == '--params-file':
             # ROS has read it already, and refused what is no parameter file. Only names count.
             with open(path, 'rb') as stream:
-                content, _ = parse_mapping(stream.read(MAX_BYTES + 1), path, ParameterError)
+                content, _ = parse_mapping(stream.read(MAX_YAML_BYTES + 1), path, ParameterError)
             yield from _sections_in(content, '')
 
 

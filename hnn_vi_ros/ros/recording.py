@@ -22,7 +22,8 @@ from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, Ru
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import Figures
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from std_msgs.msg import String
 

@@ -37,7 +37,7 @@ from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
 from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.description import described_scene
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.construction import build
 import numpy as np
 from rclpy.parameter import Parameter

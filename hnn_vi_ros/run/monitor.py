@@ -8,7 +8,8 @@ import math
 import time
 
 from hnn_vi_ros.run.timing import Timing
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import secular_change
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, time_scale, Tolerance
 from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, judge, StateGuard, Waiting

@@ -10,7 +10,7 @@ import time
 from typing import NamedTuple
 
 from hnn_vi_ros.files.standard_streams import rewrite_line
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
 import numpy as np
 

@@ -20,7 +20,7 @@ from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
 from hnn_vi_ros.files.yaml_text import KeyPlaces
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, TURNING
+from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
 from hnn_vi_ros.integrators import INTEGRATORS
 from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
 from hnn_vi_ros.models.checkpoint import file_digest
@@ -303,10 +303,10 @@ class Scene(StrictModel):
                 raise SceneError(
                     f'{self.place("initial_state", key)}: {len(values)} values, expected '
                     f'{len(own)}, one for each coordinate: {listed(own)}')
-        if self.mechanism and (self.mechanism in TURNING) != (len(names) != len(momenta)):
+        if self.mechanism and (self.mechanism in ROTATING) != (len(names) != len(momenta)):
             raise SceneError(
                 f'{self.place("mechanism")}: {self.mechanism} draws '
-                f'{"a body that turns" if self.mechanism in TURNING else "scalar coordinates"}, '
+                f'{"a body that turns" if self.mechanism in ROTATING else "scalar coordinates"}, '
                 f'but H has {listed(c.name for c in coordinates)}; leave it out or take another')
         if self.mechanism and len(names) not in COORDINATES[self.mechanism]:
             numbers = [str(number) for number in COORDINATES[self.mechanism]]

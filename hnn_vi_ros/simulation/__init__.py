@@ -9,6 +9,6 @@ accuracy and trajectory.
 """
 
 from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
-from hnn_vi_ros.simulation.state import Sample
+from hnn_vi_ros.recording.sample import Sample
 
-__all__ = ['RescuePending', 'Sample', 'Simulation']
+__all__ = ['RescuePending', 'Simulation']

@@ -12,7 +12,8 @@ from hnn_vi_ros.files.yaml_text import one_line
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.scene.named_numbers import with_values
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.dense_step import whole_steps
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation

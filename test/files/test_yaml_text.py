@@ -60,7 +60,7 @@ def test_scalar_is_read_as_plain_data(text, value):
     ('a:\n\tb: c', 'here:2: a tab; indent by spaces'),
     ('a: 1\n--- b', 'here:2: expected a single document'), ('', 'here:1: is empty; expected YAML'),
     ('a: \x00', 'a character that YAML has not'), (b'a: 1\nb: \xff', 'here:2: not UTF-8 '),
-    ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_BYTES, 'larger than 1 MiB'),
+    ('\ud800', 'not UTF-8'), ('a: ' + 'x' * yaml_text.MAX_YAML_BYTES, 'larger than 1 MiB'),
 ], ids=range(27))
 def test_refusal_is_one_line_that_names_the_place(text, words):
     assert words in refusal(text)
@@ -101,7 +101,7 @@ def test_no_more_is_composed_than_shows_that_a_limit_is_exceeded(monkeypatch, te
     '1:', '1', '1.', '.', '+', '1e', '0', '-', '_', ' ', '\n', '#', '"', "'", 'a', '&a ', '*a ',
     '? ', ': ', 'a: ', '- ', '|\n ', '!', '%', '\\', '{', ',', 'é', '\t', '\r', '\ufeff'])
 def test_megabyte_of_one_thing_is_read_or_refused(unit):
-    text = unit * (yaml_text.MAX_BYTES // len(unit.encode()) - 8)
+    text = unit * (yaml_text.MAX_YAML_BYTES // len(unit.encode()) - 8)
     for whole in (text, f'a: {text}', f'a: "{text}'):
         try:
             parse(whole)

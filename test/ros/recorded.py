@@ -20,7 +20,7 @@ from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.construction import build
 from mcap.writer import Writer
 import numpy as np

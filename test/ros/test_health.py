@@ -20,7 +20,8 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import Alarm, Block, Guard

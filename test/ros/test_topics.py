@@ -14,7 +14,8 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard

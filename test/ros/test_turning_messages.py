@@ -15,7 +15,7 @@ from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from messages import refused
 from nav_msgs.msg import Odometry
 import numpy as np

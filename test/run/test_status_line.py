@@ -7,7 +7,7 @@ import re
 import sys
 
 from hnn_vi_ros.run.timing import StatusLine
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import pytest
 

@@ -389,4 +389,4 @@ _COLUMNS: dict[Mechanism, Sequence[int]] = {
 MECHANISMS = {draw.__name__: draw for draw in _COLUMNS}
 COORDINATES = {draw.__name__: columns for draw, columns in _COLUMNS.items()}
 # Those of bodies that turn.
-TURNING = frozenset(('turning_body',))
+ROTATING = frozenset(('turning_body',))

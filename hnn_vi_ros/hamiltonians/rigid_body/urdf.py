@@ -16,7 +16,7 @@ import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
 from hnn_vi_ros.files.regular_file import read_limited
-from hnn_vi_ros.files.xml_text import Element, MAX_BYTES, parse_xml
+from hnn_vi_ros.files.xml_text import Element, MAX_XML_BYTES, parse_xml
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
 import numpy as np
@@ -118,7 +118,7 @@ def parse_urdf(text: bytes, where: str) -> Robot:
 
 def _read(path: Path) -> bytes:
     try:
-        return read_limited(path, MAX_BYTES)
+        return read_limited(path, MAX_XML_BYTES)
     except OSError as problem:
         raise ModelError(f'{path}: {problem.strerror}; give the path of a URDF, or '
                          'package://PACKAGE/PATH') from problem

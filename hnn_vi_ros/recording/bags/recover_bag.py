@@ -7,7 +7,7 @@ import sys
 
 from hnn_vi_ros.errors import printable, RecordingError
 from hnn_vi_ros.files.command_line import called
-from hnn_vi_ros.recording.bags import arguments
+from hnn_vi_ros.recording import arguments
 from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
 
 

@@ -18,7 +18,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, fitted, frame_of
 from hnn_vi_ros.recording.viewer.rerun_blueprint import PALETTE
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree

@@ -22,7 +22,7 @@ from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, Extent, mak
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import rerun as rr
 

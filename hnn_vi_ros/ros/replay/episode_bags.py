@@ -24,7 +24,7 @@ _NODE = '/hnn_simulator'
 
 def main(argv: list[str]) -> int:
     """Run ``sweep`` for a command line that asks for bags."""
-    return sweep.main(argv, write_bags)
+    return running.main(argv, write_bags)
 
 
 def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:

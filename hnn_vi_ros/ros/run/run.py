@@ -28,7 +28,8 @@ from hnn_vi_ros.run.companions.members import accompany
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
-from hnn_vi_ros.simulation import RescuePending, Sample
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import RescuePending
 from hnn_vi_ros.simulation.events import watched, WatchedSimulation
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard
 from hnn_vi_ros.simulation.guards.base import Alarm

@@ -16,7 +16,8 @@ from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotation
 from hnn_vi_ros.recording.bags.bag_metadata import Topic
 from hnn_vi_ros.recording.bags.cdr import state_names, Template
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 import numpy as np
 from rclpy.duration import Duration, Infinite

@@ -21,7 +21,7 @@ from hnn_vi_ros.ros.topics.outputs import (
     DIAGNOSTICS, JOINT_STATES, Material, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
 from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState

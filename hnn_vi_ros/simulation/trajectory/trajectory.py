@@ -15,7 +15,8 @@ from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.hamiltonians.mechanisms.skeleton import skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Sample, Simulation
+from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 import numpy as np
 

@@ -12,7 +12,7 @@ from hnn_vi_ros.recording.viewer.phase_portrait import box_of
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of)
 from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader

@@ -21,7 +21,7 @@ from hnn_vi_ros.recording.viewer import rerun_sink, rerun_stream
 from hnn_vi_ros.recording.viewer.rerun_blueprint import BANDS, series_labels
 from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from messages import refused
 import numpy as np
 from PIL import Image

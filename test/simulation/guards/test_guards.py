@@ -5,7 +5,7 @@
 import math
 
 from helpers import alarm_of
-from hnn_vi_ros.simulation import Sample
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import accounted_energy, Block, BlockGuard, judge, Waiting
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
