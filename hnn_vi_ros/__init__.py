@@ -8,11 +8,10 @@ from hnn_vi_ros.exports import lazy_exports
 from hnn_vi_ros.version import __version__
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.run.companions.members import simulate_spread
+    from hnn_vi_ros.run import simulate_spread
     from hnn_vi_ros.scene import load_scene, Scene
-    from hnn_vi_ros.simulation.trajectory.simulate import simulate, simulate_many
-    from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
-    from hnn_vi_ros.sweeps.running import sweep
+    from hnn_vi_ros.simulation import simulate, simulate_many, Trajectory
+    from hnn_vi_ros.sweeps import sweep
 
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']

@@ -15,12 +15,12 @@ from types import FrameType
 from typing import Any, NoReturn
 import warnings
 
-from hnn_vi_ros.commands.table import ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse
+from hnn_vi_ros.commands import ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse
 from hnn_vi_ros.errors import HnnViRosError, pip_command
-from hnn_vi_ros.files.command_line import call_by_hnn, called
-from hnn_vi_ros.files.resources import private_folder, usual_folder
-from hnn_vi_ros.files.standard_streams import ENDING, guard_streams, lost_output, write_problem
-from hnn_vi_ros.ros.plumbing.environment import settle_ros_environment
+from hnn_vi_ros.files import (
+    call_by_hnn, called, ENDING, guard_streams, lost_output, private_folder, usual_folder,
+    write_problem)
+from hnn_vi_ros.ros import settle_ros_environment
 
 # Import names of ROS 2, and the wheels that hold all of them.
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')

@@ -11,16 +11,12 @@ from typing import Any, NamedTuple
 
 import gymnasium
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from hnn_vi_ros.effects.base import EffectError
-from hnn_vi_ros.effects.commands import Commanded, NUMBERS
+from hnn_vi_ros.effects import Commanded, EffectError, NUMBERS
 from hnn_vi_ros.errors import StateError, StepFailure, StoppedByEvent
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.checks import check_count, check_numbers
-from hnn_vi_ros.simulation.construction import build_at
-from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-from hnn_vi_ros.simulation.processors import usable_processors
-from hnn_vi_ros.simulation.trajectory.simulate import changed_parts
+from hnn_vi_ros.simulation import (
+    build_at, changed_parts, check_count, check_numbers, Simulation, usable_processors, watched,
+    WatchedSimulation)
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -15,21 +15,12 @@ from typing import Any, NamedTuple, NoReturn
 
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
-from hnn_vi_ros.models.torch_network import Network
-from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.named_numbers import check_names
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.checks import check_count, check_seconds
-from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.gradients.dependences import Dependence, States
-from hnn_vi_ros.simulation.gradients.derivatives import Change, Recorded
-from hnn_vi_ros.simulation.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
-from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
-from hnn_vi_ros.simulation.trajectory.record import check_memory
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.models import Checkpoint, FAMILIES, LearnedHamiltonian, Network, warn_of_scheme
+from hnn_vi_ros.scene import check_names, load_scene, Scene
+from hnn_vi_ros.simulation import (
+    base_of, Change, check_count, check_in_files, check_memory, check_seconds, Dependence, Numbers,
+    OnHamiltonian, OnLagrangian, Recorded, resolve, SceneRun, States, whole_steps)
 import numpy as np
 import torch
 

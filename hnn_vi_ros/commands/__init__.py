@@ -1,3 +1,19 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``hnn``: the table of its commands, and those that no other room has."""
+# flake8: noqa: F401
+"""
+The command ``hnn``: its table of commands, and those without a room of their own.
+
+The others are in the rooms of their work: ``learning``, ``identify``, ``sweeps``, ``recording``
+and ``ros``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.commands.table import (
+        ALIASES, COMMANDS, EXECUTABLES, module_of, parser_of, refuse)
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -5,7 +5,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from hnn_vi_ros.files.command_line import complete_by, Parser, seconds
+from hnn_vi_ros.files import complete_by, Parser, seconds
 
 SHELLS = ('bash', 'zsh')
 

@@ -10,7 +10,7 @@ import argcomplete
 from argcomplete.completers import FilesCompleter
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.table import COMMANDS, parser_of
-from hnn_vi_ros.files.resources import shipped_names
+from hnn_vi_ros.files import shipped_names
 
 
 def main(argv: list[str]) -> int:

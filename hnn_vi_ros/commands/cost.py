@@ -12,15 +12,9 @@ import sys
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.commands.run import check_outputs, write_outputs
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.command_line import called
-from hnn_vi_ros.files.standard_streams import ProgressLine
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.scene import load_scene, Parts, Scene
-from hnn_vi_ros.scene.choices import AutoChoice
-from hnn_vi_ros.simulation.accuracy.automatic_choice import problem_of
-from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs
-from hnn_vi_ros.simulation.accuracy.trials import Method
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.files import called, dump_yaml, ProgressLine
+from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
+from hnn_vi_ros.simulation import build, Cost, CostStudy, measure_costs, Method, problem_of
 import numpy as np
 
 # Candidates for the columns of the table, and how many columns it has at most.

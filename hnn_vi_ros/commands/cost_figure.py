@@ -12,7 +12,7 @@ from textwrap import fill
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy
+from hnn_vi_ros.simulation import Cost, CostStudy
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import hsv_to_rgb, to_hex

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError, pip_command
-from hnn_vi_ros.files.resources import cache_folder, can_be_written, share_folder, shipped_names
-from hnn_vi_ros.ros.plumbing.environment import distribution, settle_ros_environment
-from hnn_vi_ros.simulation.processors import usable_processors
+from hnn_vi_ros.files import cache_folder, can_be_written, share_folder, shipped_names
+from hnn_vi_ros.ros import distribution, settle_ros_environment
+from hnn_vi_ros.simulation import usable_processors
 from hnn_vi_ros.version import __version__
 
 # Import names of packages that simulating needs, and of optional ones; names on PyPI that differ.

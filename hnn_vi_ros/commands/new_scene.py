@@ -12,16 +12,10 @@ import re
 import sys
 
 from hnn_vi_ros.errors import ModelError, SceneError
-from hnn_vi_ros.files.command_line import command, Parser
-from hnn_vi_ros.files.regular_file import write_new_scene
-from hnn_vi_ros.files.resources import package_file, SCHEME, share_folder
-from hnn_vi_ros.files.yaml_text import dump_yaml, one_line
-from hnn_vi_ros.hamiltonians.expressions import Graph, Reader
-from hnn_vi_ros.hamiltonians.formula import Formula
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
-from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.files import (
+    command, dump_yaml, one_line, package_file, Parser, SCHEME, share_folder, write_new_scene)
+from hnn_vi_ros.hamiltonians import (
+    Formula, Graph, Joint, MOST_JOINTS, read_urdf, Reader, RigidBodyTree, Robot, SLIDING)
 from hnn_vi_ros.scene import load_scene
 import numpy as np
 from scipy.optimize import minimize

@@ -9,11 +9,8 @@ from pathlib import Path
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.regular_file import no_file, replacing
-from hnn_vi_ros.files.standard_streams import elapsed
-from hnn_vi_ros.simulation.guards.bands import is_wrong
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.files import elapsed, no_file, replacing
+from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
 import numpy as np
 
 # The exit status of a run that is not to be trusted, if asked for.

@@ -10,15 +10,12 @@ from typing import Any, TYPE_CHECKING
 
 from hnn_vi_ros.commands import arguments
 from hnn_vi_ros.errors import HnnViRosError, ModelError
-from hnn_vi_ros.files.command_line import called
-from hnn_vi_ros.files.resources import shipped_names
-from hnn_vi_ros.files.yaml_file import json_schema
+from hnn_vi_ros.files import called, json_schema, shipped_names
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate
-from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.scene import AutoChoice, load_scene, Scene
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.run.report import EffectCosts
+    from hnn_vi_ros.run import EffectCosts
 
 # What simulates is imported by what needs it: a list and a schema are there without it at once.
 
@@ -60,10 +57,8 @@ def main(argv: list[str]) -> int:
 
 def check(names: Sequence[str]) -> int:
     """Print one line a scene: what it is, or to the standard error stream what is wrong."""
-    from hnn_vi_ros.run.companions.members import ensemble_card
-    from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.simulation.construction import build
-    from hnn_vi_ros.simulation.events import watched
+    from hnn_vi_ros.run import ensemble_card
+    from hnn_vi_ros.simulation import build, resolve, watched
     status = 0
     for name in names:
         try:
@@ -80,7 +75,7 @@ def check(names: Sequence[str]) -> int:
 
 def compile_all(names: Sequence[str], rescue: bool) -> int:
     """Compile scenes, all shipped ones by default, and print a line for each."""
-    from hnn_vi_ros.run.compiled_scenes import compile_scenes
+    from hnn_vi_ros.run import compile_scenes
     status = 0
     names = names or [
         name for name in shipped_names('scene') if not _lacks_a_model(load_scene(name))]
@@ -115,10 +110,8 @@ def explain(scene: Scene) -> Iterator[str]:
         The scene cannot be built or fails.
 
     """
-    from hnn_vi_ros.run.report import measure_effects
-    from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-    from hnn_vi_ros.simulation.construction import build
-    from hnn_vi_ros.simulation.events import watched
+    from hnn_vi_ros.run import measure_effects
+    from hnn_vi_ros.simulation import build, resolve, watched
     if isinstance(scene.integrator, AutoChoice):
         print('selecting a method ...', file=sys.stderr)
     scene, chosen = resolve(scene)
@@ -170,7 +163,7 @@ def _choice(role: str, choice: Any) -> Iterator[str]:
 
 def lyapunov_line(scene: Scene, steps: int) -> str:
     """Return the line on the Lyapunov time, looked for during so many steps."""
-    from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time
+    from hnn_vi_ros.simulation import lyapunov_time
     duration = steps * scene.known_step_size
     try:
         time = lyapunov_time(scene, duration)

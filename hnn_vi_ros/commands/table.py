@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import NoReturn
 
 from hnn_vi_ros.errors import did_you_mean
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 
 # Each command, by what it is for, and the module of the package whose ``main(argv)`` it calls.
 GROUPS = {

@@ -5,16 +5,12 @@
 from pathlib import Path
 from threading import RLock
 
-from hnn_vi_ros.effects.commands import NUMBERS
+from hnn_vi_ros.effects import NUMBERS
 from hnn_vi_ros.errors import UnsupportedSystem
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.checks import check_count, check_numbers
-from hnn_vi_ros.simulation.following import Law
-from hnn_vi_ros.simulation.gradients.acting_effects import ActingEffects, check_effects
-from hnn_vi_ros.simulation.gradients.dependences import derivative
-from hnn_vi_ros.simulation.gradients.derivatives import DifferentiableRun
+from hnn_vi_ros.simulation import (
+    ActingEffects, check_count, check_effects, check_numbers, derivative, DifferentiableRun, Law,
+    resolve, Simulation)
 import numpy as np
 from numpy.typing import ArrayLike
 

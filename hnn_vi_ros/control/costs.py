@@ -11,10 +11,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import listed, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, RIGID, SLIDING
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import Hamiltonian, Joint, RIGID, SLIDING
+from hnn_vi_ros.kernels import inlined, kept
 from hnn_vi_ros.phase_space import angle_columns
 import numpy as np
 from numpy.typing import ArrayLike

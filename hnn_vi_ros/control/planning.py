@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost
-from hnn_vi_ros.simulation.checks import check_count
+from hnn_vi_ros.simulation import check_count
 import numpy as np
 from numpy.typing import ArrayLike
 

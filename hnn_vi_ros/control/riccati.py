@@ -4,9 +4,7 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import factorise, inlined, kept, solve_cholesky
 import numpy as np
 
 _MOST = 20

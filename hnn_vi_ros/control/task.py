@@ -20,14 +20,11 @@ from hnn_vi_ros.control.ilqr import Ilqr, Regulator
 from hnn_vi_ros.control.linear import find_equilibrium, momentum, velocity
 from hnn_vi_ros.control.mppi import Mppi
 from hnn_vi_ros.errors import DataError, did_you_mean, listed, SceneError, UnsupportedSystem
-from hnn_vi_ros.files.resources import find_yaml
-from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel
-from hnn_vi_ros.files.yaml_text import KeyPlaces
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation import resolve, System
 import numpy as np
 from pydantic import Field, model_validator
 

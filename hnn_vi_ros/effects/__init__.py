@@ -1,3 +1,33 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that a scene can add to its Hamiltonian, by the kind that its YAML names."""
+# flake8: noqa: F401
+"""
+Effects that a scene adds to its Hamiltonian: potentials, forces, constraints, impacts.
+
+``registry`` lists them under their names in scenes; each is one file. Effects act inside a step;
+what only looks at a run is in ``simulation.guards``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.effects.base import (
+        Effect, EffectError, EffectState, Force, Joined, Layer, per_coordinate, Place, Potential)
+    from hnn_vi_ros.effects.commands import (
+        Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, LARGEST, NUMBERS,
+        OBSERVATION, Observation, PATH, POSITION, printable, select, VELOCITY, whole_turns)
+    from hnn_vi_ros.effects.damping import Damping
+    from hnn_vi_ros.effects.external_force import ExternalForce
+    from hnn_vi_ros.effects.input_map import has_map
+    from hnn_vi_ros.effects.kernels import add_forces, join
+    from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
+    from hnn_vi_ros.effects.learned_friction import LearnedFriction
+    from hnn_vi_ros.effects.manifold import Manifold
+    from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
+    from hnn_vi_ros.effects.registry import effect_name, EFFECTS
+    from hnn_vi_ros.effects.splitting import largest_gain
+    from hnn_vi_ros.effects.wrapped import Account, Wrapped
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -7,7 +7,7 @@ R m = (w^2 - |u|^2) m + 2 (u . m) u + 2 w u cross m is quadratic in the quaterni
 normalised here: H is smooth around norm 1, and its derivatives must match.
 """
 
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, inlined
 import numpy as np
 
 Vector = tuple[float, float, float]

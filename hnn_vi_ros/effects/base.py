@@ -11,9 +11,9 @@ from typing import Any, ClassVar, NamedTuple
 
 from hnn_vi_ros.effects.commands import Reference
 from hnn_vi_ros.errors import listed, reduce_error
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, Point, PointWork, Step
-from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Parameters
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator, Point, PointWork, Step
+from hnn_vi_ros.kernels import Energy, Functions, Gradient, HessianVector, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, scalar_columns
 import numpy as np
 

@@ -5,11 +5,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.compilation import identify, kept
-from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.attitude_features import group_of, see_attitude, widened
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
+from hnn_vi_ros.kernels import identify, inlined, kept
+from hnn_vi_ros.models import (
+    Checkpoint, evaluate_outputs, group_of, pack_layers, PackedOutputs, see_attitude, widened)
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 

@@ -4,8 +4,8 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.dense_output import cubic, quintic, slope_at, value_at
-from hnn_vi_ros.kernels.marks import called
+from hnn_vi_ros.integrators import cubic, quintic, slope_at, value_at
+from hnn_vi_ros.kernels import called
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -10,12 +10,10 @@ from hnn_vi_ros.effects.base import EffectState, Force, per_coordinate, Place, S
 from hnn_vi_ros.effects.masses import check_rates, Friction, vector_potential
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.parameters import check_not_negative
-from hnn_vi_ros.integrators.base import Integrator, Step
-from hnn_vi_ros.kernels.kernel import Parameters
-from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.hamiltonians import check_not_negative, Hamiltonian
+from hnn_vi_ros.integrators import Integrator, Step
+from hnn_vi_ros.kernels import inlined, Parameters
+from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import (
     Command, Commanded, EFFORT, indices_of, JointCommand, LARGEST, NUMBERS)
-from hnn_vi_ros.hamiltonians.parameters import check_names_once, check_positive
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_names_once, check_positive
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
 if TYPE_CHECKING:
     from hnn_vi_ros.effects.input_map import InputParameters
-    from hnn_vi_ros.models.checkpoint import Checkpoint
+    from hnn_vi_ros.models import Checkpoint
 
 
 class ExternalForce(Force, Commanded):

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects.base import EffectState
 from hnn_vi_ros.effects.body_forces import add_body_drag, add_drag, body_network, BodyNetwork
 from hnn_vi_ros.effects.input_map import InputMatrix, motors_of
-from hnn_vi_ros.kernels.compilation import identify, kept
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
-from hnn_vi_ros.models.outputs import evaluate_outputs, pack_layers, PackedOutputs
+from hnn_vi_ros.kernels import identify, kept
+from hnn_vi_ros.models import (
+    Checkpoint, evaluate_outputs, even_layers, Features, Layers, pack_features, pack_layers,
+    PackedOutputs, see)
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 from scipy.linalg import block_diag

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 from hnn_vi_ros.effects.base import Effect, EffectState, Place
 from hnn_vi_ros.effects.points import resolve_pair
 from hnn_vi_ros.effects.rattle import ConstraintEquation
-from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
-from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.files import import_named, NAMES_CODE
+from hnn_vi_ros.hamiltonians import check_finite, check_positive
+from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

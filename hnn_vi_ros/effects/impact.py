@@ -7,7 +7,7 @@ from typing import Literal
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState
 from hnn_vi_ros.effects.stops import RigidContact, Stops
-from hnn_vi_ros.hamiltonians.parameters import check_finite
+from hnn_vi_ros.hamiltonians import check_finite
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -10,10 +10,9 @@ from hnn_vi_ros.effects.base import coordinate_index, EffectState
 from hnn_vi_ros.effects.body_forces import add_body_map, body_network, BodyNetwork
 from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import listed, ModelError
-from hnn_vi_ros.kernels.compilation import identify, kept
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
-from hnn_vi_ros.models.outputs import evaluate_outputs, pack_outputs, PackedOutputs
+from hnn_vi_ros.kernels import identify, kept
+from hnn_vi_ros.models import (
+    Checkpoint, evaluate_outputs, load_checkpoint, MechanicalCard, pack_outputs, PackedOutputs)
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 

@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.joints import check_given, joint_numbers
-from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_not_negative, check_positive
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

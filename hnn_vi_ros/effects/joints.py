@@ -5,7 +5,7 @@
 from collections.abc import Callable, Mapping, Sequence
 
 from hnn_vi_ros.effects.base import coordinate_index
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate
+from hnn_vi_ros.hamiltonians import Joint, JointCoordinate
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

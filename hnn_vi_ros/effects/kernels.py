@@ -12,12 +12,10 @@ from typing import Any
 
 from hnn_vi_ros.effects.attitudes import lift_torques
 from hnn_vi_ros.effects.base import EffectState, Force, Joined
-from hnn_vi_ros.integrators.arithmetic import largest
-from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.compilation import composed, functions_of
-from hnn_vi_ros.kernels.kernel import (
-    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import largest
+from hnn_vi_ros.kernels import (
+    by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
+    Kernel, Parameters)
 import numpy as np
 
 # The cube root balances the truncation error of a central difference, spacing^2, with rounding,

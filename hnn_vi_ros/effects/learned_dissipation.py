@@ -8,10 +8,8 @@ from typing import NamedTuple
 from hnn_vi_ros.effects.base import EffectState, Force, Place
 from hnn_vi_ros.effects.masses import vector_potential
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.families import FAMILIES
+from hnn_vi_ros.kernels import inlined, Kernel
+from hnn_vi_ros.models import FAMILIES, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 
@@ -65,7 +63,7 @@ class LearnedDissipation(Force):
             raise ModelError(f'{model}: a model of the family {family} holds no network D; take '
                              f'one of the family {" or ".join(networks)}')
         # Imported here, since it loads the compiler, which reading a scene does not need.
-        from hnn_vi_ros.models.neural import NeuralHamiltonian
+        from hnn_vi_ros.models import NeuralHamiltonian
         self.network = NeuralHamiltonian(checkpoint, networks[family])
 
     @property
@@ -77,7 +75,7 @@ class LearnedDissipation(Force):
         """Return the network's kernel, the gauge of magnetic fields, and working memory."""
         if len(coordinates) != (d := self.network.dimension):
             raise ValueError(f'the model has {d} coordinates, H has {len(coordinates)}')
-        from hnn_vi_ros.kernels.compilation import identify
+        from hnn_vi_ros.kernels import identify
         kernel = self.network.copy().kernel
         for function in (kernel.energy, kernel.gradient, kernel.hessian_vector):
             identify(function)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.effects.base import EffectState, Force
 from hnn_vi_ros.effects.commands import plus_motors
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.marks import inlined
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.kernels import inlined
+from hnn_vi_ros.models import load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -7,10 +7,9 @@ from functools import cache
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined
-from hnn_vi_ros.hamiltonians.parameters import check_finite
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.kernel import Energy, Functions, Gradient, HessianVector, Parameters
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_finite
+from hnn_vi_ros.integrators import Integrator
+from hnn_vi_ros.kernels import Energy, Functions, Gradient, HessianVector, inlined, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -7,8 +7,7 @@ from functools import cache
 
 from hnn_vi_ros.effects.base import EffectError
 from hnn_vi_ros.effects.rattle import ConstraintEquation, Constraints, evaluator, rattle_kind
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import DEPENDENT
+from hnn_vi_ros.kernels import DEPENDENT, Kernel
 import numba
 import numpy as np
 

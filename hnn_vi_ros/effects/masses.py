@@ -7,8 +7,8 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
 

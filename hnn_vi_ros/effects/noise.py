@@ -8,8 +8,7 @@ A generator with a hidden state would have to be saved and restored with every a
 
 import math
 
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import kept, part
 import numpy as np
 
 # The odd number nearest to 2^64 / golden ratio, the increment of SplitMix64.

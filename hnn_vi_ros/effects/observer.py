@@ -11,10 +11,10 @@ from hnn_vi_ros.effects.base import coordinate_index, EffectState, StepEffect
 from hnn_vi_ros.effects.commands import Command, Commanded, OBSERVATION, Observation, select
 from hnn_vi_ros.effects.splitting import strang
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.parameters import (
+from hnn_vi_ros.hamiltonians import (
     check_between, check_names_once, check_not_negative, check_positive)
-from hnn_vi_ros.integrators.base import Integrator, Step
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import Integrator, Step
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Force
-from hnn_vi_ros.hamiltonians.parameters import check_finite, check_positive
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_finite, check_positive
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

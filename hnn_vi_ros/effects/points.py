@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 
 from hnn_vi_ros.effects.base import coordinate_index
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

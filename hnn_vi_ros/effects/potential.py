@@ -7,9 +7,8 @@ from functools import cache
 from typing import Any
 
 from hnn_vi_ros.effects.base import EffectState, Joined, Potential
-from hnn_vi_ros.hamiltonians.expressions import Graph
-from hnn_vi_ros.hamiltonians.straight_code import check_names, Code, constants_of, read_formula
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_names, Code, constants_of, Graph, read_formula
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate, scalar_columns
 
 

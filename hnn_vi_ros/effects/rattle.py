@@ -12,12 +12,10 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.effects.base import Layer
 from hnn_vi_ros.effects.points import add_along, distance, separation
-from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, largest, plus
-from hnn_vi_ros.integrators.base import NOT_HELD, OK, Point, REDUNDANT, Step
-from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linear_algebra import DEPENDENT, solve_in_order
-from hnn_vi_ros.kernels.marks import called, inlined, is_own
+from hnn_vi_ros.integrators import (
+    copy_array, copy_point, forget, largest, NOT_HELD, OK, plus, Point, REDUNDANT, Step)
+from hnn_vi_ros.kernels import (
+    called, DEPENDENT, inlined, is_own, Kernel, Parameters, solve_in_order)
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -12,9 +12,9 @@ from hnn_vi_ros.effects.commands import (
     Aim, Command, Commanded, indices_of, JointCommand, JointPath, LARGEST, PATH, POSITION,
     printable, Reference, VELOCITY)
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.parameters import check_finite, check_names_once, check_not_negative
-from hnn_vi_ros.integrators.dense_output import bend_at, cubic, quintic, slope_at, value_at
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_finite, check_names_once, check_not_negative
+from hnn_vi_ros.integrators import bend_at, cubic, quintic, slope_at, value_at
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -7,10 +7,8 @@ import math
 from typing import Any
 
 from hnn_vi_ros.effects.wrapped import energy_of
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import OK, Point, Step
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import copy_point, OK, Point, Step
+from hnn_vi_ros.kernels import inlined, Kernel, Parameters
 
 
 def strang(flow: Callable[..., None], step: Step, keeps_gradient: bool) -> Step:

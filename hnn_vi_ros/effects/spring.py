@@ -9,8 +9,8 @@ from hnn_vi_ros.effects.attitudes import add_turned_slope, dot, turned, turned_c
 from hnn_vi_ros.effects.base import coordinate_index, EffectState, Joined, Potential
 from hnn_vi_ros.effects.points import add_along, check_pair, distance, resolve_pair, separation
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.parameters import check_not_negative, check_positive
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_not_negative, check_positive
+from hnn_vi_ros.kernels import inlined
 from hnn_vi_ros.phase_space import columns, Coordinate
 import numpy as np
 

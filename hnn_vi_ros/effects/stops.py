@@ -15,14 +15,9 @@ from typing import Any, ClassVar, NamedTuple
 from hnn_vi_ros.effects.base import EffectState, Place, StepEffect
 from hnn_vi_ros.effects.crossings import add, begin, FREE, LAND, LOST, Search, seek, TRY
 from hnn_vi_ros.effects.wrapped import energy_of
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.parameters import check_between
-from hnn_vi_ros.integrators.arithmetic import copy_point
-from hnn_vi_ros.integrators.base import Integrator, NO_IMPACT, OK, Point, Step
-from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linear_algebra import solve_linear
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.hamiltonians import check_between, Hamiltonian
+from hnn_vi_ros.integrators import copy_point, forget, Integrator, NO_IMPACT, OK, Point, Step
+from hnn_vi_ros.kernels import called, inlined, Kernel, Parameters, solve_linear
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

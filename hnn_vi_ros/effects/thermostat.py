@@ -10,13 +10,9 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.effects.base import EffectState, per_coordinate, Place, StepEffect
 from hnn_vi_ros.effects.masses import check_masses
 from hnn_vi_ros.effects.wrapped import energy_of
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.integrators.base import NO_MASS, OK, Point, Step
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_lower, solve_upper
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import check_positive, Hamiltonian
+from hnn_vi_ros.integrators import NO_MASS, OK, plus, Point, Step
+from hnn_vi_ros.kernels import factorise, inlined, Kernel, Parameters, solve_lower, solve_upper
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -8,10 +8,9 @@ from functools import cache
 from typing import Any, final
 
 from hnn_vi_ros.effects.base import Layer
-from hnn_vi_ros.integrators.arithmetic import is_finite, plus
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Requirements, Step
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.marks import inlined, is_own
+from hnn_vi_ros.integrators import (
+    Integrator, is_finite, NOT_FINITE, OK, plus, Point, Requirements, Step)
+from hnn_vi_ros.kernels import inlined, is_own, Kernel, Parameters
 import numpy as np
 
 

@@ -1,3 +1,37 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files to read and write: YAML, resources, named code."""
+# flake8: noqa: F401
+"""
+Read and write files: YAML, XML, standard streams, command lines, size limits.
+
+Every file from outside is read here, within limits and without running its content. The formats
+of bags are in ``recording``, those of logs to learn from in ``learning.data``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.files.command_line import (
+        call_by_hnn, called, command, complete_by, Parser, seconds)
+    from hnn_vi_ros.files.limits import (
+        array_names, check_pickles, parse_json, plain_number, safetensors_header, sha256_of,
+        text_lines, unpack_arrays)
+    from hnn_vi_ros.files.named_code import find_beside, import_named, NAMES_CODE
+    from hnn_vi_ros.files.regular_file import (
+        check_new, in_bytes, limited, no_file, numbered, open_file, read_limited, refuse_pointer,
+        replacing, write_new, write_new_scene, write_text)
+    from hnn_vi_ros.files.resources import (
+        cache_folder, can_be_written, expand_user, find_yaml, is_path, package_file, prefixes,
+        private_folder, SCHEME, share_folder, shipped_file, shipped_names, usual_folder)
+    from hnn_vi_ros.files.standard_streams import (
+        elapsed, ENDING, guard_streams, lost_output, ProgressLine, rewrite_line, spare_output,
+        write_problem)
+    from hnn_vi_ros.files.xml_text import Element, MAX_XML_BYTES, parse_xml
+    from hnn_vi_ros.files.yaml_file import (
+        in_plain_words, json_schema, read_text, read_yaml, StrictModel, units_in, validate)
+    from hnn_vi_ros.files.yaml_text import (
+        dump_yaml, KeyPlaces, MAX_YAML_BYTES, one_line, parse_mapping, parse_yaml, root_node)
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -1,3 +1,38 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hamiltonians: analytic ones by name, others by how they are described."""
+# flake8: noqa: F401
+"""
+Exact Hamiltonians, by name, formula or robot description, and mechanisms to draw.
+
+``registry`` lists them. A Hamiltonian gives H, its gradient and Hessian-vector products. Learned
+ones are in ``models``; terms that a scene adds to H are in ``effects``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
+    from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader, Symbol
+    from hnn_vi_ros.hamiltonians.formula import Formula
+    from hnn_vi_ros.hamiltonians.mechanisms.parts import (
+        Ball, bounds_of, Box, Line, Mechanism, Part, SILVER, Trail)
+    from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
+    from hnn_vi_ros.hamiltonians.mechanisms.skeleton import (
+        bones, moved, shapes_of, skeleton, tip_of)
+    from hnn_vi_ros.hamiltonians.momenta import momentum
+    from hnn_vi_ros.hamiltonians.parameters import (
+        check_between, check_finite, check_names_once, check_not_negative, check_positive)
+    from hnn_vi_ros.hamiltonians.registry import DESCRIBED, HAMILTONIANS
+    from hnn_vi_ros.hamiltonians.rigid_body.robot import (
+        Joint, JointCoordinate, RIGID, Robot, SLIDING, TURNING, Units)
+    from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernel
+    from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+    from hnn_vi_ros.hamiltonians.rigid_body.tree import frame_of, MOST_JOINTS
+    from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
+    from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
+    from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+    from hnn_vi_ros.hamiltonians.straight_code import check_names, Code, constants_of, read_formula
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import ClassVar, NamedTuple, Self
 
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
-from hnn_vi_ros.kernels.kernel import Functions, Kernel, Parameters
+from hnn_vi_ros.kernels import Functions, Kernel, Parameters
 from hnn_vi_ros.phase_space import columns, Coordinate, rotations
 import numpy as np
 
@@ -141,13 +141,13 @@ class Hamiltonian(ABC):
     def _called(self) -> Kernel:
         """Return the kernel by address: what is called from Python is what simulations call."""
         # Imported here: who only reads a scene compiles nothing.
-        from hnn_vi_ros.kernels.addresses import by_address
+        from hnn_vi_ros.kernels import by_address
         return by_address(self.kernel)
 
     def compile(self) -> None:  # noqa: A003
         """Compile energy, gradient and Hessian-vector product now, not when they are called."""
         if self._called.compiled:
-            from hnn_vi_ros.kernels.addresses import provide
+            from hnn_vi_ros.kernels import provide
             provide(self._called, 0, 1, 2)
 
     def energy(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -246,7 +246,7 @@ def compiled_kernel(functions: Functions, parameters: Parameters,
 
     """
     # Imported here: who only reads a scene compiles nothing.
-    from hnn_vi_ros.kernels.compilation import dispatcher
+    from hnn_vi_ros.kernels import dispatcher
     energy, gradient, hessian_vector = functions
     return Kernel(dispatcher(energy), dispatcher(gradient), dispatcher(hessian_vector), parameters,
                   dimension, gradient_scale, compiled=True, rotations=rotations)

@@ -5,11 +5,11 @@
 from functools import cached_property
 from typing import Any
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.hamiltonians.base import Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import Graph
 from hnn_vi_ros.hamiltonians.straight_code import check_names, graph_kernel, NAME, read_hamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import Coordinate, IN_DEGREES
 import numpy as np
 from pydantic import Field, field_validator

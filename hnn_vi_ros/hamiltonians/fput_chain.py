@@ -6,8 +6,7 @@ from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_positive
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

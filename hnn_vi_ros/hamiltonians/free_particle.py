@@ -8,8 +8,7 @@ import re
 
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.parameters import check_names_once, check_positive
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

@@ -5,7 +5,7 @@
 from functools import cached_property
 
 from hnn_vi_ros.hamiltonians.straight_code import AnalyticHamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import Coordinate
 
 

@@ -13,7 +13,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, JointCoordinate, Rob
 from hnn_vi_ros.hamiltonians.rigid_body.tree import mass_matrix, tree_of
 from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
 from hnn_vi_ros.hamiltonians.rigid_body.urdf import read_urdf
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 

@@ -14,7 +14,7 @@ from hnn_vi_ros.errors import did_you_mean, listed
 from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
 from hnn_vi_ros.hamiltonians.expressions import FUNCTIONS, Graph, Reader
 from hnn_vi_ros.hamiltonians.parameters import check_finite
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.phase_space import momentum_name
 import numpy as np
 

@@ -1,3 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Identify numbers of a scene by measured motions."""
+"""
+Identification: numbers of a scene fitted to measured motions, with intervals.
+
+The command ``hnn identify``. It simulates the scene itself; networks are trained in ``learning``.
+"""

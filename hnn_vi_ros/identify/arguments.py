@@ -4,8 +4,8 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.files.command_line import complete_by, Parser
-from hnn_vi_ros.learning.arguments import INPUTS
+from hnn_vi_ros.files import complete_by, Parser
+from hnn_vi_ros.learning import INPUTS
 
 _IDENTIFIED = """\
 Names of numbers:

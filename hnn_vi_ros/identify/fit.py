@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import math
 
 from hnn_vi_ros.errors import DataError, HnnViRosError
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import momentum
 from hnn_vi_ros.identify.free_numbers import FreeScene
 from hnn_vi_ros.identify.windows import Prediction, Windows, windows_of
-from hnn_vi_ros.learning.data.motions import EvenMotion
+from hnn_vi_ros.learning import EvenMotion
 import numpy as np
 from scipy.optimize import least_squares
 

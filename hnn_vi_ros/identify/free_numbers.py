@@ -15,15 +15,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, ModelError, ParameterError, SceneError
-from hnn_vi_ros.files.regular_file import write_new_scene, write_text
-from hnn_vi_ros.files.resources import share_folder
-from hnn_vi_ros.files.yaml_file import units_in
-from hnn_vi_ros.files.yaml_text import root_node
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Units
-from hnn_vi_ros.hamiltonians.rigid_body.urdf import parse_urdf, read_urdf
-from hnn_vi_ros.scene import load_scene, Parts, Scene
-from hnn_vi_ros.scene.named_numbers import numbers_of, with_numbers
+from hnn_vi_ros.files import root_node, share_folder, units_in, write_new_scene, write_text
+from hnn_vi_ros.hamiltonians import Hamiltonian, parse_urdf, read_urdf, Units
+from hnn_vi_ros.scene import load_scene, numbers_of, Parts, Scene, with_numbers
 import numpy as np
 import yaml
 

@@ -13,22 +13,21 @@ import shlex
 import tempfile
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects import ExternalForce
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, ParameterError, RecordingError, UnsupportedSystem)
-from hnn_vi_ros.files.regular_file import write_text
-from hnn_vi_ros.files.standard_streams import elapsed
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import elapsed, write_text
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.identify import arguments as command_lines
 from hnn_vi_ros.identify.fit import fit, FitProblem, search, Solution
 from hnn_vi_ros.identify.free_numbers import DELAY, free_scene, FreeScene, STATES, write_fitted
 from hnn_vi_ros.identify.intervals import Estimate, Estimates, estimates_of, profile, quantile
 from hnn_vi_ros.identify.windows import check_times, Windows
-from hnn_vi_ros.identify import arguments as command_lines
-from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
-from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
-from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
+from hnn_vi_ros.learning import (
+    ArraysData, EvenMotion, guessed, keys_of, MotionSource, read_motions, split_runs,
+    steps_between)
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
+from hnn_vi_ros.simulation import resolve
 import numpy as np
 
 REPORT, FIT, CORRELATIONS = 'report.md', 'fit.png', 'correlations.png'
@@ -288,8 +287,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
     """Return how the data are read: as a configuration says, or as they look."""
     if options.config is not None:
         # Imported here: with it come the libraries of training.
-        from hnn_vi_ros.learning.fit.config import load_machine
-        from hnn_vi_ros.learning.fit.excitation import ExcitationData
+        from hnn_vi_ros.learning import ExcitationData, load_machine
         path, found = options.config, load_machine(options.config).data
         if isinstance(found, ExcitationData):
             raise DataError(f'{path}: its data are computed, and do not say how --data is read; '

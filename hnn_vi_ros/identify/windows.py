@@ -7,20 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 import math
 
-from hnn_vi_ros.effects.base import Effect, Place
-from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.effects.periodic_drive import PeriodicDrive
+from hnn_vi_ros.effects import Effect, ExternalForce, PeriodicDrive, Place
 from hnn_vi_ros.errors import DataError, HnnViRosError, StateError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.identify.free_numbers import DELAY, FreeScene
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
+from hnn_vi_ros.integrators import Integrator
+from hnn_vi_ros.learning import EvenMotion, steps_between
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.gradients.acting_effects import flow_rates
-from hnn_vi_ros.simulation.gradients.dependences import Dependence, difference, OnNumber, sum_of
-from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun
-from hnn_vi_ros.simulation.system import System
+from hnn_vi_ros.simulation import (
+    Change, Dependence, difference, DifferentiableRun, flow_rates, OnNumber, Simulation, sum_of,
+    System)
 import numpy as np
 
 

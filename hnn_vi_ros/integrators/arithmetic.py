@@ -5,7 +5,7 @@
 import math
 
 from hnn_vi_ros.integrators.base import Point
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 

@@ -9,9 +9,8 @@ import math
 from typing import ClassVar, Literal, NamedTuple
 
 from hnn_vi_ros.errors import ADVICE, listed, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import is_own
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import is_own, Kernel
 import numpy as np
 from numpy.typing import ArrayLike
 

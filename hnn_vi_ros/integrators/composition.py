@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import ClassVar
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.base import (
     in_sequence, Integrator, OK, PartitionedTableau, Point, PointWork, Requirements)
 from hnn_vi_ros.integrators.generalized_leapfrog import GeneralizedLeapfrog
@@ -15,8 +15,7 @@ from hnn_vi_ros.integrators.lie.lie_leapfrog import LieLeapfrog
 from hnn_vi_ros.integrators.lie.lie_stormer_verlet import LieStormerVerlet
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 BASES = {

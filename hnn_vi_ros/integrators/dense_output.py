@@ -4,7 +4,7 @@
 
 from typing import Any
 
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, inlined
 import numpy as np
 from numpy.polynomial import legendre, polynomial
 from numpy.typing import ArrayLike

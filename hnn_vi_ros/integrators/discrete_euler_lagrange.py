@@ -5,12 +5,12 @@
 from collections.abc import Callable
 from typing import Annotated
 
-from hnn_vi_ros.files.named_code import import_named, NAMES_CODE
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import import_named, NAMES_CODE
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.base import (
     Integrator, NO_CONVERGENCE, NOT_FINITE, OK, Point, Requirements)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.checkpoint import load_checkpoint
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.models import load_checkpoint
 import numpy as np
 
 _ITERATIONS = 30
@@ -65,7 +65,7 @@ class DiscreteEulerLagrange(Integrator):
         self._model = None if model is None else load_checkpoint(model)
         if self._model is not None:
             # Imported here: it is compiled, which who only reads a scene has no use for.
-            from hnn_vi_ros.models.lagrangian import midpoint_action
+            from hnn_vi_ros.models import midpoint_action
             self.discrete_lagrangian, self.order = midpoint_action(self._model), 2
             return
         try:

@@ -9,8 +9,7 @@ from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import IN_DOUBT, OK
 from hnn_vi_ros.integrators.solvers import extrapolate, is_in_doubt, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 

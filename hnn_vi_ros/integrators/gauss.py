@@ -14,9 +14,7 @@ from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
 from hnn_vi_ros.integrators.solvers import (
     anderson, BACK, COMMON, GO_ON, is_hopeless, judge, SolverOptions)
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import invert
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, invert, Kernel
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Common part of the methods that solve an equation in each step."""
 
-from hnn_vi_ros.hamiltonians.parameters import check_between
+from hnn_vi_ros.hamiltonians import check_between
 from hnn_vi_ros.integrators.base import Integrator, Requirements
 from hnn_vi_ros.integrators.equations import EquationWork
 from hnn_vi_ros.integrators.newton_solver import continuation, krylov, newton

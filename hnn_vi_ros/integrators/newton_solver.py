@@ -15,8 +15,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NO_SOLUTION
 from hnn_vi_ros.integrators.solvers import BACK, COMMON, GO_ON, judge, OWN
 from hnn_vi_ros.integrators.workspaces import NewtonWork, SolverWork
-from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, factorise_rows, inlined, solve_factorised, solve_linear
 import numpy as np
 
 # Spacing of a central difference, relative to its argument.

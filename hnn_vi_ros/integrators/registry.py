@@ -5,7 +5,7 @@
 from collections.abc import Callable
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.base import Integrator
 from hnn_vi_ros.integrators.composition import Composition, KahanLi8, Suzuki4, Yoshida4
 from hnn_vi_ros.integrators.discrete_euler_lagrange import DiscreteEulerLagrange

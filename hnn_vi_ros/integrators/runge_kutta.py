@@ -4,11 +4,10 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.parameters import check_positive
+from hnn_vi_ros.hamiltonians import check_positive
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, OK, Point, Requirements, tableau
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 

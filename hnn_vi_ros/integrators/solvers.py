@@ -26,7 +26,7 @@ from hnn_vi_ros.integrators.arithmetic import copy_array
 from hnn_vi_ros.integrators.base import NO_CONVERGENCE, NOT_FINITE, OK
 from hnn_vi_ros.integrators.workspaces import (
     AndersonWork, DEPTH, FAST_MATRIX, History, Iterates, SolverWork)
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 _EPS = float(np.finfo(np.float64).eps)

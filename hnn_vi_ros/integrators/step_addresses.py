@@ -18,12 +18,9 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.integrators.base import Point, Step
 from hnn_vi_ros.integrators.workspaces import MemoryByAddress
-from hnn_vi_ros.kernels.blocks import (
-    address_of, array_at, Block, block, check_words, entry_caller, load, type_of)
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linking import Part, part, Whole
-from hnn_vi_ros.kernels.sources import digest_of, reached
+from hnn_vi_ros.kernels import (
+    address_of, array_at, Block, block, check_words, digest_of, entry_caller, kept, Kernel, load,
+    Parameters, Part, part, reached, type_of, Whole)
 from numba.core import types
 from numba.core.dispatcher import Dispatcher
 import numpy as np

@@ -5,8 +5,7 @@
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import (
     Integrator, LEAPFROG, leapfrog_energy, OK, Point, Requirements)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 
 
 @inlined

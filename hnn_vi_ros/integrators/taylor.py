@@ -11,13 +11,10 @@ import threading
 from typing import Any
 
 from hnn_vi_ros.errors import pip_command
-from hnn_vi_ros.hamiltonians import straight_code
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
-from hnn_vi_ros.hamiltonians.parameters import check_between
+from hnn_vi_ros.hamiltonians import check_between, Graph, Hamiltonian, straight_code, Symbol
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
 from hnn_vi_ros.integrators.dense_output import DenseOutput
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 # Series in one step, and of those that are looked at one by one, beyond which it is given up:
@@ -311,7 +308,7 @@ def _is_kink(graph: Graph, a: int) -> bool:
 
 def _original(kernel: Kernel) -> Kernel:
     # Imported here: who only reads a scene compiles nothing.
-    from hnn_vi_ros.kernels.addresses import original
+    from hnn_vi_ros.kernels import original
     return original(kernel)
 
 

@@ -7,15 +7,14 @@ from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.parameters import check_between, check_positive
+from hnn_vi_ros.hamiltonians import check_between, check_positive
 from hnn_vi_ros.integrators.arithmetic import copy_point, plus
 from hnn_vi_ros.integrators.base import ENDLESS, Integrator, NOT_FINITE, OK, Point, Requirements
 from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
 from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
 from hnn_vi_ros.integrators.stormer_verlet import StormerVerlet
 from hnn_vi_ros.integrators.workspaces import forget
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 # Steps of its own in one step of the clock, beyond which it is given up.

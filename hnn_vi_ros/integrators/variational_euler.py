@@ -7,8 +7,7 @@ from hnn_vi_ros.integrators.base import euler_energy, Point, tableau
 from hnn_vi_ros.integrators.equations import EquationWork, Known, solve_momenta, Sought
 from hnn_vi_ros.integrators.implicit import EulerIntegrator, NO_SOLUTION_OF_EQ_6
 from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 
 
 class VariationalEuler(EulerIntegrator):

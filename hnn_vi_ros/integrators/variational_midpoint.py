@@ -9,8 +9,7 @@ from hnn_vi_ros.integrators.arithmetic import largest
 from hnn_vi_ros.integrators.base import Point, Requirements
 from hnn_vi_ros.integrators.discrete_gradient import (
     discrete_factor, EndProblem, EnergyConserving, fill_end, fill_middle, step_to_end)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 

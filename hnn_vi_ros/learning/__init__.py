@@ -1,2 +1,24 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
+# flake8: noqa: F401
+"""
+Training: measured data, families of networks in torch, fits, evaluation, model files.
+
+``data`` reads logs and bags, ``families`` holds the networks, ``fit`` the losses and loops,
+``tasks`` joins them for ``hnn train``. Fitting the numbers of a scene is in ``identify``; compiled
+networks are in ``models``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.learning.arguments import INPUTS
+    from hnn_vi_ros.learning.data.arrays import ArraysData, keys_of, split_runs
+    from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
+    from hnn_vi_ros.learning.data.sources import guessed, MotionSource, read_motions
+    from hnn_vi_ros.learning.fit.config import load_machine
+    from hnn_vi_ros.learning.fit.excitation import ExcitationData
+
+__getattr__, __dir__ = lazy_exports(__name__)

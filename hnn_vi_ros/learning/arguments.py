@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.files.command_line import complete_by, Parser
+from hnn_vi_ros.files import complete_by, Parser
 
 # Which outputs of an imported network are H, and the order of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')

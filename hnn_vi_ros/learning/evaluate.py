@@ -10,13 +10,11 @@ from pathlib import Path
 import shlex
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.external_force import ExternalForce
+from hnn_vi_ros.effects import Effect, ExternalForce
 from hnn_vi_ros.errors import DataError, ParameterError, RecordingError
-from hnn_vi_ros.files.regular_file import check_new, write_text
-from hnn_vi_ros.files.standard_streams import elapsed
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.files import check_new, elapsed, write_text
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.arrays import ArraysData
 from hnn_vi_ros.learning.data.bags import BagMotions
@@ -31,8 +29,7 @@ from hnn_vi_ros.learning.judging.evaluation import (
     as_json, Fan, finite, judge, linear_model, names_of, outside, parts_of, Predict, predicted_by,
     simulated, simulation_of, table, unaccounted, variance_of, verdict, whole_records)
 from hnn_vi_ros.learning.tasks import body
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.seen import domain_of
+from hnn_vi_ros.models import domain_of, load_checkpoint
 from hnn_vi_ros.phase_space import Coordinate
 from hnn_vi_ros.simulation import Simulation
 import numpy as np

@@ -40,16 +40,13 @@ from typing import Any
 import zipfile
 
 from hnn_vi_ros.errors import listed, ModelError, ParameterError
-from hnn_vi_ros.files.limits import check_pickles
-from hnn_vi_ros.files.regular_file import no_file, refuse_pointer
-from hnn_vi_ros.files.yaml_file import in_plain_words
+from hnn_vi_ros.files import check_pickles, in_plain_words, no_file, refuse_pointer
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.data.sources import make_dataset
 from hnn_vi_ros.learning.fit.config import FieldConfig, find_config, load_config
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, save_checkpoint, widths_of
-from hnn_vi_ros.models.lie_group_card import LieGroupCard
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
-from hnn_vi_ros.models.networks.activations import SMOOTH
+from hnn_vi_ros.models import (
+    Box, Checkpoint, CoordinateCard, Layers, LieGroupCard, ModelCard, save_checkpoint, SMOOTH,
+    widths_of)
 from hnn_vi_ros.version import __version__
 import numpy as np
 from pydantic import ValidationError

@@ -17,7 +17,7 @@ import shlex
 import time
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.regular_file import check_new
+from hnn_vi_ros.files import check_new
 from hnn_vi_ros.learning import arguments as command_lines
 from hnn_vi_ros.learning.families.choices import FamilyChoice
 from hnn_vi_ros.learning.fit.config import (
@@ -29,9 +29,7 @@ from hnn_vi_ros.learning.tasks import Task
 from hnn_vi_ros.learning.tasks.body import BodyTask
 from hnn_vi_ros.learning.tasks.field import FieldTask
 from hnn_vi_ros.learning.tasks.machine import MachineTask
-from hnn_vi_ros.models.checkpoint import Checkpoint, complete_checkpoint
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.model_card import averaged_families
+from hnn_vi_ros.models import averaged_families, Checkpoint, complete_checkpoint, FAMILIES
 import torch
 
 _TASKS: dict[type[AnyConfig], type[Task]] = {

@@ -1,3 +1,51 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Learned Hamiltonians: checkpoints, cards, families."""
+# flake8: noqa: F401
+"""
+Learned Hamiltonians: model files, their cards and the compiled networks.
+
+Everything that simulates a trained network, without torch. Training is in ``learning``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.models.attitude_features import group_of, see_attitude, turn_matrices, widened
+    from hnn_vi_ros.models.box_error import (
+        energy_error, energy_spread, EnergyError, Interval, interval_text, rows_of_each)
+    from hnn_vi_ros.models.checkpoint import (
+        Checkpoint, complete_checkpoint, file_digest, Layers, load_checkpoint, save_checkpoint,
+        widths_of)
+    from hnn_vi_ros.models.confined import ConfinedHamiltonian, load_learned
+    from hnn_vi_ros.models.ensemble import load_member, MeanHamiltonian
+    from hnn_vi_ros.models.exact_prior import exact_system, exact_systems, functions_of
+    from hnn_vi_ros.models.families import FAMILIES
+    from hnn_vi_ros.models.features import even_layers, Features, pack_features, see
+    from hnn_vi_ros.models.lagrangian import midpoint_action
+    from hnn_vi_ros.models.learned import LearnedHamiltonian, warn_of_scheme
+    from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
+    from hnn_vi_ros.models.mechanical_card import (
+        check_prior, check_row, CoulombTerm, entries_of, FrictionCard, is_periodic, Kind,
+        mean_card, MechanicalCard, MOST_MEMBERS, PriorCard, Quantity, StribeckTerm)
+    from hnn_vi_ros.models.model_card import (
+        averaged_families, Box, CoordinateCard, EnsembleCard, ModelCard, PredictionError, Scheme,
+        Units)
+    from hnn_vi_ros.models.networks.activations import SMOOTH
+    from hnn_vi_ros.models.neural import NeuralHamiltonian
+    from hnn_vi_ros.models.outputs import (
+        evaluate_outputs, pack_layers, pack_outputs, PackedOutputs)
+    from hnn_vi_ros.models.planar_chain import (
+        chain_angles, CHAINS, parameter_names, PLANAR_CHAIN, unit_terms)
+    from hnn_vi_ros.models.rigid_body_card import (
+        BaseParameter, EACH, Identification, INERTIAL, pseudo_inertia, RIGID_BODY, tree_card,
+        TreeCard, values_of)
+    from hnn_vi_ros.models.seen import (
+        CandidateCard, Domain, domain_of, DomainCard, Errors, SelectionCard)
+    from hnn_vi_ros.models.separable import SeparableHamiltonian
+    from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
+    from hnn_vi_ros.models.torch_network import Network
+    from hnn_vi_ros.models.variational import VariationalHamiltonian
+
+__getattr__, __dir__ = lazy_exports(__name__)

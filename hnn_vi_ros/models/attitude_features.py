@@ -7,7 +7,7 @@ x and p belong to its position, if it has one; R is its attitude, quadratic in i
 (x, y, z, w); L is its angular momentum in its own frame.
 """
 
-from hnn_vi_ros.kernels.marks import called
+from hnn_vi_ros.kernels import called
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.lie_group_card import LieGroupCard
 import numpy as np

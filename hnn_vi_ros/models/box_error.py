@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 import numpy as np
 from pydantic import Field
 

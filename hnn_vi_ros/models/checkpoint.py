@@ -22,11 +22,9 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.command_line import command
-from hnn_vi_ros.files.limits import parse_json, safetensors_header
-from hnn_vi_ros.files.regular_file import limited, refuse_pointer, replacing, write_new
-from hnn_vi_ros.files.yaml_file import in_plain_words
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import (
+    command, in_plain_words, limited, one_line, parse_json, refuse_pointer, replacing,
+    safetensors_header, write_new)
 from hnn_vi_ros.models.model_card import ModelCard
 import numpy as np
 from pydantic import ValidationError

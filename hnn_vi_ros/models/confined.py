@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import NamedTuple, Self
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.compilation import composed, functions_of
-from hnn_vi_ros.kernels.kernel import (
-    Energy, Functions, Gradient, HessianVector, Kernel, Parameters)
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import (
+    by_address, composed, Energy, Functions, functions_of, Gradient, HessianVector, inlined,
+    Kernel, Parameters)
 from hnn_vi_ros.models.checkpoint import load_checkpoint
 from hnn_vi_ros.models.ensemble import load_member
 import numpy as np

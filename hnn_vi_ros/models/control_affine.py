@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a mass matrix and a potential that both are networks of q."""
 
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.outputs import pack_outputs
 from hnn_vi_ros.models.roots import energy, first_order, RootParameters, RootWork, second_order

@@ -4,10 +4,9 @@
 
 from typing import Any, NamedTuple, Self
 
-from hnn_vi_ros.kernels.addresses import (
+from hnn_vi_ros.kernels import (
     by_address, energy as member_energy, gradient as member_gradient,
-    hessian_vector as member_hessian_vector, Target)
-from hnn_vi_ros.kernels.kernel import Kernel
+    hessian_vector as member_hessian_vector, Kernel, Target)
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.learned import LearnedHamiltonian

@@ -15,9 +15,8 @@ import inspect
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Functions
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
+from hnn_vi_ros.kernels import Functions
 import numpy as np
 
 # Random states at which a system is looked at, and by how much p . M^-1 p may seem not to be one.

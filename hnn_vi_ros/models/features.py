@@ -9,7 +9,7 @@ are padded with zeros to an even number n, since the loops of perceptron.py take
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import part
 from hnn_vi_ros.models.checkpoint import Layers
 from hnn_vi_ros.models.mechanical_card import is_periodic, MechanicalCard
 import numpy as np

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import Kernel, part
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron

@@ -7,9 +7,8 @@ from collections.abc import Callable
 from functools import cached_property
 import warnings
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel, Hamiltonian
-from hnn_vi_ros.kernels.addresses import by_address
-from hnn_vi_ros.kernels.kernel import Energy, Gradient, HessianVector, Kernel, Parameters
+from hnn_vi_ros.hamiltonians import compiled_kernel, Hamiltonian
+from hnn_vi_ros.kernels import by_address, Energy, Gradient, HessianVector, Kernel, Parameters
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.networks.activations import SMOOTH
 from hnn_vi_ros.models.networks.perceptron_memory import pack, PackedPerceptron

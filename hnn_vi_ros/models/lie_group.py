@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned Hamiltonian of a body that turns: its mass and its potential on SO(3) or SE(3)."""
 
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.models.attitude_features import add_turn_slope, group_of, see_attitude, see_change, widened
+from hnn_vi_ros.kernels import Kernel, part
+from hnn_vi_ros.models.attitude_features import (
+    add_turn_slope, group_of, see_attitude, see_change, widened)
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, SAMPLES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard

@@ -5,7 +5,7 @@
 from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.families import Network
 from pydantic import Field, model_validator
 

@@ -8,10 +8,8 @@ A learned Hamiltonian of a mechanism: H = p . M(q)^-1 p / 2 + V(q), M and V bein
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.hamiltonians import tree_kernel
+from hnn_vi_ros.kernels import factorise, Kernel, part, solve_cholesky
 from hnn_vi_ros.models.features import (
     add_covector, add_covector_change, even_layers, Features, pack_features, see, see_change)
 from hnn_vi_ros.models.learned import LearnedHamiltonian

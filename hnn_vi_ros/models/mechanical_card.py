@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
+from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians import Bodies, HAMILTONIANS
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.families import Network
 from hnn_vi_ros.models.planar_chain import (

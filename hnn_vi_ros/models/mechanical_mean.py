@@ -4,12 +4,9 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.addresses import (
-    by_address, energy as member_energy, gradient as member_slope, hessian_vector as member_change,
-    Target)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import (
+    by_address, energy as member_energy, factorise, gradient as member_slope,
+    hessian_vector as member_change, Kernel, part, solve_cholesky, Target)
 from hnn_vi_ros.models.ensemble import MeanHamiltonian
 from hnn_vi_ros.models.mechanical import inertia, slope, slope_change
 import numpy as np

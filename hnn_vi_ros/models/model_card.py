@@ -4,7 +4,7 @@
 
 from typing import Annotated, Any, Literal
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.box_error import EnergyError, Interval
 from hnn_vi_ros.models.families import FAMILIES
 from hnn_vi_ros.models.lie_group_card import LieGroupCard

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Hamiltonian neural network: a perceptron H(q, p), its gradient written out."""
 
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian
 from hnn_vi_ros.models.networks import perceptron

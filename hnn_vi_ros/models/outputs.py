@@ -9,7 +9,7 @@ are set to c^T Y for the sum c . y of its outputs with any numbers c, its gradie
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import part
 from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
 from hnn_vi_ros.models.learned import padded
 from hnn_vi_ros.models.networks import perceptron

@@ -23,9 +23,8 @@ cos(phi_i - phi_j) is a Gram matrix, and Schur's product theorem holds.
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
-from hnn_vi_ros.hamiltonians.rigid_body.small_tree import mass_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians import Graph, mass_kernel, Symbol
+from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 # How many coordinates they have. The angles of the first two, of files and configurations from

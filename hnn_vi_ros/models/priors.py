@@ -4,11 +4,9 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.rigid_body.tree_kernel import tree_kernel
-from hnn_vi_ros.kernels.addresses import by_address, energy, gradient, hessian_vector, Target
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.hamiltonians import tree_kernel
+from hnn_vi_ros.kernels import (
+    by_address, energy, factorise, gradient, hessian_vector, Kernel, part, solve_cholesky, Target)
 from hnn_vi_ros.models.exact_prior import create
 from hnn_vi_ros.models.mechanical_card import MechanicalCard, PriorCard
 from hnn_vi_ros.models.planar_chain import chain_kernel, CHAINS

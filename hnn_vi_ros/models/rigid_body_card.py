@@ -12,10 +12,8 @@ constant force that the motor is off by. M and V are linear in all of them.
 from collections.abc import Mapping
 from typing import Annotated
 
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, SLIDING, TURNING, Units
-from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
-from hnn_vi_ros.hamiltonians.rigid_body.tree import frame_of, MOST_JOINTS
+from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians import Bodies, frame_of, Joint, MOST_JOINTS, SLIDING, TURNING, Units
 import numpy as np
 from pydantic import Field, model_validator
 

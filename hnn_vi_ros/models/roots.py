@@ -13,7 +13,7 @@ moves with v = S (L w + floor u) + V_pi, and H_x = V_x + sum_ij u_i w_j (L_ij)_x
 
 from typing import NamedTuple
 
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import part
 from hnn_vi_ros.models.networks import perceptron
 from hnn_vi_ros.models.networks.perceptron_memory import PackedPerceptron
 from hnn_vi_ros.models.outputs import (

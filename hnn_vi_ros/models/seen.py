@@ -5,7 +5,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.models.box_error import Interval
 import numpy as np
 from pydantic import Field

@@ -5,11 +5,7 @@
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import solve_linear
-from hnn_vi_ros.kernels.linking import part
-from hnn_vi_ros.kernels.marks import called
+from hnn_vi_ros.kernels import called, kept, Kernel, part, solve_linear
 from hnn_vi_ros.models.checkpoint import Checkpoint
 from hnn_vi_ros.models.learned import LearnedHamiltonian, rounding
 from hnn_vi_ros.models.networks import perceptron

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import NoReturn, TYPE_CHECKING
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import Kernel, Parameters
 from hnn_vi_ros.phase_space import Coordinate
 import numpy as np
 

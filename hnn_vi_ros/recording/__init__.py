@@ -1,3 +1,30 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Room."""
+# flake8: noqa: F401
+"""
+Recordings of runs: MCAP bags and the rerun viewer.
+
+``bags`` writes, reads and recovers bags; ``viewer`` draws samples. Neither depends on ROS. The
+topics that go into a bag are in ``ros``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, qos_profiles, Topic
+    from hnn_vi_ros.recording.bags.cdr import (
+        decode_float64_multi_array, decode_joint_state, decode_state, MOMENTUM, RATE, serialize,
+        State, state_names, Template)
+    from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
+    from hnn_vi_ros.recording.bags.mcap_sink import McapSink
+    from hnn_vi_ros.recording.sample import Sample
+    from hnn_vi_ros.recording.viewer.phase_portrait import (
+        Bounds, box_of, contours, ends_of, Frame, reach_of)
+    from hnn_vi_ros.recording.viewer.rerun_diagram import (
+        PredictedRun, write_curves, write_predictions)
+    from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
+    from hnn_vi_ros.recording.viewer.rerun_stream import Target
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.files.command_line import Parser
+from hnn_vi_ros.files import Parser
 
 _RECOVERED = """\
 What can be read is written anew; the file as it was is kept as FILE.orig. Exit status: 0 if

@@ -1,2 +1,17 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
+# flake8: noqa: F401
+"""
+ROS 2: nodes, topics, services, parameters, replay.
+
+The only room that imports rclpy and messages. What a run does without ROS is in ``run``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.ros.plumbing.environment import distribution, settle_ros_environment
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -9,13 +9,12 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.control.planning import Planner
-from hnn_vi_ros.control.task import assign, Assignment
-from hnn_vi_ros.effects.commands import select
+from hnn_vi_ros.control import assign, Assignment, Planner
+from hnn_vi_ros.effects import select
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.recording.bags.cdr import MOMENTUM
+from hnn_vi_ros.recording import MOMENTUM
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (

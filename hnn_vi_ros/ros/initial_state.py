@@ -5,8 +5,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.ros.run.control import Answer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, state_values, Status

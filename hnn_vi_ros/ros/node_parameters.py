@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
-from hnn_vi_ros.files.yaml_text import MAX_YAML_BYTES, parse_mapping
+from hnn_vi_ros.files import MAX_YAML_BYTES, parse_mapping
 from hnn_vi_ros.ros.plumbing.qos_overrides import Endpoint, expected, parameter_names, PREFIX
 from hnn_vi_ros.ros.settings import (
     PARAMETERS, Settings, Specification, specifications, START, UNCONFIGURED)

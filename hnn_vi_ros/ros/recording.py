@@ -9,20 +9,15 @@ from pathlib import Path
 from typing import Any, final, NamedTuple
 
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.recording.bags.cdr import serialize
-from hnn_vi_ros.recording.bags.mcap_sink import McapSink
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.hamiltonians import MECHANISMS
+from hnn_vi_ros.recording import BagTopics, McapSink, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.environment import distribution
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.run.held_state import STATE_FILE, state_file
-from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, RunFiles
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.timing import Figures
+from hnn_vi_ros.run import (
+    bag_lines, Figures, picture_lines, report_files, RunFiles, Sampler, STATE_FILE, state_file)
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 from std_msgs.msg import String
@@ -210,7 +205,7 @@ class PictureOutput(Sink):
             # Imported here: a run without a picture starts without the viewer's libraries. One
             # that lacks them ends before anything is recorded.
             with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
-                from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
+                from hnn_vi_ros.recording import RerunSink
             self._make = RerunSink
 
     def open(self, begin: Beginning) -> bool:  # noqa: A003

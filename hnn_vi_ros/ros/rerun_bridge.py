@@ -12,14 +12,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from hnn_vi_ros.errors import HnnViRosError, ParameterError, RecordingError
-from hnn_vi_ros.files.regular_file import numbered
-from hnn_vi_ros.files.resources import expand_user
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.files import expand_user, numbered
+from hnn_vi_ros.hamiltonians import MECHANISMS, momentum
 from hnn_vi_ros.phase_space import momentum_rates
-from hnn_vi_ros.recording.bags.cdr import decode_state, State
-from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
-from hnn_vi_ros.recording.viewer.rerun_stream import Target
+from hnn_vi_ros.recording import decode_state, RerunSink, Sample, State, Target
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, node_name, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import spin, take_once
@@ -34,11 +30,9 @@ from hnn_vi_ros.ros.topics.diagnostics import ERROR, EVENT
 from hnn_vi_ros.ros.topics.hearing import Hearing
 from hnn_vi_ros.ros.topics.inputs import Input, places_of
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, LATCHED
-from hnn_vi_ros.run.preview import look_ahead
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.description import described_scene
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import look_ahead
+from hnn_vi_ros.scene import described_scene, Scene
+from hnn_vi_ros.simulation import build
 import numpy as np
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile

@@ -8,8 +8,8 @@ import gc
 import time
 
 from hnn_vi_ros.errors import HnnViRosError, ParameterError
-from hnn_vi_ros.kernels.compilation import announced
-from hnn_vi_ros.recording.bags.bag_metadata import BagTopics
+from hnn_vi_ros.kernels import announced
+from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros import arguments as command_lines
 from hnn_vi_ros.ros.initial_state import hear_initial_states
 from hnn_vi_ros.ros.node_parameters import Parameters, refuse_unknown

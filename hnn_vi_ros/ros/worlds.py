@@ -9,8 +9,7 @@ from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from hnn_vi_ros.errors import HnnViRosError, ModelError, SceneError
-from hnn_vi_ros.files.regular_file import no_file
-from hnn_vi_ros.files.resources import is_path, shipped_file, shipped_names
+from hnn_vi_ros.files import is_path, no_file, shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 
 _PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')

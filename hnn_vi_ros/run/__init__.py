@@ -1,3 +1,29 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs without ROS: their pace, samples, records and alarms."""
+# flake8: noqa: F401
+"""
+One run without ROS: sampling, pace, monitoring, files of a run, companions.
+
+The command ``hnn run`` and the simulator node share it. ``companions`` are ensemble members and
+twins that go along with a run. Topics and services are in ``ros``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.run.companions.members import (
+        Accompanied, accompany, deviation, ensemble_card, member_scenes, Members, simulate_spread)
+    from hnn_vi_ros.run.companions.twin import Report, Twin, VALID
+    from hnn_vi_ros.run.compilation import compiled_beside
+    from hnn_vi_ros.run.compiled_scenes import compile_scenes
+    from hnn_vi_ros.run.held_state import restore_state, STATE_FILE, state_file
+    from hnn_vi_ros.run.monitor import Monitor
+    from hnn_vi_ros.run.preview import look_ahead
+    from hnn_vi_ros.run.report import EffectCosts, measure_effects, scene_report
+    from hnn_vi_ros.run.run_folder import bag_lines, picture_lines, report_files, RunFiles
+    from hnn_vi_ros.run.sampling import nanoseconds_of, Sampler, stamp_of, steps_between
+    from hnn_vi_ros.run.timing import Figures, LONGEST_CALL, OverrunGuard, Pacer, StatusLine
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -15,10 +15,9 @@ from subprocess import DEVNULL, PIPE, Popen
 import sys
 from threading import Thread
 
-from hnn_vi_ros.kernels.compilation import kept_only, NotKept
+from hnn_vi_ros.kernels import kept_only, NotKept
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.simulation.construction import compile_loop
-from hnn_vi_ros.simulation.processors import usable_processors
+from hnn_vi_ros.simulation import compile_loop, usable_processors
 
 _CODE = f'from {__name__} import help_out; help_out()'
 

@@ -13,11 +13,8 @@ import warnings
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.processors import (
-    ignore_sigint_in_children, usable_processors, worker_processes)
-from hnn_vi_ros.simulation.trajectory.simulate import simulate
+from hnn_vi_ros.simulation import (
+    build, ignore_sigint_in_children, resolve, simulate, usable_processors, worker_processes)
 
 # Processes, of 0.3 GB each: of more of them several would wait for the same.
 _MOST = 8

@@ -5,7 +5,7 @@
 from io import BytesIO
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.limits import safetensors_header
+from hnn_vi_ros.files import safetensors_header
 from hnn_vi_ros.simulation import Simulation
 import safetensors
 import safetensors.numpy

@@ -7,13 +7,11 @@ from functools import partial
 import math
 import time
 
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.run.timing import Timing
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.diagnostics import secular_change
-from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem, time_scale, Tolerance
-from hnn_vi_ros.simulation.guards.base import Alarm, BlockGuard, Guard, judge, StateGuard, Waiting
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.simulation import (
+    Alarm, BlockGuard, Guard, InitialValueProblem, judge, SampledScale, secular_change, Simulation,
+    StateGuard, time_scale, Tolerance, Waiting)
 import numpy as np
 
 # A drift is a slope over so many blocks at least, and so many times in which the state changes

@@ -5,7 +5,7 @@
 import time
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, box_of
+from hnn_vi_ros.recording import Bounds, box_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 

@@ -10,9 +10,7 @@ from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.scene import Parts, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.automatic_choice import Chosen
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Chosen, Simulation
 import numpy as np
 
 

@@ -13,7 +13,7 @@ import sys
 from typing import final
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.regular_file import numbered
+from hnn_vi_ros.files import numbered
 
 
 def bag_lines(bag: Path) -> list[str]:

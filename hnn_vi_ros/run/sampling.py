@@ -7,7 +7,7 @@ from functools import cache
 import math
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import Simulation
 
 _MOST_STEPS = 1e9

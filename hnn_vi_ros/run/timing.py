@@ -9,9 +9,9 @@ import sys
 import time
 from typing import NamedTuple
 
-from hnn_vi_ros.files.standard_streams import rewrite_line
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
+from hnn_vi_ros.files import rewrite_line
+from hnn_vi_ros.recording import Sample
+from hnn_vi_ros.simulation import Alarm, Observed, StateGuard
 import numpy as np
 
 # More debt than this is given up: the run is then slower than asked, but loses no step [s]. A

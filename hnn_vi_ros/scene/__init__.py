@@ -1,3 +1,23 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
+# flake8: noqa: F401
+"""
+Scenes: the schema of a YAML file, and the parts that it describes.
+
+A ``Scene`` is validated data; ``Scene.parts`` makes H, integrator and effects. Nothing is
+simulated here: see ``simulation``.
+"""
+
+from typing import TYPE_CHECKING
+
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.scene.choices import AutoChoice, Condition, load_code
+    from hnn_vi_ros.scene.description import described_scene, ONE_RUN, only_scene
+    from hnn_vi_ros.scene.named_numbers import (
+        check_known, check_names, numbers_in, numbers_of, set_value, with_known_numbers,
+        with_numbers, with_values)
+    from hnn_vi_ros.scene.scene import load_scene, Parts, plain_data, Scene
+
+__getattr__, __dir__ = lazy_exports(__name__)

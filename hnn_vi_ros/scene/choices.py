@@ -9,10 +9,8 @@ import math
 from typing import Annotated, Any, Literal, Union
 
 from hnn_vi_ros.errors import did_you_mean, HnnViRosError, listed, SceneError
-from hnn_vi_ros.files.named_code import find_beside, import_named, NAMES_CODE
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.expressions import GRAMMAR, Graph, Reader
+from hnn_vi_ros.files import find_beside, import_named, NAMES_CODE, StrictModel
+from hnn_vi_ros.hamiltonians import GRAMMAR, Graph, Hamiltonian, Reader
 from hnn_vi_ros.phase_space import columns
 import numpy as np
 from pydantic import (

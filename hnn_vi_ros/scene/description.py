@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.yaml_file import validate
-from hnn_vi_ros.files.yaml_text import parse_mapping
+from hnn_vi_ros.files import parse_mapping, validate
 from hnn_vi_ros.scene.choices import AutoChoice
 from hnn_vi_ros.scene.origin import Origin
 from hnn_vi_ros.scene.scene import Scene

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import ModelError, offered
-from hnn_vi_ros.files.command_line import command
-from hnn_vi_ros.files.named_code import find_beside
-from hnn_vi_ros.files.regular_file import no_file
-from hnn_vi_ros.files.resources import is_path, package_file, SCHEME, shipped_file, shipped_names
-from hnn_vi_ros.files.yaml_text import KeyPlaces, parse_mapping
-from hnn_vi_ros.models.checkpoint import file_digest
+from hnn_vi_ros.files import (
+    command, find_beside, is_path, KeyPlaces, no_file, package_file, parse_mapping, SCHEME,
+    shipped_file, shipped_names)
+from hnn_vi_ros.models import file_digest
 
 # How the files are called that torch.save writes.
 _OF_TORCH = ('.pt', '.pth', '.tar', '.pkl')

@@ -11,19 +11,14 @@ import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, EffectError
+from hnn_vi_ros.effects import Effect, EffectError, EFFECTS
 from hnn_vi_ros.errors import (
     CalibrationError, listed, ModelError, offered, SceneError, UnsupportedSystem)
-from hnn_vi_ros.files.resources import find_yaml
-from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
-from hnn_vi_ros.files.yaml_text import KeyPlaces
-from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.registry import COORDINATES, MECHANISMS, ROTATING
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator, ON_FAILURE
-from hnn_vi_ros.models.checkpoint import file_digest
+from hnn_vi_ros.files import find_yaml, KeyPlaces, read_yaml, StrictModel, validate
+from hnn_vi_ros.hamiltonians import (
+    COORDINATES, DESCRIBED, Hamiltonian, HAMILTONIANS, MECHANISMS, ROTATING)
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS, ON_FAILURE
+from hnn_vi_ros.models import file_digest
 from hnn_vi_ros.phase_space import columns, Coordinate
 from hnn_vi_ros.scene.choices import (
     AutoChoice, call_factory, choices, EventChoice, InitialState, InvariantChoice, invariants_of,
@@ -258,7 +253,7 @@ class Scene(StrictModel):
         if isinstance(choice, LearnedChoice):
             file = self._origin.model_file(choice.model, 'hamiltonian')
             # Imported here: networks are compiled, which who only reads a scene has no use for.
-            from hnn_vi_ros.models.confined import load_learned
+            from hnn_vi_ros.models import load_learned
             with self.placed('hamiltonian'):
                 hamiltonian = load_learned(file, choice.confine, choice.member)
         elif isinstance(choice, PythonChoice):

@@ -1,14 +1,54 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
+# flake8: noqa: F401
 """
-Simulations: H, a method and effects compiled into one kernel that advances a state.
+Simulations: compiled loops over the steps of a scene, and what is computed with them.
 
-A scene becomes one in ``build``, whose steps ``events`` watches and ``dense_step`` looks into;
-``rescue`` takes steps that fail. Here is nothing that measures or judges a run: see guards,
-accuracy and trajectory.
+``Simulation`` advances a state; ``rescue`` takes steps that fail; ``events`` finds events. Inside:
+``trajectory`` (whole runs), ``accuracy`` (errors, costs, the automatic choice), ``guards``
+(alarms), ``lockstep`` (many runs in torch) and ``gradients`` (sensitivities and adjoints).
 """
 
-from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
-from hnn_vi_ros.recording.sample import Sample
+from typing import TYPE_CHECKING
 
-__all__ = ['RescuePending', 'Simulation']
+from hnn_vi_ros.exports import lazy_exports
+
+if TYPE_CHECKING:
+    from hnn_vi_ros.simulation.accuracy.automatic_choice import (
+        Choice, Chosen, problem_of, resolve, tolerance_of)
+    from hnn_vi_ros.simulation.accuracy.cost import Cost, CostStudy, measure_costs
+    from hnn_vi_ros.simulation.accuracy.diagnostics import local_error, secular_change
+    from hnn_vi_ros.simulation.accuracy.lyapunov import lyapunov_time, time_between_motions
+    from hnn_vi_ros.simulation.accuracy.trials import (
+        InitialValueProblem, Method, time_scale, Tolerance)
+    from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
+    from hnn_vi_ros.simulation.construction import build, build_at, compile_loop
+    from hnn_vi_ros.simulation.dense_step import whole_steps
+    from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+    from hnn_vi_ros.simulation.following import Law
+    from hnn_vi_ros.simulation.gradients.acting_effects import (
+        ActingEffects, check_effects, flow_rates)
+    from hnn_vi_ros.simulation.gradients.dependences import (
+        Dependence, derivative, difference, OnNumber, States, sum_of)
+    from hnn_vi_ros.simulation.gradients.derivatives import Change, DifferentiableRun, Recorded
+    from hnn_vi_ros.simulation.gradients.of_hamiltonian import base_of, OnHamiltonian, OnLagrangian
+    from hnn_vi_ros.simulation.gradients.scene_run import check_in_files, Numbers, SceneRun
+    from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard, is_wrong
+    from hnn_vi_ros.simulation.guards.base import (
+        Alarm, BlockGuard, Guard, judge, Observed, StateGuard, Waiting)
+    from hnn_vi_ros.simulation.guards.bounds import BoxGuard, SpreadGuard
+    from hnn_vi_ros.simulation.guards.poles import PoleGuard
+    from hnn_vi_ros.simulation.guards.selection import make_guards
+    from hnn_vi_ros.simulation.guards.watch import look, SampledScale, show_many, Watch
+    from hnn_vi_ros.simulation.lockstep.ensemble import description, LockstepEnsemble, open_device
+    from hnn_vi_ros.simulation.processors import (
+        ignore_sigint_in_children, usable_processors, worker_processes)
+    from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
+    from hnn_vi_ros.simulation.system import System
+    from hnn_vi_ros.simulation.trajectory.devices import ensemble_on, one_thread_each, record_on
+    from hnn_vi_ros.simulation.trajectory.record import BLOCK, check_memory, record_block, Schedule
+    from hnn_vi_ros.simulation.trajectory.simulate import (
+        changed_parts, record_one, simulate, simulate_many)
+    from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+
+__getattr__, __dir__ = lazy_exports(__name__)

@@ -12,17 +12,13 @@ which failed ones are rescued, where one loop serves all methods.
 from collections.abc import Callable
 from typing import Any
 
-from hnn_vi_ros.effects.wrapped import Wrapped
-from hnn_vi_ros.integrators.arithmetic import copy_array, copy_point, is_finite
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.integrators.step_addresses import (
-    CALLERS, memory_by_address, steps_by_address, StepsByAddress)
-from hnn_vi_ros.integrators.workspaces import forget, MemoryByAddress
-from hnn_vi_ros.kernels.addresses import provide_for, Target
-from hnn_vi_ros.kernels.blocks import bare, clear
-from hnn_vi_ros.kernels.compilation import compiled, compiled_loop, compiled_options, entry_point
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.linking import LINK_ONLY
+from hnn_vi_ros.effects import Wrapped
+from hnn_vi_ros.integrators import (
+    CALLERS, copy_array, copy_point, forget, Integrator, is_finite, memory_by_address,
+    MemoryByAddress, NOT_FINITE, OK, Point, Step, steps_by_address, StepsByAddress)
+from hnn_vi_ros.kernels import (
+    bare, clear, compiled, compiled_loop, compiled_options, entry_point, Kernel, LINK_ONLY,
+    Parameters, provide_for, Target)
 from numba.core import types
 from numba.extending import overload
 import numpy as np

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a scene to a simulation."""
 
-from hnn_vi_ros.integrators.base import Point
-from hnn_vi_ros.models.learned import warn_of_scheme
+from hnn_vi_ros.integrators import Point
+from hnn_vi_ros.models import warn_of_scheme
 from hnn_vi_ros.scene import Parts, Scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.rescue import Rescue
+from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 from numpy.typing import ArrayLike

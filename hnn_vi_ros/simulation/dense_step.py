@@ -7,15 +7,13 @@ from functools import cached_property
 from typing import NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
-from hnn_vi_ros.integrators.dense_output import (
-    collocation_output, DenseOutput, hermite_output, WHOLE)
-from hnn_vi_ros.integrators.gauss import Gauss
-from hnn_vi_ros.integrators.taylor import Taylor
+from hnn_vi_ros.integrators import (
+    collocation_output, DenseOutput, Gauss, hermite_output, Taylor, WHOLE)
 from hnn_vi_ros.phase_space import coordinate_rates, momentum_rates
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.simulation import Simulation
+    from hnn_vi_ros.simulation.simulation import Simulation
 
 # From this many stages on the collocation polynomial is no worse than quintic Hermite's.
 _STAGES = 5

@@ -11,10 +11,9 @@ from typing import Any, Literal, TYPE_CHECKING
 
 from hnn_vi_ros.errors import StoppedByEvent
 from hnn_vi_ros.phase_space import Event
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.choices import Condition
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.scene import Condition, Scene
 from hnn_vi_ros.simulation.dense_step import DenseStep
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # A simulation to those who use it: all but a few of its methods are passed on.

@@ -4,11 +4,8 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.arithmetic import copy_point, is_finite
-from hnn_vi_ros.integrators.base import NOT_FINITE, OK, Point, Step
-from hnn_vi_ros.kernels.blocks import bare
-from hnn_vi_ros.kernels.kernel import Kernel, Parameters
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import copy_point, is_finite, NOT_FINITE, OK, Point, Step
+from hnn_vi_ros.kernels import bare, inlined, Kernel, Parameters
 import numpy as np
 
 

@@ -8,19 +8,12 @@ import math
 import sys
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Layer
-from hnn_vi_ros.effects.wrapped import Wrapped
+from hnn_vi_ros.effects import Layer, Wrapped
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.arithmetic import copy_point, largest
-from hnn_vi_ros.integrators.base import (
-    BEYOND, Integrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point)
-from hnn_vi_ros.integrators.composition import Composition
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.lie.equations import LieIntegrator
-from hnn_vi_ros.integrators.workspaces import arrays_of, forget, separate
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import (
+    arrays_of, BEYOND, Composition, copy_point, forget, ImplicitMidpoint, Integrator, INTEGRATORS,
+    largest, LieIntegrator, NO_CONVERGENCE, NO_SOLUTION, OK, ON_FAILURE, Point, separate)
+from hnn_vi_ros.kernels import inlined, Kernel
 from hnn_vi_ros.simulation.assembly import advance, Loop, take_substeps
 from hnn_vi_ros.simulation.system import System
 import numpy as np

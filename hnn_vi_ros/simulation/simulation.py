@@ -10,16 +10,12 @@ import time
 from typing import Any, NoReturn
 import warnings
 
-from hnn_vi_ros.effects.base import Effect
-from hnn_vi_ros.effects.commands import Command, NUMBERS, Observation, whole_turns
+from hnn_vi_ros.effects import Command, Effect, NUMBERS, Observation, whole_turns
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.arithmetic import is_finite
-from hnn_vi_ros.integrators.base import (
-    BEYOND, IN_DOUBT, Integrator, NO_SOLUTION, NOT_FINITE, OK, Point, REASONS, step_failure)
-from hnn_vi_ros.integrators.dense_output import DenseOutput
-from hnn_vi_ros.integrators.taylor import TaylorWork
-from hnn_vi_ros.integrators.workspaces import arrays_of, forget
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    arrays_of, BEYOND, DenseOutput, forget, IN_DOUBT, Integrator, is_finite, NO_SOLUTION,
+    NOT_FINITE, OK, Point, REASONS, step_failure, TaylorWork)
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.simulation.assembly import advance, Loop
 from hnn_vi_ros.simulation.dense_step import DenseStep

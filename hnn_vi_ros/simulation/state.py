@@ -4,7 +4,7 @@
 
 from collections.abc import Mapping
 
-from hnn_vi_ros.integrators.base import Point
+from hnn_vi_ros.integrators import Point
 import numpy as np
 from numpy.typing import ArrayLike
 

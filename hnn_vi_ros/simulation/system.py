@@ -9,21 +9,15 @@ from operator import attrgetter
 from typing import Any, cast
 import warnings
 
-from hnn_vi_ros.effects import effect_name, EFFECTS
-from hnn_vi_ros.effects.base import Effect, EffectError, EffectState, Force, Joined, Layer, Place
-from hnn_vi_ros.effects.commands import (
-    Aim, Command, Commanded, contents, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION,
-    POSITION)
-from hnn_vi_ros.effects.kernels import add_forces, join
-from hnn_vi_ros.effects.manifold import Manifold
-from hnn_vi_ros.effects.wrapped import Account, Wrapped
+from hnn_vi_ros.effects import (
+    Account, add_forces, Aim, Command, Commanded, contents, Effect, effect_name, EffectError,
+    EFFECTS, EffectState, EFFORT, Force, join, Joined, JointCommand, JointPath, Layer, Manifold,
+    NUMBERS, OBSERVATION, Place, POSITION, Wrapped)
 from hnn_vi_ros.errors import listed, StateError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import check_method, method_name, methods_that
-from hnn_vi_ros.integrators.base import Integrator, NO_SOLUTION, Point, REASONS, REDUNDANT
-from hnn_vi_ros.kernels.addresses import by_address, original, provide, Target
-from hnn_vi_ros.kernels.blocks import Block, flat, kind_of
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    check_method, Integrator, method_name, methods_that, NO_SOLUTION, Point, REASONS, REDUNDANT)
+from hnn_vi_ros.kernels import Block, by_address, flat, Kernel, kind_of, original, provide, Target
 from hnn_vi_ros.phase_space import angle_columns, check_state
 import numpy as np
 from numpy.typing import ArrayLike

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from hnn_vi_ros.files.command_line import complete_by, Parser
+from hnn_vi_ros.files import complete_by, Parser
 
 _DETAILS = """\
 A shard is a file that is made as a whole: part-00000.parquet and so on, with the same bytes

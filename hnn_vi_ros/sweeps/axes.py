@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, did_you_mean, listed
-from hnn_vi_ros.files.limits import parse_json, plain_number, sha256_of, text_lines
-from hnn_vi_ros.files.regular_file import read_limited
-from hnn_vi_ros.files.yaml_file import in_plain_words
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import (
+    in_plain_words, one_line, parse_json, plain_number, read_limited, sha256_of, text_lines)
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.sweeps.definition import (
     AxisChoice, BoxChoice, FileChoice, GridChoice, MOST, PosteriorChoice, RepeatsChoice,

@@ -7,10 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.named_code import NAMES_CODE
-from hnn_vi_ros.files.resources import find_yaml
-from hnn_vi_ros.files.yaml_file import read_yaml, StrictModel, validate
-from hnn_vi_ros.files.yaml_text import KeyPlaces
+from hnn_vi_ros.files import find_yaml, KeyPlaces, NAMES_CODE, read_yaml, StrictModel, validate
 from pydantic import Field, model_validator
 
 # Most points of an axis, and of a sweep: the length of Sobol's sequence, which repeats no point.

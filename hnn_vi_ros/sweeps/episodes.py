@@ -8,15 +8,11 @@ from typing import Any, NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import DataError, StepFailure, StoppedByEvent
-from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.named_numbers import with_values
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.events import watched, WatchedSimulation
+from hnn_vi_ros.files import one_line
+from hnn_vi_ros.recording import Sample
+from hnn_vi_ros.run import Sampler
+from hnn_vi_ros.scene import Scene, with_values
+from hnn_vi_ros.simulation import build, Simulation, watched, WatchedSimulation, whole_steps
 from hnn_vi_ros.sweeps.plan import SweepPlan
 from hnn_vi_ros.sweeps.trajectories import FAILURES
 

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.limits import parse_json
-from hnn_vi_ros.files.regular_file import read_limited, replacing, write_new
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import one_line, parse_json, read_limited, replacing, write_new
 from hnn_vi_ros.sweeps.parquet import check_shard
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 

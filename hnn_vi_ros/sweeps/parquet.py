@@ -11,8 +11,7 @@ import re
 from typing import Any
 
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files.regular_file import read_limited
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import one_line, read_limited
 from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np

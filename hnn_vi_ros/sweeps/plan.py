@@ -14,13 +14,10 @@ import platform
 from typing import Any
 
 from hnn_vi_ros.errors import DataError, optional
-from hnn_vi_ros.files.resources import is_path
+from hnn_vi_ros.files import is_path
 from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.scene import load_scene, Parts, Scene
-from hnn_vi_ros.scene.choices import AutoChoice
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
-from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.trajectory.record import BLOCK
+from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
+from hnn_vi_ros.simulation import BLOCK, resolve, whole_steps
 from hnn_vi_ros.sweeps.axes import Axis, find_key, make_axis
 from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.version import __version__
@@ -138,7 +135,7 @@ class SweepPlan:
         """Return all that the results depend on, and how they are cut: JSON's plain data."""
         record: dict[str, Any] = {}
         if self.device is not None:
-            from hnn_vi_ros.simulation.lockstep.ensemble import description
+            from hnn_vi_ros.simulation import description
             record['device'] = description(self.device)
         record |= {
             'sweep': self.sweep.model_dump(mode='json'),
@@ -189,7 +186,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
     """
     if device is not None:
         with optional('torch', f'device = {device}'):
-            from hnn_vi_ros.simulation.lockstep.ensemble import open_device
+            from hnn_vi_ros.simulation import open_device
         open_device(device)
     sweep, places, folder = load_sweep(definition)
     beside = folder / sweep.scene

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import logging
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import one_line
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.workers import ShardJob
 import ray

@@ -12,11 +12,8 @@ from typing import Any
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.resources import is_path
-from hnn_vi_ros.files.standard_streams import ProgressLine
-from hnn_vi_ros.files.yaml_file import json_schema
-from hnn_vi_ros.simulation.checks import check_count
-from hnn_vi_ros.simulation.processors import usable_processors
+from hnn_vi_ros.files import is_path, json_schema, ProgressLine
+from hnn_vi_ros.simulation import check_count, usable_processors
 from hnn_vi_ros.sweeps import arguments
 from hnn_vi_ros.sweeps.definition import Sweep
 from hnn_vi_ros.sweeps.episodes import episodes, EpisodeWriter, selected, without_ros

@@ -9,27 +9,18 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import warnings
 
 from hnn_vi_ros.errors import HnnViRosError, listed, StepFailure
-from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.scene.choices import load_code
-from hnn_vi_ros.scene.named_numbers import with_values
-from hnn_vi_ros.simulation.accuracy.lyapunov import time_between_motions
-from hnn_vi_ros.simulation.construction import build_at
-from hnn_vi_ros.simulation.dense_step import whole_steps
-from hnn_vi_ros.simulation.events import watched
-from hnn_vi_ros.simulation.guards.base import Alarm
-from hnn_vi_ros.simulation.guards.watch import show_many
-from hnn_vi_ros.simulation.system import System
-from hnn_vi_ros.simulation.trajectory.record import record_block, Schedule
-from hnn_vi_ros.simulation.trajectory.simulate import record_one
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.files import one_line
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.scene import load_code, Parts, with_values
+from hnn_vi_ros.simulation import (
+    Alarm, build_at, record_block, record_one, Schedule, show_many, System, time_between_motions,
+    Trajectory, watched, whole_steps)
 from hnn_vi_ros.sweeps.definition import Reduction
 from hnn_vi_ros.sweeps.plan import SweepPlan
 import numpy as np
 
 if TYPE_CHECKING:
-    from hnn_vi_ros.simulation.lockstep.ensemble import LockstepEnsemble
+    from hnn_vi_ros.simulation import LockstepEnsemble
 
 
 def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
@@ -349,7 +340,7 @@ class _Made:
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
         """Return what takes the steps on a device."""
-        from hnn_vi_ros.simulation.trajectory.devices import ensemble_on
+        from hnn_vi_ros.simulation import ensemble_on
         scene = self.parts.scene
         if scene.events:
             raise HnnViRosError('trajectories step on a device without events; leave those of '
@@ -362,7 +353,7 @@ class _Made:
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
         """Return trajectories on a device, and those that fail by their number."""
-        from hnn_vi_ros.simulation.trajectory.devices import one_thread_each, record_on
+        from hnn_vi_ros.simulation import one_thread_each, record_on
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
         assert device is not None, 'it is asked for'

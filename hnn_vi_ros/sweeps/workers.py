@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.simulation.processors import ignore_sigint_in_children, worker_processes
+from hnn_vi_ros.simulation import ignore_sigint_in_children, worker_processes
 from hnn_vi_ros.sweeps.folder import SweepFolder
 from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan

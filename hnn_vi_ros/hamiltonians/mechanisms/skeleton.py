@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from hnn_vi_ros.errors import ModelError
-from hnn_vi_ros.files.regular_file import no_file
-from hnn_vi_ros.files.resources import package_file, SCHEME
-from hnn_vi_ros.files.xml_text import parse_xml
+from hnn_vi_ros.files import no_file, package_file, parse_xml, SCHEME
 from hnn_vi_ros.hamiltonians.mechanisms.parts import AMBER, Ball, Line, Mechanism, Part, SILVER
 from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Link, Robot, SLIDING
 import numpy as np

@@ -17,7 +17,7 @@ from hnn_vi_ros.hamiltonians.expressions import Graph, Symbol
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import hand_down, join, momentum, power
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import Bodies
 from hnn_vi_ros.hamiltonians.straight_code import graph_kernel
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 # Joints up to which straight code takes a fourth of the time of sweeps or less; it grows with the

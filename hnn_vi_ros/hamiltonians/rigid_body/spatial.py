@@ -9,7 +9,7 @@ moment and, of the symmetric matrix about that origin, xx, xy, yy, xz, yz, zz. R
 ``offset`` is the origin of each body from that of its parent.
 """
 
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 

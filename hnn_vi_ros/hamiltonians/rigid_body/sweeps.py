@@ -23,8 +23,7 @@ from typing import NamedTuple
 
 from hnn_vi_ros.hamiltonians.rigid_body.spatial import (
     add_cross_force, cross_motion, hand_down, inherit, join, momentum, power, weight_power)
-from hnn_vi_ros.kernels.linear_algebra import factorise, solve_cholesky
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import factorise, inlined, solve_cholesky
 import numpy as np
 from numpy.typing import DTypeLike
 

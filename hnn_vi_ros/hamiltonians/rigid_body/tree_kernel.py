@@ -7,8 +7,7 @@ from hnn_vi_ros.hamiltonians.rigid_body.small_tree import MOST_STRAIGHT, small_t
 from hnn_vi_ros.hamiltonians.rigid_body.sweeps import (
     Bodies, compose, displace, force_change_of, force_of, move, place, solve_rate_changes,
     solve_rates, TreeParameters, Work)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 

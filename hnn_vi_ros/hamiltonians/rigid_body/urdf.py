@@ -15,8 +15,7 @@ import re
 import warnings
 
 from hnn_vi_ros.errors import did_you_mean, listed, ModelError
-from hnn_vi_ros.files.regular_file import read_limited
-from hnn_vi_ros.files.xml_text import Element, MAX_XML_BYTES, parse_xml
+from hnn_vi_ros.files import Element, MAX_XML_BYTES, parse_xml, read_limited
 from hnn_vi_ros.hamiltonians.rigid_body.robot import (
     Inertial, Joint, Limits, Link, Robot, SLIDING, TURNING)
 import numpy as np

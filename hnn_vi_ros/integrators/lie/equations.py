@@ -19,8 +19,7 @@ from hnn_vi_ros.integrators.lie.rotations import cross, dot, RETRACTIONS, trivia
 from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.solvers import extrapolate, remember, SolverOptions
 from hnn_vi_ros.integrators.workspaces import History, SolverWork
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, inlined, Kernel
 import numpy as np
 
 # |h omega| beyond which a step is refused: nearly half a turn, where the shortest way to the next

@@ -13,8 +13,7 @@ from hnn_vi_ros.integrators.lie.equations import (
 from hnn_vi_ros.integrators.lie.rotations import cayley, cross, dot
 from hnn_vi_ros.integrators.newton_solver import by_differences
 from hnn_vi_ros.integrators.workspaces import SolverWork
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, inlined, Kernel
 import numpy as np
 
 

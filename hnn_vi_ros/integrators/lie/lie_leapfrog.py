@@ -7,8 +7,7 @@ from hnn_vi_ros.integrators.base import OK, Point, PointWork, Requirements, TURN
 from hnn_vi_ros.integrators.lie.equations import (
     add_bend, check_turns, FURTHEST, GroupWork, LieIntegrator, LieOptions, move,
     solve_momenta_inside, solve_turns, transport, turns_beyond)
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined, Kernel
 import numpy as np
 
 

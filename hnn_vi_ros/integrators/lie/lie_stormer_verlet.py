@@ -4,14 +4,13 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.integrators.arithmetic import plus
 from hnn_vi_ros.integrators.base import Integrator, OK, Point, Requirements, TURNED
 from hnn_vi_ros.integrators.lie.equations import (
     fill_forces, FURTHEST, FURTHEST_CAYLEY, move, turns_beyond)
 from hnn_vi_ros.integrators.lie.rotations import cayley, dot
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.marks import called, inlined
+from hnn_vi_ros.kernels import called, inlined, Kernel
 import numpy as np
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hnn_vi_ros.integrators.arithmetic import plus
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.kernels import inlined
 import numpy as np
 
 # Terms of a power series; for y <= 2.25, a turn of 3 rad, some 12 of them count in doubles.

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError, listed
-from hnn_vi_ros.files.limits import array_names, sha256_of, unpack_arrays
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import array_names, sha256_of, StrictModel, unpack_arrays
 from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording, TEST_RUNS
-from hnn_vi_ros.models.attitude_features import turn_matrices
+from hnn_vi_ros.models import turn_matrices
 import numpy as np
 from pydantic import Field
 import torch

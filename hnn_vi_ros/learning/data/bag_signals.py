@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import final, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed, RecordingError
-from hnn_vi_ros.recording.bags.bag_metadata import qos_profiles
-from hnn_vi_ros.recording.bags.cdr import decode_float64_multi_array, decode_joint_state, MOMENTUM
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
-from hnn_vi_ros.run.held_state import STATE_FILE
+from hnn_vi_ros.recording import (
+    BagReader, decode_float64_multi_array, decode_joint_state, MOMENTUM, qos_profiles, Recorded)
+from hnn_vi_ros.run import STATE_FILE
 import numpy as np
 import safetensors
 import safetensors.numpy

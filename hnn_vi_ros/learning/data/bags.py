@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from hnn_vi_ros.errors import DataError, listed
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.data.bag_signals import ARRAY, JOINT_STATE, SignalReader, STATES
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, SavitzkyGolay, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import (
     cubic, GAP, increasing, Motion, MotionData, Recording, unwound)
-from hnn_vi_ros.recording.bags.cdr import MOMENTUM, RATE
+from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator
 

@@ -8,13 +8,11 @@ from inspect import signature
 from typing import Annotated, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians import HAMILTONIANS
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians import Hamiltonian, HAMILTONIANS
 from hnn_vi_ros.learning.data.motions import (
     cubic, Motion, OnBad, part_of, pieces_of, Recording, Report, resampled, unwound_piece)
-from hnn_vi_ros.models.box_error import Interval
-from hnn_vi_ros.models.model_card import Box
+from hnn_vi_ros.models import Box, Interval
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from scipy.integrate import solve_ivp

@@ -12,7 +12,7 @@ import math
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from hnn_vi_ros.errors import DataError, listed
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 import numpy as np
 from pydantic import Field
 from scipy.integrate import cumulative_trapezoid

@@ -9,9 +9,7 @@ import re
 from typing import Any, ClassVar, Literal
 
 from hnn_vi_ros.errors import DataError, did_you_mean, listed
-from hnn_vi_ros.files.limits import plain_number, sha256_of, text_lines
-from hnn_vi_ros.files.regular_file import no_file
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import no_file, plain_number, sha256_of, StrictModel, text_lines
 from hnn_vi_ros.learning.data.dataset import (
     Derivatives, mass_matrix, Names, StateOptions, time_blocks)
 from hnn_vi_ros.learning.data.motions import Motion, MotionData, Recording

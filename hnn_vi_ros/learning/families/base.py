@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.learning.data.dataset import Dataset
-from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models import Layers
 import numpy as np
 import torch
 

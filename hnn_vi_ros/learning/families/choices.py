@@ -9,14 +9,12 @@ import re
 from typing import Annotated, ClassVar, Literal
 
 from hnn_vi_ros.errors import listed
-from hnn_vi_ros.files.yaml_file import StrictModel
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.files import StrictModel
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.learning.families.base import keep
-from hnn_vi_ros.models.exact_prior import exact_systems
-from hnn_vi_ros.models.mechanical_card import check_prior, check_row, is_periodic, Kind
-from hnn_vi_ros.models.model_card import Scheme
-from hnn_vi_ros.models.planar_chain import chain_angles, CHAINS, PLANAR_CHAIN
-from hnn_vi_ros.models.rigid_body_card import RIGID_BODY, tree_card, TreeCard, values_of
+from hnn_vi_ros.models import (
+    chain_angles, CHAINS, check_prior, check_row, exact_systems, is_periodic, Kind, PLANAR_CHAIN,
+    RIGID_BODY, Scheme, tree_card, TreeCard, values_of)
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 import torch

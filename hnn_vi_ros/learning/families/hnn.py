@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.learning.families.base import EnergyFamily, gradient, keep, Perceptron, Scales
 from hnn_vi_ros.learning.families.choices import FamilyChoice
-from hnn_vi_ros.models.checkpoint import Layers
+from hnn_vi_ros.models import Layers
 import numpy as np
 from pydantic import Field
 import torch

@@ -9,8 +9,7 @@ from hnn_vi_ros.learning.data.dataset import Dataset
 from hnn_vi_ros.learning.families.base import (
     EnergyFamily, gradient, keep, Perceptron, Scales, Trainable)
 from hnn_vi_ros.learning.families.choices import FamilyChoice
-from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.symplectic_form import irregularity, REMEDY
+from hnn_vi_ros.models import irregularity, Layers, REMEDY
 import numpy as np
 from pydantic import Field
 import torch

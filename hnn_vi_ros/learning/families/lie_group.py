@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
-from hnn_vi_ros.files.yaml_file import StrictModel
+from hnn_vi_ros.files import StrictModel
 from hnn_vi_ros.learning.families.base import keep, newton, Perceptron
 from hnn_vi_ros.learning.families.choices import FamilyChoice, ON_THE_CPU
-from hnn_vi_ros.models.attitude_features import group_of
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers
-from hnn_vi_ros.models.lie_group_card import LieGroupCard, Seen
+from hnn_vi_ros.models import Checkpoint, group_of, Layers, LieGroupCard, Seen
 import numpy as np
 from pydantic import Field, model_validator
 import torch

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 from hnn_vi_ros.learning.families.base import keep, Layer, Perceptron
 from hnn_vi_ros.learning.families.choices import Features, MotionScales, Structure
 from hnn_vi_ros.learning.families.priors import ExactPrior, PlanarChain, RigidTree
-from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.mechanical_card import (
-    CoulombTerm, entries_of, FrictionCard, Kind, MechanicalCard, PriorCard, StribeckTerm)
-from hnn_vi_ros.models.planar_chain import CHAINS
+from hnn_vi_ros.models import (
+    CHAINS, CoulombTerm, entries_of, FrictionCard, Kind, Layers, MechanicalCard, PriorCard,
+    StribeckTerm)
 import numpy as np
 import torch
 

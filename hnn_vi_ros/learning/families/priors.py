@@ -8,11 +8,9 @@ from typing import Any, NamedTuple
 
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.learning.families.base import keep
-from hnn_vi_ros.models.exact_prior import exact_system, functions_of
-from hnn_vi_ros.models.mechanical_card import Quantity
-from hnn_vi_ros.models.planar_chain import parameter_names, unit_terms
-from hnn_vi_ros.models.rigid_body_card import (
-    EACH, Identification, INERTIAL, pseudo_inertia, TreeCard)
+from hnn_vi_ros.models import (
+    EACH, exact_system, functions_of, Identification, INERTIAL, parameter_names, pseudo_inertia,
+    Quantity, TreeCard, unit_terms)
 import numpy as np
 import torch
 

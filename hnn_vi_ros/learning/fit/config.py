@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from hnn_vi_ros.errors import DataError, ModelError, offered
-from hnn_vi_ros.files.resources import find_yaml, package_file, SCHEME
-from hnn_vi_ros.files.yaml_file import read_text, StrictModel, validate
-from hnn_vi_ros.files.yaml_text import parse_mapping
-from hnn_vi_ros.hamiltonians.rigid_body.tree import MOST_JOINTS
+from hnn_vi_ros.files import (
+    find_yaml, package_file, parse_mapping, read_text, SCHEME, StrictModel, validate)
+from hnn_vi_ros.hamiltonians import MOST_JOINTS
 from hnn_vi_ros.learning.data.arrays import ArraysData, BodyArrays, BodyWindows
 from hnn_vi_ros.learning.data.bags import BagMotions
 from hnn_vi_ros.learning.data.motions import EvenMotion, Motion
@@ -27,10 +26,7 @@ from hnn_vi_ros.learning.families.lagrangian import (
 from hnn_vi_ros.learning.families.lie_group import (
     BodyStage, LieGroupChoice, LieMethod, RetractionName)
 from hnn_vi_ros.learning.fit.excitation import ExcitationData, excited_motions
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.mechanical_card import Kind
-from hnn_vi_ros.models.model_card import CoordinateCard
-from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
+from hnn_vi_ros.models import CoordinateCard, FAMILIES, Kind, RIGID_BODY
 from hnn_vi_ros.phase_space import IN_DEGREES
 from pydantic import Field, field_validator, model_validator, ValidationError
 

@@ -4,11 +4,11 @@
 
 from typing import Literal
 
-from hnn_vi_ros.hamiltonians.rigid_body_tree import RigidBodyTree
+from hnn_vi_ros.hamiltonians import RigidBodyTree
 from hnn_vi_ros.learning.data.motions import (
     even_motions, EvenMotion, Motion, MotionData, Recording)
 from hnn_vi_ros.learning.families.priors import RigidTree
-from hnn_vi_ros.models.rigid_body_card import tree_card, values_of
+from hnn_vi_ros.models import tree_card, values_of
 import numpy as np
 from pydantic import Field
 import torch

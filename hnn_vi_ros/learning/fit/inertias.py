@@ -24,10 +24,8 @@ from hnn_vi_ros.learning.fit.machine import acceleration_errors, samples_of
 from hnn_vi_ros.learning.fit.rigid_body import (
     fit_errors, LEAST, loss_of, RigidUnknowns, spread, window_fits)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.mechanical_card import FrictionCard, PriorCard
-from hnn_vi_ros.models.model_card import ModelCard
-from hnn_vi_ros.models.rigid_body_card import BaseParameter, EACH, Identification, INERTIAL
+from hnn_vi_ros.models import (
+    BaseParameter, Checkpoint, EACH, FrictionCard, Identification, INERTIAL, ModelCard, PriorCard)
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares, OptimizeResult

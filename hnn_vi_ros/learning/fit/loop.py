@@ -19,13 +19,9 @@ import zipfile
 
 from hnn_vi_ros.errors import (
     DataError, HnnViRosError, Interrupted, ModelError, ParameterError, RecordingError)
-from hnn_vi_ros.files.limits import check_pickles
-from hnn_vi_ros.files.regular_file import replacing
-from hnn_vi_ros.files.standard_streams import ProgressLine
-from hnn_vi_ros.files.yaml_file import in_plain_words
-from hnn_vi_ros.files.yaml_text import one_line
+from hnn_vi_ros.files import check_pickles, in_plain_words, one_line, ProgressLine, replacing
 from hnn_vi_ros.learning.fit.config import TrainingConfig
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
+from hnn_vi_ros.models import Checkpoint, save_checkpoint
 import numpy as np
 from pydantic import ValidationError
 import torch

@@ -19,7 +19,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.machine import (
     acceleration_errors, mean_forces, Samples, samples_of, scales_of, window_errors, windows_of)
 from hnn_vi_ros.learning.fit.steps import Solutions
-from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
+from hnn_vi_ros.models import chain_angles, PLANAR_CHAIN
 import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch

@@ -22,8 +22,7 @@ from functools import partial
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Node
+from hnn_vi_ros.integrators import INTEGRATORS, Node
 from hnn_vi_ros.learning.families.base import ENOUGH, newton
 from hnn_vi_ros.learning.families.choices import WindowMethod
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork

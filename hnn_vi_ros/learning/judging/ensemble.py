@@ -11,19 +11,16 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning, DataError, HnnViRosError, ParameterError, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.momenta import momentum
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
 from hnn_vi_ros.learning.data.dataset import Dataset, ExactData, sample_exact
 from hnn_vi_ros.learning.data.motions import EvenMotion, MIN_SAMPLES, part_of
 from hnn_vi_ros.learning.families.choices import Trajectory
 from hnn_vi_ros.learning.fit.config import FieldConfig, MachineConfig
-from hnn_vi_ros.models.checkpoint import Checkpoint, save_checkpoint
-from hnn_vi_ros.models.mechanical_card import mean_card, MOST_MEMBERS
-from hnn_vi_ros.models.model_card import Box, EnsembleCard, ModelCard
-from hnn_vi_ros.run.companions.members import Accompanied, deviation, member_scenes, Members
+from hnn_vi_ros.models import (
+    Box, Checkpoint, EnsembleCard, mean_card, ModelCard, MOST_MEMBERS, save_checkpoint)
+from hnn_vi_ros.run import Accompanied, deviation, member_scenes, Members
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.trajectory.simulate import simulate_many
+from hnn_vi_ros.simulation import build, simulate_many
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 

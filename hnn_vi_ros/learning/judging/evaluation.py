@@ -8,30 +8,19 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.effects.base import Effect, EffectState, Force
-from hnn_vi_ros.effects.commands import Commanded
-from hnn_vi_ros.effects.damping import Damping
-from hnn_vi_ros.effects.external_force import ExternalForce
-from hnn_vi_ros.effects.input_map import has_map
-from hnn_vi_ros.effects.learned_dissipation import LearnedDissipation
-from hnn_vi_ros.effects.learned_friction import LearnedFriction
+from hnn_vi_ros.effects import (
+    Commanded, Damping, Effect, EffectState, ExternalForce, Force, has_map, LearnedDissipation,
+    LearnedFriction)
 from hnn_vi_ros.errors import DataError, StepFailure
-from hnn_vi_ros.files.resources import is_path
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
-from hnn_vi_ros.integrators.variational_midpoint import VariationalMidpoint
+from hnn_vi_ros.files import is_path
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
+from hnn_vi_ros.integrators import ImplicitMidpoint, Integrator, VariationalMidpoint
 from hnn_vi_ros.learning.data.motions import EvenMotion, steps_between
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta
-from hnn_vi_ros.models.box_error import rows_of_each
-from hnn_vi_ros.models.checkpoint import load_checkpoint
-from hnn_vi_ros.models.confined import load_learned
-from hnn_vi_ros.models.seen import Domain
-from hnn_vi_ros.run.companions.twin import VALID
+from hnn_vi_ros.models import Domain, load_checkpoint, load_learned, rows_of_each
+from hnn_vi_ros.run import VALID
 from hnn_vi_ros.scene import load_scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.automatic_choice import resolve
+from hnn_vi_ros.simulation import resolve, Simulation
 import numpy as np
 from scipy.optimize import nnls
 import torch

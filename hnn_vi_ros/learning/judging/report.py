@@ -7,16 +7,13 @@ from pathlib import Path
 import platform
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.files.regular_file import write_text
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml, write_text
 from hnn_vi_ros.learning.fit.config import TrainingConfig
 from hnn_vi_ros.learning.fit.loop import LossHistory
 from hnn_vi_ros.learning.judging.evaluation import Fan
-from hnn_vi_ros.models.box_error import interval_text
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.model_card import ModelCard
+from hnn_vi_ros.models import Checkpoint, interval_text, ModelCard
 from hnn_vi_ros.phase_space import Coordinate
-from hnn_vi_ros.recording.viewer.rerun_diagram import PredictedRun, write_curves, write_predictions
+from hnn_vi_ros.recording import PredictedRun, write_curves, write_predictions
 from matplotlib.figure import Figure
 import numpy as np
 import torch

@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
-from hnn_vi_ros.models.checkpoint import Checkpoint, Layers, widths_of
-from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
+from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, ModelCard, widths_of
 from hnn_vi_ros.version import __version__
 import numpy as np
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import DataError, ParameterError
-from hnn_vi_ros.files.regular_file import write_text
-from hnn_vi_ros.integrators.lie.rotations import cayley, Coefficients
+from hnn_vi_ros.files import write_text
+from hnn_vi_ros.integrators import cayley, Coefficients
 from hnn_vi_ros.learning.data.arrays import BodyMotions, read_bodies
 from hnn_vi_ros.learning.data.sources import one_file
 from hnn_vi_ros.learning.families.base import newton
@@ -22,9 +22,7 @@ from hnn_vi_ros.learning.fit.config import BodyConfig, find_config, load_config
 from hnn_vi_ros.learning.fit.loop import Stage, TrainingProblem
 from hnn_vi_ros.learning.judging.report import Judged
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
-from hnn_vi_ros.models.attitude_features import group_of
-from hnn_vi_ros.models.checkpoint import Checkpoint, load_checkpoint
-from hnn_vi_ros.models.model_card import Box, Scheme
+from hnn_vi_ros.models import Box, Checkpoint, group_of, load_checkpoint, Scheme
 import numpy as np
 import torch
 

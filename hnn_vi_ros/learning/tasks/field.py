@@ -19,11 +19,8 @@ from hnn_vi_ros.learning.judging.ensemble import (
 from hnn_vi_ros.learning.judging.evaluation import friction_work, integrated
 from hnn_vi_ros.learning.judging.report import Comparison, Judged, plot_field
 from hnn_vi_ros.learning.tasks import described, Task
-from hnn_vi_ros.models.box_error import energy_error, energy_spread, EnergyError
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.ensemble import load_member
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.model_card import Units
+from hnn_vi_ros.models import (
+    Checkpoint, energy_error, energy_spread, EnergyError, FAMILIES, load_member, Units)
 import numpy as np
 import torch
 

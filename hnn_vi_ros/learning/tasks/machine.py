@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import DataError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.implicit_midpoint import ImplicitMidpoint
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import ImplicitMidpoint
 from hnn_vi_ros.learning.data.motions import delayed, EvenMotion, train_and_test
 from hnn_vi_ros.learning.families.choices import (
     AUTO, Forward, RigidBodyChoice, Structure, Trajectory)
@@ -28,13 +28,9 @@ from hnn_vi_ros.learning.judging.report import draw_predictions, Judged, shown
 from hnn_vi_ros.learning.tasks import described, OPEN_BY_MAP, Task
 from hnn_vi_ros.learning.tasks.records import Records
 from hnn_vi_ros.learning.tasks.selection import selected
-from hnn_vi_ros.models.box_error import energy_spread, interval_text
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.ensemble import load_member
-from hnn_vi_ros.models.model_card import Box, ModelCard, PredictionError
-from hnn_vi_ros.models.planar_chain import CHAINS, PLANAR_CHAIN
-from hnn_vi_ros.models.rigid_body_card import RIGID_BODY
-from hnn_vi_ros.models.seen import domain_of, DomainCard, SelectionCard
+from hnn_vi_ros.models import (
+    Box, CHAINS, Checkpoint, domain_of, DomainCard, energy_spread, interval_text, load_member,
+    ModelCard, PLANAR_CHAIN, PredictionError, RIGID_BODY, SelectionCard)
 import numpy as np
 from scipy.optimize import minimize_scalar
 import torch

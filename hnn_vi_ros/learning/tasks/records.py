@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 import math
 
-from hnn_vi_ros.effects.input_map import has_map
+from hnn_vi_ros.effects import has_map
 from hnn_vi_ros.errors import HnnViRosError
 from hnn_vi_ros.learning.data.motions import EvenMotion
 from hnn_vi_ros.learning.families.choices import Trajectory
@@ -14,7 +14,7 @@ from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 from hnn_vi_ros.learning.fit.loop import Stage
 from hnn_vi_ros.learning.fit.rigid_body import thinned
 from hnn_vi_ros.learning.judging.ensemble import drafted
-from hnn_vi_ros.models.checkpoint import Checkpoint
+from hnn_vi_ros.models import Checkpoint
 from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.torch import DifferentiableSimulation
 import numpy as np

@@ -13,8 +13,7 @@ from hnn_vi_ros.learning.families.choices import (
 from hnn_vi_ros.learning.fit.config import MachineConfig
 from hnn_vi_ros.learning.fit.loop import TrainingProblem
 from hnn_vi_ros.learning.fit.machine import Network, runge_kutta, samples_of, slowness
-from hnn_vi_ros.models.planar_chain import chain_angles, PLANAR_CHAIN
-from hnn_vi_ros.models.seen import CandidateCard, Errors, SelectionCard
+from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN, SelectionCard
 import numpy as np
 import torch
 

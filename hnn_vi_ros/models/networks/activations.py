@@ -11,8 +11,7 @@ its own: its slope is 1 - a^2. The others keep their slope in a fifth group of r
 
 from typing import Any
 
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.linking import LINK_ONLY, part
+from hnn_vi_ros.kernels import kept, LINK_ONLY, part
 from hnn_vi_ros.models.networks.perceptron_memory import (
     PackedPerceptron, Relu, Sine, Softplus, Tanh, TILE)
 from numba.extending import overload

@@ -12,8 +12,7 @@ rows for each, g_l, a_l' and g_l' follow; activations has what depends on f. Lay
 tiles of eight rows of weights.
 """
 
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.kernels.linking import part
+from hnn_vi_ros.kernels import kept, part
 from hnn_vi_ros.models.networks.activations import (
     activate, FASTMATH, scale, scale_forth, scale_tangent)
 from hnn_vi_ros.models.networks.perceptron_memory import MAX_STATES, PackedPerceptron, ROW, TILE

@@ -10,8 +10,7 @@ import sqlite3
 from typing import Any, final
 
 from hnn_vi_ros.errors import optional, RecordingError
-from hnn_vi_ros.files.regular_file import in_bytes, open_file
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml, in_bytes, open_file
 from hnn_vi_ros.recording.bags.bag_metadata import read_bag_metadata
 from hnn_vi_ros.recording.bags.mcap_file import LARGEST, McapFile, Piece
 from mcap.records import Channel, Message, Schema

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.regular_file import open_file
-from hnn_vi_ros.files.yaml_text import dump_yaml, parse_mapping, parse_yaml
+from hnn_vi_ros.files import dump_yaml, open_file, parse_mapping, parse_yaml
 
 METADATA_VERSION = 9
 # rosbag2 gives a bag without messages the latest time there is as its start.

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, final, NamedTuple
 import zlib
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.regular_file import open_file, refuse_pointer
+from hnn_vi_ros.files import open_file, refuse_pointer
 import lz4.frame
 from mcap import records
 from mcap.data_stream import ReadDataStream

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import final, NamedTuple
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.regular_file import in_bytes
+from hnn_vi_ros.files import in_bytes
 from hnn_vi_ros.recording.bags.bag_files import bag_files, ForeignBag, open_sources
 from hnn_vi_ros.recording.bags.bag_metadata import counted_messages
 from hnn_vi_ros.recording.bags.mcap_file import LARGEST, McapFile, Piece

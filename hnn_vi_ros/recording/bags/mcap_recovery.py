@@ -14,8 +14,7 @@ import tempfile
 from typing import BinaryIO
 
 from hnn_vi_ros.errors import listed, RecordingError
-from hnn_vi_ros.files.regular_file import numbered, open_file
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml, numbered, open_file
 from hnn_vi_ros.recording.bags.bag_files import bag_files
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, counted_messages, Extent, NEVER, read_description, Topic, write_bag_metadata)

@@ -13,9 +13,8 @@ import time
 from typing import Any, BinaryIO, final
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.command_line import command
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.files import command, dump_yaml
+from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.recording.bags.bag_metadata import (
     bag_metadata, Extent, NEVER, Topic, write_bag_metadata)
 from mcap.data_stream import RecordBuilder

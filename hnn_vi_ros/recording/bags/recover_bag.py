@@ -6,7 +6,7 @@ from pathlib import Path
 import sys
 
 from hnn_vi_ros.errors import printable, RecordingError
-from hnn_vi_ros.files.command_line import called
+from hnn_vi_ros.files import called
 from hnn_vi_ros.recording import arguments
 from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
 

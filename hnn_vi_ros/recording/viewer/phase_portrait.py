@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from contourpy import contour_generator
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import scalar_columns
 import numpy as np
 

@@ -8,8 +8,7 @@ from itertools import product
 import re
 from typing import Any, NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Line, Part, Trail
+from hnn_vi_ros.hamiltonians import Ball, Hamiltonian, Line, Part, Trail
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, momentum_name
 from hnn_vi_ros.recording.viewer.phase_portrait import contours, Frame, ticks
 import numpy as np

@@ -7,18 +7,16 @@ import math
 from tempfile import NamedTemporaryFile
 from typing import Any, final
 
-from hnn_vi_ros.effects import EFFECTS
-from hnn_vi_ros.effects.base import Effect, EffectState, Force, Potential
+from hnn_vi_ros.effects import Effect, EFFECTS, EffectState, Force, Potential
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.yaml_text import one_line
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Mechanism, SILVER
-from hnn_vi_ros.hamiltonians.mechanisms.skeleton import bones, moved, shapes_of, tip_of
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Joint, Robot, SLIDING
+from hnn_vi_ros.files import one_line
+from hnn_vi_ros.hamiltonians import (
+    Ball, bones, Box, Hamiltonian, Joint, Mechanism, moved, Robot, shapes_of, SILVER, SLIDING,
+    tip_of)
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, fitted, frame_of
 from hnn_vi_ros.recording.viewer.rerun_blueprint import PALETTE
-from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree

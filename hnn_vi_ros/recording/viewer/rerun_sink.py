@@ -10,19 +10,17 @@ import time
 from typing import final
 import warnings
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.parts import (
-    Ball, bounds_of, Box, Line, Mechanism, Part, Trail)
-from hnn_vi_ros.hamiltonians.rigid_body.robot import Robot
+from hnn_vi_ros.hamiltonians import (
+    Ball, bounds_of, Box, Hamiltonian, Line, Mechanism, Part, Robot, Trail)
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer import rerun_blueprint as layout
 from hnn_vi_ros.recording.viewer.phase_portrait import Bounds, ends_of, reach_of
 from hnn_vi_ros.recording.viewer.rerun_blueprint import Arrangement, Extent, make_blueprint
 from hnn_vi_ros.recording.viewer.rerun_entities import (
     bounds_of_path, bounds_of_robot, collisions_of, ForceArrows, Portraits, RobotPicture)
 from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
-from hnn_vi_ros.recording.sample import Sample
 import numpy as np
 import rerun as rr
 

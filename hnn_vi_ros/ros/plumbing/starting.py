@@ -9,7 +9,7 @@ import signal
 import warnings
 
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.files.standard_streams import ENDING, spare_output
+from hnn_vi_ros.files import ENDING, spare_output
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log_plainly, UnknownROSArgsError
 import rclpy
 from rclpy.exceptions import NameValidationException, ParameterException

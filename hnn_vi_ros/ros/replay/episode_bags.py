@@ -5,17 +5,12 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from hnn_vi_ros.files.yaml_text import dump_yaml
-from hnn_vi_ros.recording.bags.bag_metadata import Topic
-from hnn_vi_ros.recording.bags.cdr import serialize
-from hnn_vi_ros.recording.bags.mcap_sink import McapSink
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.recording import McapSink, serialize, Topic
 from hnn_vi_ros.ros.topics.messages import describe_topic
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED, SCENE
-from hnn_vi_ros.run.held_state import STATE_FILE, state_file
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.sweeps import running
-from hnn_vi_ros.sweeps.episodes import Episode
-from hnn_vi_ros.sweeps.plan import SweepPlan
+from hnn_vi_ros.run import scene_report, STATE_FILE, state_file
+from hnn_vi_ros.sweeps import Episode, running, SweepPlan
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 

@@ -9,7 +9,7 @@ from itertools import chain, islice
 import threading
 import time
 
-from hnn_vi_ros.recording.bags.mcap_reader import Recorded
+from hnn_vi_ros.recording import Recorded
 from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 

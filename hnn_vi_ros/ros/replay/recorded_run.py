@@ -9,17 +9,14 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import did_you_mean, listed, RecordingError
-from hnn_vi_ros.files.resources import expand_user
-from hnn_vi_ros.files.yaml_text import parse_mapping
-from hnn_vi_ros.recording.bags.cdr import decode_state, State
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.files import expand_user, parse_mapping
+from hnn_vi_ros.recording import BagReader, decode_state, Recorded, State
 from hnn_vi_ros.ros.topics.inputs import INPUTS
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run.sampling import nanoseconds_of, stamp_of, steps_between
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.description import described_scene, ONE_RUN, only_scene
+from hnn_vi_ros.run import nanoseconds_of, stamp_of, steps_between
+from hnn_vi_ros.scene import described_scene, ONE_RUN, only_scene, Scene
 import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String

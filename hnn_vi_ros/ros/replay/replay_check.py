@@ -7,16 +7,15 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import HnnViRosError, RecordingError, StepFailure
-from hnn_vi_ros.kernels.sources import identity
+from hnn_vi_ros.kernels import identity
 from hnn_vi_ros.phase_space import columns, momentum_rates
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.recording import BagReader
 from hnn_vi_ros.ros.replay.recorded_run import RecordedRun, simulators
 from hnn_vi_ros.ros.topics.remapped_topics import own_topics
-from hnn_vi_ros.run.held_state import restore_state, STATE_FILE
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.run import restore_state, STATE_FILE
+from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
 # Relative changes of the initial state: one that is far above round-off and far below the motion,

@@ -11,8 +11,7 @@ from typing import Any
 
 from ament_index_python.resources import has_resource
 from hnn_vi_ros.errors import HnnViRosError, listed, ParameterError, printable, RecordingError
-from hnn_vi_ros.recording.bags.bag_metadata import qos_profiles
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.recording import BagReader, qos_profiles, Recorded
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import declare_parameters, refuse_unknown
 from hnn_vi_ros.ros.plumbing.graph import (

@@ -14,7 +14,7 @@ from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD
 from hnn_vi_ros.ros.plumbing.managed_node import ManagedNode, steady_timer
 from hnn_vi_ros.ros.run.run import Run
 from hnn_vi_ros.ros.settings import Settings
-from hnn_vi_ros.run.timing import LONGEST_CALL
+from hnn_vi_ros.run import LONGEST_CALL
 from rclpy.task import Future
 from rclpy.timer import Timer
 

@@ -8,16 +8,12 @@ import math
 import time
 
 from hnn_vi_ros.errors import StepFailure
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.topics.diagnostics import DiagnosticsPublisher, ERROR, OK, Status, WARN
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.timing import OverrunGuard, Pacer
+from hnn_vi_ros.run import Monitor, OverrunGuard, Pacer, Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.guards.bands import EnergyGuard
-from hnn_vi_ros.simulation.guards.base import Alarm, Guard
+from hnn_vi_ros.simulation import Alarm, EnergyGuard, Guard, Simulation
 
 STEP_FAILED = 'step failed'
 # More samples at a time are told: who controls by them has only the last of each burst.

@@ -8,32 +8,20 @@ import time
 from typing import Any, NamedTuple
 import warnings
 
-from hnn_vi_ros.effects.commands import OBSERVATION
+from hnn_vi_ros.effects import OBSERVATION
 from hnn_vi_ros.errors import ParameterError
-from hnn_vi_ros.kernels.compilation import announced, kept_only, NotKept
-from hnn_vi_ros.recording.bags.bag_metadata import BagTopics
+from hnn_vi_ros.kernels import announced, kept_only, NotKept
+from hnn_vi_ros.recording import BagTopics
 from hnn_vi_ros.ros.plumbing.graph import Discovery, DISCOVERY_PERIOD, freeze_memory
 from hnn_vi_ros.ros.plumbing.rclpy_internals import Logger
 from hnn_vi_ros.ros.recording import Recording
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.remapped_topics import KEY
-from hnn_vi_ros.run.companions.members import Members
-from hnn_vi_ros.run.companions.twin import Twin
-from hnn_vi_ros.run.compilation import compiled_beside
-from hnn_vi_ros.run.preview import look_ahead
-from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.scene import load_scene, Parts, Scene
-from hnn_vi_ros.scene.choices import AutoChoice
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.automatic_choice import Choice, Chosen, resolve, tolerance_of
-from hnn_vi_ros.simulation.accuracy.trials import Tolerance
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.guards.bands import BandGuard, EnergyGuard
-from hnn_vi_ros.simulation.guards.base import StateGuard
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
-from hnn_vi_ros.simulation.guards.poles import PoleGuard
-from hnn_vi_ros.simulation.guards.watch import look, Watch
+from hnn_vi_ros.run import compiled_beside, look_ahead, Members, Sampler, scene_report, Twin
+from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
+from hnn_vi_ros.simulation import (
+    BandGuard, BoxGuard, build, Choice, Chosen, EnergyGuard, look, PoleGuard, resolve, Simulation,
+    StateGuard, Tolerance, tolerance_of, Watch)
 import numpy as np
 
 

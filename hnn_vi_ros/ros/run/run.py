@@ -10,7 +10,8 @@ import time
 from typing import Any
 
 from hnn_vi_ros.errors import StepFailure, StoppedByEvent
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.ros.plumbing.graph import crowded, Lasting
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC, PaceClock
 from hnn_vi_ros.ros.plumbing.rclpy_internals import log
@@ -24,18 +25,11 @@ from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.joining import ObservationJoiner
 from hnn_vi_ros.ros.topics.outputs import DIAGNOSTICS, EVENTS, Material, PREDICTION_ERROR
 from hnn_vi_ros.ros.topics.topics import Topics
-from hnn_vi_ros.run.companions.members import accompany
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.run.sampling import Sampler
-from hnn_vi_ros.run.timing import LONGEST_CALL, OverrunGuard, Pacer, StatusLine
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import RescuePending
-from hnn_vi_ros.simulation.events import watched, WatchedSimulation
-from hnn_vi_ros.simulation.guards.bands import EnergyGuard
-from hnn_vi_ros.simulation.guards.base import Alarm
-from hnn_vi_ros.simulation.guards.bounds import BoxGuard
-from hnn_vi_ros.simulation.guards.selection import make_guards
-from hnn_vi_ros.simulation.guards.watch import SampledScale
+from hnn_vi_ros.run import (
+    accompany, LONGEST_CALL, Monitor, OverrunGuard, Pacer, Sampler, StatusLine)
+from hnn_vi_ros.simulation import (
+    Alarm, BoxGuard, EnergyGuard, make_guards, RescuePending, SampledScale, watched,
+    WatchedSimulation)
 from rclpy.node import Node
 
 

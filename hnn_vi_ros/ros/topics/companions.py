@@ -6,15 +6,14 @@ from collections.abc import Callable
 import math
 import time
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import columns
-from hnn_vi_ros.recording.bags.cdr import MOMENTUM, Template
+from hnn_vi_ros.recording import MOMENTUM, Template
 from hnn_vi_ros.ros.topics.diagnostics import OK, Status, WARN
 from hnn_vi_ros.ros.topics.inputs import OBSERVATIONS
 from hnn_vi_ros.ros.topics.messages import encode_numbers, named_numbers
-from hnn_vi_ros.run.companions.members import Members
-from hnn_vi_ros.run.companions.twin import Report, Twin
-from hnn_vi_ros.simulation.guards.bounds import SpreadGuard
+from hnn_vi_ros.run import Members, Report, Twin
+from hnn_vi_ros.simulation import SpreadGuard
 
 
 class SpreadTopic:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hnn_vi_ros.phase_space import columns, Coordinate
-from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording import serialize
 import numpy as np
 from rclpy.node import Node
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
-from hnn_vi_ros.effects.commands import (
+from hnn_vi_ros.effects import (
     Command, EFFORT, JointCommand, JointPath, NUMBERS, OBSERVATION, Observation, PATH, POSITION,
     printable, VELOCITY)
 from hnn_vi_ros.errors import listed

@@ -10,15 +10,11 @@ import re
 from typing import Any
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.resources import prefixes
-from hnn_vi_ros.files.yaml_text import dump_yaml
+from hnn_vi_ros.files import dump_yaml, prefixes
 from hnn_vi_ros.phase_space import columns, Coordinate, momentum_rates, rotations
-from hnn_vi_ros.recording.bags.bag_metadata import Topic
-from hnn_vi_ros.recording.bags.cdr import state_names, Template
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
+from hnn_vi_ros.recording import Sample, state_names, Template, Topic
+from hnn_vi_ros.run import Monitor
+from hnn_vi_ros.simulation import local_error, Simulation
 import numpy as np
 from rclpy.duration import Duration, Infinite
 from rclpy.qos import LivelinessPolicy, QoSProfile, ReliabilityPolicy

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
+from hnn_vi_ros.hamiltonians import MECHANISMS
 from hnn_vi_ros.phase_space import columns, Coordinate
-from hnn_vi_ros.recording.viewer.phase_portrait import ends_of, reach_of
+from hnn_vi_ros.recording import ends_of, reach_of
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.companions import SpreadTopic
@@ -17,7 +17,7 @@ from hnn_vi_ros.ros.topics.messages import (
     AccuracyEncoder, CLOCK_QOS, ClockEncoder, Encode, encode_array, encode_feedback, encode_joints,
     encode_numbers, encode_state)
 from hnn_vi_ros.ros.topics.poses import MarkerEncoder, OdometryEncoder
-from hnn_vi_ros.run.monitor import Monitor
+from hnn_vi_ros.run import Monitor
 from hnn_vi_ros.simulation import Simulation
 from nav_msgs.msg import Odometry
 import numpy as np

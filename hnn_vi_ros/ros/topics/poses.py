@@ -6,10 +6,9 @@ from collections.abc import Callable, Sequence
 import time
 
 from geometry_msgs.msg import Point
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Line, Mechanism, Part, Trail
+from hnn_vi_ros.hamiltonians import Ball, Box, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import columns, Coordinate
-from hnn_vi_ros.recording.bags.cdr import Template
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample, Template
 from nav_msgs.msg import Odometry
 import numpy as np
 from visualization_msgs.msg import Marker, MarkerArray

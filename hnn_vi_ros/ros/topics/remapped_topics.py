@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 
 from hnn_vi_ros.errors import RecordingError
-from hnn_vi_ros.files.yaml_text import parse_mapping
-from hnn_vi_ros.recording.bags.mcap_reader import BagReader
+from hnn_vi_ros.files import parse_mapping
+from hnn_vi_ros.recording import BagReader
 from rclpy.expand_topic_name import expand_topic_name
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message

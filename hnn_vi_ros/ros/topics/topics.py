@@ -7,8 +7,7 @@ from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
-from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
-from hnn_vi_ros.recording.bags.cdr import serialize
+from hnn_vi_ros.recording import BagTopics, Sample, serialize, Topic
 from hnn_vi_ros.ros.plumbing.graph import wait_for_delivery
 from hnn_vi_ros.ros.plumbing.managed_node import CLOCK_TOPIC
 from hnn_vi_ros.ros.plumbing.qos_overrides import create_publisher, Endpoint
@@ -20,8 +19,7 @@ from hnn_vi_ros.ros.topics.messages import describe_topic, Encode
 from hnn_vi_ros.ros.topics.outputs import (
     DIAGNOSTICS, JOINT_STATES, Material, Output, OUTPUTS, ROBOT, SCENE)
 from hnn_vi_ros.ros.topics.remapped_topics import remapped
-from hnn_vi_ros.run.monitor import Monitor
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.run import Monitor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState

@@ -10,19 +10,12 @@ from pathlib import Path
 from typing import Any, cast, Protocol
 import warnings
 
-from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import AlarmWarning, SceneError, StateError, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.confined import ConfinedHamiltonian
-from hnn_vi_ros.models.families import FAMILIES
-from hnn_vi_ros.models.model_card import EnsembleCard
+from hnn_vi_ros.hamiltonians import Hamiltonian, momentum
+from hnn_vi_ros.models import Checkpoint, ConfinedHamiltonian, EnsembleCard, FAMILIES
 from hnn_vi_ros.scene import Parts, Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
-from hnn_vi_ros.simulation.trajectory.simulate import changed_parts, simulate
-from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
+from hnn_vi_ros.simulation import build, changed_parts, simulate, Simulation, Trajectory
 import numpy as np
 
 

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 import warnings
 
-from hnn_vi_ros.effects.commands import Command, Observation, select, whole_turns
-from hnn_vi_ros.effects.splitting import largest_gain
+from hnn_vi_ros.effects import Command, largest_gain, Observation, select, whole_turns
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians.momenta import momentum
-from hnn_vi_ros.models.seen import domain_of
+from hnn_vi_ros.hamiltonians import momentum
+from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.phase_space import columns
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.simulation import Simulation
-from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
 # A prediction is valid until sum_i (error of q_i)^2 / var_i reaches this (M. Lutter, J. Peters,

@@ -15,9 +15,8 @@ import platform
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import CalibrationError
-from hnn_vi_ros.files.resources import cache_folder
-from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.scene.choices import AutoChoice
+from hnn_vi_ros.files import cache_folder
+from hnn_vi_ros.scene import AutoChoice, Scene
 from hnn_vi_ros.simulation.accuracy.cost import (
     Cost, CostStudy, fastest, ladder, measure, refusal, TOO_MUCH, try_between)
 from hnn_vi_ros.simulation.accuracy.path_reference import find_reference, Instants, PathReference

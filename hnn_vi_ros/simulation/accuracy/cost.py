@@ -11,16 +11,14 @@ from typing import NamedTuple
 import warnings
 
 from hnn_vi_ros.errors import StepFailure, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS, method_name
-from hnn_vi_ros.integrators.composition import Composition
-from hnn_vi_ros.integrators.gauss import GAUSS_METHODS
-from hnn_vi_ros.integrators.lie.lie_gauss import LIE_GAUSS_METHODS
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    Composition, GAUSS_METHODS, INTEGRATORS, LIE_GAUSS_METHODS, method_name)
 from hnn_vi_ros.simulation.accuracy.path_reference import best_reference, PathReference, PATIENCE
 from hnn_vi_ros.simulation.accuracy.trials import (
     carried, EVERY_SURVEYOR, InitialValueProblem, Method, parts_between, parts_for, PathSurvey,
     survey, Tolerance, work)
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # Measured first, in case that time does not suffice for all: what others are compared with; after

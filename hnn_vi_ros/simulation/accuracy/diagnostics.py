@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.phase_space import angle_columns
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 

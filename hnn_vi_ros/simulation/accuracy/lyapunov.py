@@ -6,14 +6,14 @@ from collections.abc import Sequence
 import math
 from pathlib import Path
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import HnnViRosError
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.scene import load_scene, Scene
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 from hnn_vi_ros.simulation.checks import check_seconds
+from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 

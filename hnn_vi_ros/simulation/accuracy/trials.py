@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 import math
 from typing import Any
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import CalibrationError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import INTEGRATORS
-from hnn_vi_ros.integrators.base import Integrator
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator, INTEGRATORS
+from hnn_vi_ros.kernels import Kernel
 from hnn_vi_ros.simulation.accuracy.diagnostics import energy_scale
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # From each to the next by a quarter: a step divides its base into such a number of parts.

@@ -4,12 +4,11 @@
 
 from collections.abc import Sequence
 
-from hnn_vi_ros.effects import effect_name, EFFECTS
-from hnn_vi_ros.effects.base import Effect, Force, Joined, per_coordinate, Place
-from hnn_vi_ros.effects.commands import NUMBERS
+from hnn_vi_ros.effects import (
+    Effect, effect_name, EFFECTS, Force, Joined, NUMBERS, per_coordinate, Place)
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import Integrator
 from hnn_vi_ros.simulation.gradients.stages import Acting
 from hnn_vi_ros.simulation.system import System
 import numpy as np

@@ -7,7 +7,7 @@ import operator
 from typing import NamedTuple, Protocol
 
 from hnn_vi_ros.errors import SceneError
-from hnn_vi_ros.kernels.kernel import Kernel
+from hnn_vi_ros.kernels import Kernel
 import numpy as np
 
 # Differences of order 6, in the middle of a range and at its ends, by offsets in spacings, and of

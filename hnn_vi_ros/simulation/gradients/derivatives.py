@@ -6,19 +6,17 @@ from collections.abc import Callable, Sequence
 import math
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.base import Effect, EffectState
+from hnn_vi_ros.effects import Effect, EffectState
 from hnn_vi_ros.errors import HnnViRosError, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import method_name, methods_that
-from hnn_vi_ros.integrators.base import Integrator, PartitionedTableau
-from hnn_vi_ros.integrators.workspaces import LARGEST_MATRIX
-from hnn_vi_ros.kernels.compilation import compiled_loop, entry_point
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    Integrator, LARGEST_MATRIX, method_name, methods_that, PartitionedTableau)
+from hnn_vi_ros.kernels import compiled_loop, entry_point, Kernel
 from hnn_vi_ros.simulation.gradients.acting_effects import ActingEffects, check_effects
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, OnNumber, States
 from hnn_vi_ros.simulation.gradients.stages import (
     Acting, fill_gradients, find_stages, pull_back, push_forward, StageWork)
+from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 import numpy as np
 

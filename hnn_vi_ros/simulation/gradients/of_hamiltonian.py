@@ -4,11 +4,10 @@
 
 from typing import NamedTuple
 
-from hnn_vi_ros.hamiltonians.base import compiled_kernel
-from hnn_vi_ros.kernels.addresses import (
+from hnn_vi_ros.hamiltonians import compiled_kernel
+from hnn_vi_ros.kernels import (
     by_address, energy as base_energy, gradient as base_gradient,
-    hessian_vector as base_hessian_vector, original, Target)
-from hnn_vi_ros.kernels.kernel import Kernel
+    hessian_vector as base_hessian_vector, Kernel, original, Target)
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, MIDDLE, States
 import numpy as np
 

@@ -8,12 +8,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hnn_vi_ros.errors import ModelError, SceneError
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.models.checkpoint import Checkpoint
-from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.mechanical_card import MechanicalCard
-from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.scene.named_numbers import check_known, numbers_in, set_value, with_known_numbers
+from hnn_vi_ros.kernels import Kernel
+from hnn_vi_ros.models import Checkpoint, LearnedHamiltonian, MechanicalCard
+from hnn_vi_ros.scene import check_known, numbers_in, Parts, set_value, with_known_numbers
 from hnn_vi_ros.simulation.gradients.acting_effects import flow_rates
 from hnn_vi_ros.simulation.gradients.dependences import Dependence, OnDifferences
 from hnn_vi_ros.simulation.gradients.derivatives import DifferentiableRun

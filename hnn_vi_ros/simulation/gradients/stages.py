@@ -15,15 +15,10 @@ the s stages one after another, then p.
 
 from typing import NamedTuple
 
-from hnn_vi_ros.integrators.base import NO_CONVERGENCE, OK, PartitionedTableau
-from hnn_vi_ros.integrators.equations import set_scale
-from hnn_vi_ros.integrators.newton_solver import newton
-from hnn_vi_ros.integrators.solvers import anderson
-from hnn_vi_ros.integrators.workspaces import SolverWork
-from hnn_vi_ros.kernels.blocks import bare
-from hnn_vi_ros.kernels.kernel import Kernel
-from hnn_vi_ros.kernels.linear_algebra import factorise_rows, solve_factorised, solve_linear
-from hnn_vi_ros.kernels.marks import inlined
+from hnn_vi_ros.integrators import (
+    anderson, newton, NO_CONVERGENCE, OK, PartitionedTableau, set_scale, SolverWork)
+from hnn_vi_ros.kernels import (
+    bare, factorise_rows, inlined, Kernel, solve_factorised, solve_linear)
 import numpy as np
 
 

@@ -6,13 +6,13 @@ from abc import abstractmethod
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.accuracy.diagnostics import state_scales
 from hnn_vi_ros.simulation.guards.base import (
     accounted_energy, Alarm, Block, BlockGuard, Observed, Scale)
 from hnn_vi_ros.simulation.guards.saddles import SaddleSearch
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 

@@ -8,7 +8,7 @@ import math
 from struct import Struct
 from typing import ClassVar, NamedTuple
 
-from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording import Sample
 import numpy as np
 
 

@@ -5,8 +5,8 @@
 from collections.abc import Callable
 import math
 
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.models.seen import Domain
+from hnn_vi_ros.kernels import kept
+from hnn_vi_ros.models import Domain
 from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed, StateGuard
 import numpy as np
 

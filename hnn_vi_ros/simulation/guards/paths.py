@@ -5,8 +5,8 @@
 import math
 
 from hnn_vi_ros.errors import StepFailure
-from hnn_vi_ros.simulation import RescuePending, Simulation
 from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
+from hnn_vi_ros.simulation.simulation import RescuePending, Simulation
 import numpy as np
 
 # Turns and steps of a trial, at most; steps at least.

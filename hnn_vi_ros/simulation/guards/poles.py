@@ -5,8 +5,8 @@
 from itertools import pairwise
 import math
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.guards.base import Alarm, Block, BlockGuard, Observed
 import numpy as np
 

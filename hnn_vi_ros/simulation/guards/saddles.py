@@ -4,8 +4,8 @@
 
 from collections.abc import Callable, Iterator
 
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import kept
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import kept
 from hnn_vi_ros.simulation.guards.base import Block
 import numpy as np
 

@@ -5,8 +5,7 @@
 from collections.abc import Iterator
 import math
 
-from hnn_vi_ros.models.seen import domain_of
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.simulation.guards.bands import (
     BarrierGuard, EnergyGuard, InvariantGuard, plain_share, ResolutionGuard)
 from hnn_vi_ros.simulation.guards.base import Guard, Scale
@@ -15,6 +14,7 @@ from hnn_vi_ros.simulation.guards.paths import PathGuard
 from hnn_vi_ros.simulation.guards.poles import PoleGuard
 from hnn_vi_ros.simulation.guards.saddles import MOST_COORDINATES, SaddleSearch
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.simulation import Simulation
 
 # Default limits, as shares of the energy scale: see ResolutionGuard and EnergyGuard.
 BAND_LIMIT, CHANGE_LIMIT = 0.05, 0.02

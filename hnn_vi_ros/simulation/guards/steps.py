@@ -4,8 +4,8 @@
 
 from typing import ClassVar
 
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.guards.base import Alarm, Observed, StateGuard
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # Times what the equations of a step take at most as a rule.

@@ -6,10 +6,9 @@ import math
 import warnings
 
 from hnn_vi_ros.errors import AlarmWarning
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.kernels.compilation import kept
-from hnn_vi_ros.models.seen import domain_of
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.kernels import kept
+from hnn_vi_ros.models import domain_of
 from hnn_vi_ros.simulation.accuracy.diagnostics import (
     EnergyScale, follow, RECORD, rounding_walk, scales_along)
 from hnn_vi_ros.simulation.guards.bands import EnergyGuard, InvariantGuard, plain_share
@@ -18,6 +17,7 @@ from hnn_vi_ros.simulation.guards.base import (
 from hnn_vi_ros.simulation.guards.bounds import BoxGuard
 from hnn_vi_ros.simulation.guards.selection import BAND_LIMIT, CHANGE_LIMIT, make_guards
 from hnn_vi_ros.simulation.guards.steps import CostGuard, RescueGuard, SolutionGuard
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # An error of energy must be this many times larger, over the scale, to differ from rounding: a

@@ -5,17 +5,15 @@
 from collections.abc import Sequence
 from typing import NamedTuple, NoReturn
 
-from hnn_vi_ros.effects.base import Effect
+from hnn_vi_ros.effects import Effect
 from hnn_vi_ros.errors import ParameterError, StepFailure, UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators.base import Integrator, NOT_FINITE, OK
-from hnn_vi_ros.integrators.gauss import Tableau
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import SolverOptions
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    ImplicitIntegrator, Integrator, NOT_FINITE, OK, SolverOptions, Tableau)
 from hnn_vi_ros.simulation.lockstep.gradient import make_gradient
 from hnn_vi_ros.simulation.lockstep.steps import first_state, State, step_of, System
 from hnn_vi_ros.simulation.processors import heed
+from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System as CompiledSystem
 import numpy as np
 import torch

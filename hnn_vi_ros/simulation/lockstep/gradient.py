@@ -17,14 +17,10 @@ from itertools import pairwise
 from typing import Any
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.models.checkpoint import Layers
-from hnn_vi_ros.models.confined import ConfinedHamiltonian
-from hnn_vi_ros.models.ensemble import MeanHamiltonian
-from hnn_vi_ros.models.learned import LearnedHamiltonian
-from hnn_vi_ros.models.neural import NeuralHamiltonian
-from hnn_vi_ros.models.separable import SeparableHamiltonian
-from hnn_vi_ros.models.variational import VariationalHamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.models import (
+    ConfinedHamiltonian, Layers, LearnedHamiltonian, MeanHamiltonian, NeuralHamiltonian,
+    SeparableHamiltonian, VariationalHamiltonian)
 import numpy as np
 import torch
 

@@ -13,15 +13,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from hnn_vi_ros.errors import UnsupportedSystem
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.integrators import method_name, methods_that
-from hnn_vi_ros.integrators.base import IN_DOUBT, Integrator, NO_CONVERGENCE, Node, NOT_FINITE, OK
-from hnn_vi_ros.integrators.equations import LEAST_SCALE
-from hnn_vi_ros.integrators.gauss import Gauss, gauss_tableau
-from hnn_vi_ros.integrators.implicit import ImplicitIntegrator
-from hnn_vi_ros.integrators.solvers import (
-    BACK, COMMON, fixed_point, GO_ON, OWN, QUICK, SolverOptions)
-from hnn_vi_ros.integrators.workspaces import DEPTH, FAST_MATRIX
+from hnn_vi_ros.hamiltonians import Hamiltonian
+from hnn_vi_ros.integrators import (
+    BACK, COMMON, DEPTH, FAST_MATRIX, fixed_point, Gauss, gauss_tableau, GO_ON, ImplicitIntegrator,
+    IN_DOUBT, Integrator, LEAST_SCALE, method_name, methods_that, NO_CONVERGENCE, Node, NOT_FINITE,
+    OK, OWN, QUICK, SolverOptions)
 from hnn_vi_ros.simulation.lockstep.gradient import dot, Gradient
 import numpy as np
 import torch

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from hnn_vi_ros.scene import Parts
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import look_at_block, watch_of_block
 from hnn_vi_ros.simulation.lockstep.ensemble import Counts, LockstepEnsemble, open_device, Recorded
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 import torch
 

@@ -9,9 +9,9 @@ from textwrap import fill
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 from hnn_vi_ros.errors import optional
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, bounds_of, Line, Mechanism, Part, Trail
+from hnn_vi_ros.hamiltonians import Ball, bounds_of, Line, Mechanism, Part, Trail
 from hnn_vi_ros.phase_space import Coordinate, momentum_name
-from hnn_vi_ros.recording.viewer.phase_portrait import contours as level_sets, Frame
+from hnn_vi_ros.recording import contours as level_sets, Frame
 from hnn_vi_ros.simulation.trajectory.trajectory import Trajectory
 import numpy as np
 

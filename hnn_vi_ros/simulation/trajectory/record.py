@@ -5,15 +5,15 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
-from hnn_vi_ros.effects.commands import Command
+from hnn_vi_ros.effects import Command
 from hnn_vi_ros.errors import StoppedByEvent
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.checks import check_numbers
 from hnn_vi_ros.simulation.dense_step import record_at, whole_steps
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import (
     look, look_at_block, look_at_rows, SHOWN, Watch, watch_of_block)
 from hnn_vi_ros.simulation.processors import in_threads, usable_processors
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 # Trajectories that step together: a network's weights are read once for all of them. Larger

@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 import warnings
 
-from hnn_vi_ros.effects.commands import LARGEST
+from hnn_vi_ros.effects import LARGEST
 from hnn_vi_ros.errors import optional, StepFailure
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
+from hnn_vi_ros.hamiltonians import Hamiltonian
 from hnn_vi_ros.phase_space import check_state
-from hnn_vi_ros.scene import load_scene, Parts, Scene
-from hnn_vi_ros.scene.choices import AutoChoice
-from hnn_vi_ros.simulation import Simulation
+from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation.accuracy.trials import InitialValueProblem
 from hnn_vi_ros.simulation.checks import check_count, check_numbers, check_seconds
 from hnn_vi_ros.simulation.construction import build, build_at
@@ -24,6 +22,7 @@ from hnn_vi_ros.simulation.events import watched
 from hnn_vi_ros.simulation.guards.bands import ResolutionGuard
 from hnn_vi_ros.simulation.guards.base import Alarm
 from hnn_vi_ros.simulation.guards.watch import energies_of, show_many, tell, tell_many, Watch
+from hnn_vi_ros.simulation.simulation import Simulation
 from hnn_vi_ros.simulation.system import System
 from hnn_vi_ros.simulation.trajectory.record import (
     BLOCK, check_commands, Commands, in_blocks, MOST_NUMBERS, record, record_block, record_rows,

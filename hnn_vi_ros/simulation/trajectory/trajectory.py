@@ -9,15 +9,12 @@ from pathlib import Path
 from typing import Any, final, Self, TYPE_CHECKING
 
 from hnn_vi_ros.errors import listed, optional
-from hnn_vi_ros.hamiltonians.base import Hamiltonian
-from hnn_vi_ros.hamiltonians.mechanisms.parts import Mechanism
-from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.hamiltonians.mechanisms.skeleton import skeleton
+from hnn_vi_ros.hamiltonians import Hamiltonian, Mechanism, MECHANISMS, skeleton
 from hnn_vi_ros.phase_space import column_units, columns, Coordinate, Event, momentum_name
+from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.recording.sample import Sample
-from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
+from hnn_vi_ros.simulation.simulation import Simulation
 import numpy as np
 
 if TYPE_CHECKING:
@@ -339,8 +336,7 @@ class Trajectory:
         """
         # Tables need no rerun.
         with optional('rerun', 'to_rerun'):
-            from hnn_vi_ros.recording.viewer.phase_portrait import box_of
-            from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
+            from hnn_vi_ros.recording import box_of, RerunSink
         run, simulation = self.single(), self.simulation()
         scene = run.scene
         hamiltonian = simulation.hamiltonian
