@@ -32,17 +32,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'docs'))
 # yet, and those of nodes that take as long by the clock.
 LONGEST = (
     'studies/test_work_precision.py', 'studies/test_hard_cases.py', 'test_planted_faults.py',
-    'commands/test_scene_tool.py', 'accuracy/test_calibration.py', 'simulation/test_assembly.py',
-    'test_linters.py', 'test_cli.py', 'learning/test_rigid_body.py',
-    'learning/test_machine_training.py', 'learning/test_input_map.py',
-    'learning/test_family_training.py', 'models/test_mechanical_mean.py',
-    'models/test_confined.py', 'learning/test_train.py', 'learning/test_identify.py',
-    'test_benchmarks.py',
-    'ros/test_simulator.py', 'ros/test_health.py', 'ros/test_services.py', 'ros/test_memory.py',
-    'ros/test_soak.py', 'ros/test_lifecycle.py', 'ros/test_time_control.py',
-    'ros/test_topics.py', 'ros/test_given_parameters.py', 'ros/test_recording.py',
-    'ros/test_rerun_bridge.py', 'ros/test_replay_check.py', 'ros/test_launch.py',
-    'ros/test_security.py', 'ros/test_web_viewer.py')
+    'commands/test_scene_tool.py', 'simulation/accuracy/test_calibration.py',
+    'simulation/test_assembly.py', 'test_linters.py', 'test_cli.py',
+    'learning/test_rigid_body.py', 'learning/test_machine_training.py',
+    'learning/test_input_map.py', 'learning/test_family_training.py',
+    'models/test_mechanical_mean.py', 'models/test_confined.py', 'learning/test_train.py',
+    'learning/test_identify.py', 'test_benchmarks.py', 'ros/test_simulator.py',
+    'ros/test_health.py', 'ros/test_services.py', 'ros/test_memory.py', 'ros/test_soak.py',
+    'ros/test_lifecycle.py', 'ros/test_time_control.py', 'ros/test_topics.py',
+    'ros/test_given_parameters.py', 'ros/test_recording.py', 'ros/test_rerun_bridge.py',
+    'ros/test_replay_check.py', 'ros/test_launch.py', 'ros/test_security.py',
+    'ros/test_web_viewer.py')
 
 # Domains above 101 use ports in Linux's ephemeral range, where any program may sit.
 _DOMAINS = range(1, 101)

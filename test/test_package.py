@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import hnn_vi_ros
 from hnn_vi_ros import cli
 from hnn_vi_ros.effects import EFFECTS
+from hnn_vi_ros.exports import exported
 from hnn_vi_ros.hamiltonians import DESCRIBED, HAMILTONIANS
 from hnn_vi_ros.version import __version__
 import pytest
@@ -20,15 +21,13 @@ import yaml
 
 # The rooms and the modules beside them, from the ground up; each imports only what is before it.
 FLOORS = (
-    'version', 'phase_space', 'errors', 'processors', 'files', 'command_line', 'kernels',
-    'hamiltonians', 'networks', 'models', 'integrators', 'effects', 'mechanisms', 'scene',
-    'simulation', 'accuracy', 'guards', 'lockstep', 'bags', 'viewer', 'trajectory', 'gradients',
-    'torch', 'control', 'companions', 'run', 'learning', 'sweeps', 'envs', 'ros', 'commands',
-    'cli', '__main__', '__init__')
+    'version', 'exports', 'phase_space', 'errors', 'files', 'kernels', 'hamiltonians', 'models',
+    'integrators', 'effects', 'scene', 'recording', 'simulation', 'torch', 'control', 'run',
+    'learning', 'identify', 'sweeps', 'envs', 'ros', 'commands', 'cli', '__main__', '__init__')
 # The same inside two rooms.
 INNER_FLOORS = {
     'learning': ('arguments', 'data', 'families', 'fit', 'judging', 'import_checkpoint', 'tasks',
-                 'train', 'evaluate', 'scene_numbers'),
+                 'train', 'evaluate'),
     'ros': ('worlds', 'plumbing', 'settings', 'node_parameters', 'arguments', 'recording',
             'topics', 'replay', 'run', 'rerun_bridge', 'services', 'initial_state',
             'controller_node', 'listener_node', 'launching', 'simulator_node')}
@@ -37,23 +36,23 @@ CORE_LIBRARIES = {'numpy', 'numba', 'scipy', 'llvmlite', 'pydantic', 'yaml', 'sa
 # Heavy or ROS-only packages: the files that may import them, at the top or inside a function.
 HOMES = {
     'launch': r'ros/launching\.py', 'launch_ros': r'ros/launching\.py',
-    'torch': r'learning/(\w+/)?\w+\.py|models/torch_\w+\.py|torch\.py'
-             r'|lockstep/\w+\.py|trajectory/devices\.py',
-    'mcap': r'bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
-    'zstandard': r'bags/(mcap|bag|sqlite)_\w+\.py',
-    'lz4': r'bags/(mcap|bag|sqlite)_\w+\.py',
+    'torch': r'(learning|identify)/(\w+/)?\w+\.py|models/torch_\w+\.py|torch\.py'
+             r'|simulation/(lockstep|trajectory)/\w+\.py',
+    'mcap': r'recording/bags/(mcap|bag|sqlite)_\w+\.py|learning/data/\w+\.py',
+    'zstandard': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',
+    'lz4': r'recording/bags/(mcap|bag|sqlite)_\w+\.py',
     'heyoka': r'integrators/taylor\.py',
     'gymnasium': r'envs\.py',
     'pyarrow': r'sweeps/parquet\.py',
-    'rosbags': r'bags/bag_files\.py',
+    'rosbags': r'recording/bags/bag_files\.py',
     'ray': r'sweeps/ray_cluster\.py',
     'argcomplete': r'commands/completion\.py',
-    'rerun': r'viewer/rerun_\w+\.py',
-    'contourpy': r'viewer/phase_portrait\.py',
-    'matplotlib': r'learning/(\w+/)?\w+\.py|trajectory/\w+\.py'
+    'rerun': r'recording/viewer/rerun_\w+\.py',
+    'contourpy': r'recording/viewer/phase_portrait\.py',
+    'matplotlib': r'(learning|identify)/(\w+/)?\w+\.py|simulation/trajectory/\w+\.py'
                   r'|commands/cost_figure\.py',
-    'pandas': r'trajectory/\w+\.py',
-    'xarray': r'trajectory/\w+\.py',
+    'pandas': r'simulation/trajectory/\w+\.py',
+    'xarray': r'simulation/trajectory/\w+\.py',
     'control': r'control/linear\.py',
 }
 ROS = {'rclpy', 'rcl_interfaces', 'std_msgs', 'sensor_msgs', 'rosgraph_msgs', 'builtin_interfaces',
@@ -68,6 +67,13 @@ def name_of(path: Path) -> str:
 
 
 NAMES = {name_of(path): path for path in MODULES}
+
+
+@cache
+def exports_of(module: str) -> dict[str, str]:
+    """Return the module of each name that a room exports; empty for any other module."""
+    path = NAMES.get(module.partition('.')[2])
+    return exported(path) if path is not None and path.name == '__init__.py' else {}
 
 
 @cache
@@ -89,7 +95,8 @@ def imports(path: Path) -> list[tuple[str, bool]]:
                 assert child.level == 0, f'{path}:{child.lineno}: a relative import'
                 for alias in child.names:
                     full = f'{child.module}.{alias.name}'
-                    found.append((full if full.partition('.')[2] in NAMES else child.module,
+                    found.append((full if full.partition('.')[2] in NAMES
+                                  else exports_of(child.module).get(alias.name, child.module),
                                   at_top))
             inside = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
             unused = isinstance(child, ast.If) and ast.unparse(child.test) == 'TYPE_CHECKING'
@@ -101,6 +108,9 @@ def imports(path: Path) -> list[tuple[str, bool]]:
 @cache
 def own_imports(name: str, at_once: bool = False) -> set[str]:
     """Return the modules of this package that a module imports, anywhere in it or at once."""
+    if NAMES[name].name == '__init__.py' and name != '__init__':
+        # A room imports what it exports when that is used, by those who use it.
+        return set()
     return {module.partition('.')[2] or '__init__' for module, at_top in imports(NAMES[name])
             if module.partition('.')[0] == 'hnn_vi_ros' and (at_top or not at_once)} - {name}
 
@@ -118,6 +128,14 @@ def test_imports_run_downwards():
                     inner and other == room and others
                     and inner.index(others[0]) > inner.index(boxes[0])):
                 wrong.append(f'{own} imports {module}')
+    assert not wrong, '\n'.join(wrong)
+
+
+def test_other_rooms_import_from_the_room_and_not_from_its_files():
+    wrong = [f'{own} imports from {node.module}' for own, path in NAMES.items()
+             for node in ast.walk(tree(path)) if isinstance(node, ast.ImportFrom)
+             and re.match(r'hnn_vi_ros\.\w+\.', node.module or '')
+             and (node.module or '').split('.')[1] != own.partition('.')[0] and own != '__init__']
     assert not wrong, '\n'.join(wrong)
 
 
@@ -147,7 +165,8 @@ def test_what_a_registry_lists_is_imported_by_it_alone():
     # A system that is written as a formula is a kind of its own, and the base of others.
     listed -= {'hamiltonians.formula'}
     wrong = [f'{own} imports {module}' for own in NAMES
-             if not own.startswith(('learning.', 'commands.new_scene')) and own not in REGISTRIES
+             if not own.startswith(('learning.', 'identify.', 'commands.new_scene'))
+             and not own.endswith('.registry')
              for module in own_imports(own) & listed]
     assert not wrong, '\n'.join(wrong)
     files = [effect.__module__ for effect in EFFECTS.values()]
@@ -184,7 +203,7 @@ def test_version_is_the_same_everywhere():
 
 
 def test_public_names_are_complete_on_tab_and_typed():
-    assert dir(hnn_vi_ros) == sorted(hnn_vi_ros.__all__)
+    assert {*dir(hnn_vi_ros), '__version__'} == {*hnn_vi_ros.__all__}
     assert all(getattr(hnn_vi_ros, name) is not None for name in hnn_vi_ros.__all__)
     assert (PACKAGE / 'py.typed').is_file()
 

@@ -23,7 +23,7 @@ from sources import MODULES, PACKAGE, tree
 # By file: whose it is, and what; the file says why. What is documented in spite of its name, such
 # as _replace of a named tuple, is no such thing.
 PRIVATE = {
-    'bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
+    'recording/bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
     'command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
         '_cache', '_cache_path', '_codegen', '_data_path', '_final_module',
@@ -35,7 +35,8 @@ PRIVATE = {
         '_service_change_state', '_state_machine',
         'rclpy.impl.implementation_singleton.rclpy_implementation',
         'rclpy.impl.rcutils_logger.RcutilsLogger'}),
-    'viewer/rerun_stream.py': ('rerun', {'_from_native', '_log_to_stream', 'rerun.bindings'}),
+    'recording/viewer/rerun_stream.py': (
+        'rerun', {'_from_native', '_log_to_stream', 'rerun.bindings'}),
 }
 # Functions of numba that others take the place of, and their parameters.
 REPLACED = {

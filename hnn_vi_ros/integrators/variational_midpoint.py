@@ -44,13 +44,13 @@ def _equation(problem: EndProblem, x: np.ndarray, value: np.ndarray) -> None:
         covector = value[2 * a:2 * b]
         # Reached through its package, already loaded, since H comes from it. An import in this
         # file would load the compiler for anyone who only reads a scene.
-        models.symplectic_form.slope(  # type: ignore[attr-defined]
+        models.symplectic_form.slope(
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         factor = discrete_factor(problem, x, a, covector[:d], covector[d:])
         for i in range(d):
             covector[i] += factor * (x[a + i] - z.q[a + i])
             covector[d + i] += factor * (x[n + a + i] - z.p[a + i])
-        models.symplectic_form.raise_index(  # type: ignore[attr-defined]
+        models.symplectic_form.raise_index(
             kernel.parameters, middle[a:b], middle[n + a:n + b], covector)
         for i in range(d):
             problem.rates[a + i], problem.rates[n + a + i] = covector[i], covector[d + i]

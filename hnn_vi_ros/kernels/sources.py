@@ -12,6 +12,7 @@ import re
 import sys
 from types import CodeType, FunctionType, ModuleType
 
+from hnn_vi_ros.exports import exported
 from hnn_vi_ros.kernels.marks import is_own
 from hnn_vi_ros.version import __version__
 from llvmlite import binding
@@ -39,7 +40,7 @@ def _fixed() -> dict[str, str]:
 _PACKAGE = __name__.partition('.')[0]
 _ROOT = Path(__file__).parents[1]
 # The rooms that what is compiled comes from, or by which it is composed.
-_ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'networks', 'simulation')
+_ROOMS = ('effects', 'hamiltonians', 'integrators', 'kernels', 'models', 'simulation')
 _IMPORT = re.compile(rf'^[ \t]*from ({_PACKAGE}[\w.]*) import (\([^)]*\)|[^\n]*)', re.M)
 
 
@@ -78,7 +79,9 @@ def _imports(path: Path) -> tuple[str, ...]:
     def names() -> Iterator[str]:
         for match in _IMPORT.finditer(path.read_text(encoding='utf-8')):
             for name in re.findall(r'\w+(?= as |\s*[,)\n]|$)', match[2]):
-                yield f'{match[1]}.{name}' if _path(f'{match[1]}.{name}') else match[1]
+                full = f'{match[1]}.{name}'
+                exports = exported(_path(match[1]) or _ROOT / '__init__.py')
+                yield full if _path(full) else exports.get(name, match[1])
     return tuple(names())
 
 

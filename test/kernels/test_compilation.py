@@ -185,7 +185,7 @@ def test_function_is_compiled_anew_when_one_that_it_calls_changes(package):
             'print(outer(1.0), sum(outer.stats.cache_hits.values()))')
     answers = []
     for factor in ('1.0', '1.0', '2.0'):
-        (rooms / 'networks/inner.py').write_text(INNER.replace('FACTOR', factor))
+        (rooms / 'models/networks/inner.py').write_text(INNER.replace('FACTOR', factor))
         answers.append(answer(package, code))
     assert answers == ['2.0 0', '2.0 1', '3.0 0']
 
@@ -195,7 +195,7 @@ def test_key_of_a_function_changes_with_what_it_comes_from_and_nothing_else(pack
             'print(*(digest_of(frozenset([f"hnn_vi_ros.{name}"])) for name in ('
             '"models.lagrangian", "hamiltonians.tao", "integrators.runge_kutta")))')
     before = answer(package, code).split()
-    for changed, file in (((True, False, False), 'networks/perceptron_memory.py'),
+    for changed, file in (((True, False, False), 'models/networks/perceptron_memory.py'),
                           ((False, False, False), 'effects/gravity.py'),
                           ((True, True, True), 'kernels/kernel.py')):
         with (package / 'hnn_vi_ros' / file).open('a') as stream:

@@ -10,6 +10,7 @@ from bag_content import content_of
 from hnn_vi_ros.recording.bags.bag_metadata import BagTopics, Topic
 from hnn_vi_ros.recording.bags.cdr import serialize
 from hnn_vi_ros.recording.bags.mcap_reader import BagReader, Recorded
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.recording import BagOutput, Beginning
 from hnn_vi_ros.ros.replay.replay_check import check_replay
 from hnn_vi_ros.ros.settings import Settings
@@ -20,7 +21,6 @@ from hnn_vi_ros.run.report import scene_report
 from hnn_vi_ros.run.run_folder import RunFiles
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.scene import Scene
-from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation.construction import build
 from mcap.writer import Writer
 import numpy as np

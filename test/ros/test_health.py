@@ -14,13 +14,13 @@ from hnn_vi_ros import load_scene
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.integrators import INTEGRATORS
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.run.health import Health
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.diagnostics import ERROR, OK, Status, WARN
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.sampling import Sampler
 from hnn_vi_ros.run.timing import OverrunGuard, Pacer
-from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.construction import build
 from hnn_vi_ros.simulation.guards.bands import BarrierGuard, EnergyGuard, ResolutionGuard

@@ -7,8 +7,8 @@ import time
 
 from hnn_vi_ros.hamiltonians.mechanisms.parts import Ball, Box, Trail
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.ros.topics.poses import MarkerEncoder
 from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.ros.topics.poses import MarkerEncoder
 import numpy as np
 from peer import nodes_of
 import pytest

@@ -6,9 +6,9 @@ import sys
 
 from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.phase_space import Coordinate
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.topics import messages
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
-from hnn_vi_ros.recording.sample import Sample
 from messages import refused
 import numpy as np
 from peer import nodes_of

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from geometry_msgs.msg import WrenchStamped
 from hnn_vi_ros import load_scene
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.ros.settings import Settings
 from hnn_vi_ros.ros.topics.messages import ENTRIES
 from hnn_vi_ros.ros.topics.outputs import Material
@@ -14,7 +15,6 @@ from hnn_vi_ros.ros.topics.topics import Topics
 from hnn_vi_ros.run.monitor import Monitor
 from hnn_vi_ros.run.preview import look_ahead
 from hnn_vi_ros.run.report import scene_report
-from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.simulation import Simulation
 from hnn_vi_ros.simulation.accuracy.diagnostics import local_error
 from hnn_vi_ros.simulation.construction import build

@@ -10,12 +10,12 @@ from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
 from hnn_vi_ros.phase_space import Coordinate, momentum_rates, rotations
 from hnn_vi_ros.recording.bags.cdr import decode_state
+from hnn_vi_ros.recording.sample import Sample
 from hnn_vi_ros.recording.viewer.rerun_sink import RerunSink
 from hnn_vi_ros.ros.initial_state import initial_state
 from hnn_vi_ros.ros.topics.inputs import body_of, command_of
 from hnn_vi_ros.ros.topics.outputs import encode_sample, SAMPLED
 from hnn_vi_ros.ros.topics.poses import OdometryEncoder
-from hnn_vi_ros.recording.sample import Sample
 from messages import refused
 from nav_msgs.msg import Odometry
 import numpy as np

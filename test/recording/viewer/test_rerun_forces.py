@@ -8,8 +8,8 @@ from hnn_vi_ros import load_scene, simulate
 from hnn_vi_ros.effects import EFFECTS
 from hnn_vi_ros.hamiltonians import HAMILTONIANS
 from hnn_vi_ros.hamiltonians.mechanisms.registry import MECHANISMS
-from hnn_vi_ros.recording.viewer.rerun_entities import ForceArrows
 from hnn_vi_ros.recording.sample import Sample
+from hnn_vi_ros.recording.viewer.rerun_entities import ForceArrows
 import numpy as np
 import pytest
 from rerun_reader import read

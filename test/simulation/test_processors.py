@@ -16,7 +16,8 @@ from sources import PACKAGE
 from studies import hard_cases
 
 # These name the machine, whose processors are all that it has.
-OF_THE_MACHINE = {'processors.py', 'accuracy/automatic_choice.py', 'commands/doctor.py'}
+OF_THE_MACHINE = {'simulation/processors.py', 'simulation/accuracy/automatic_choice.py',
+                  'commands/doctor.py'}
 
 
 @pytest.mark.skipif(not hasattr(os, 'sched_setaffinity'), reason='takes affinities, as Linux has')
