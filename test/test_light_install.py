@@ -29,7 +29,7 @@ def assert_done(code: str, hidden: set[str]) -> None:
 def test_light_install_imports_nodes_simulates_and_names_what_a_sweep_takes():
     # Scipy takes a tenth of a start. What is imported stays so: what is hidden gets less.
     assert_done(f"""
-for module in ('bags.recover_bag', 'commands.scene_tool', 'ros.listener_node',
+for module in ('recording.bags.recover_bag', 'commands.scene_tool', 'ros.listener_node',
                'ros.replay.replay_node', 'ros.simulator_node'):
     import_module(f'hnn_vi_ros.{{module}}')
 hidden -= {{'scipy'}}
@@ -45,7 +45,7 @@ except MissingPackage as problem:
 else:
     raise AssertionError('it is hidden')
 hidden -= {RECORDING!r}
-for module in ('ros.rerun_bridge', 'viewer.rerun_sink'):
+for module in ('ros.rerun_bridge', 'recording.viewer.rerun_sink'):
     import_module(f'hnn_vi_ros.{{module}}')
 assert not {TRAINING!r} & {{*sys.modules}}
 """, TRAINING | RECORDING | {'scipy'})
@@ -54,8 +54,8 @@ assert not {TRAINING!r} & {{*sys.modules}}
 def test_run_is_simulated_and_drawn_without_what_a_recording_takes(tmp_path):
     # matplotlib takes pillow itself.
     assert_done(f"""
-for module in ('commands.cost', 'envs', 'learning.scene_numbers.identify',
-               'learning.import_checkpoint', 'ros.controller_node', 'companions.members', 'torch'):
+for module in ('commands.cost', 'envs', 'identify.identify',
+               'learning.import_checkpoint', 'ros.controller_node', 'run.companions.members', 'torch'):
     import_module(f'hnn_vi_ros.{{module}}')
 {SIMULATED}
 trajectory.plot().savefig({str(tmp_path / 'trajectory.png')!r})

@@ -24,7 +24,7 @@ from sources import MODULES, PACKAGE, tree
 # as _replace of a named tuple, is no such thing.
 PRIVATE = {
     'recording/bags/mcap_sink.py': ('mcap', {'_Writer__chunk_indices'}),
-    'command_line.py': ('argparse', {'_actions'}),
+    'files/command_line.py': ('argparse', {'_actions'}),
     'kernels/linking.py': ('numba', {
         '_cache', '_cache_path', '_codegen', '_data_path', '_final_module',
         '_finalize_dynamic_globals', '_get_module_for_linking', '_index_name', '_index_path',
