@@ -45,7 +45,7 @@ TOPICS = tuple(
     for name, kind in zip(NAMES, TYPES, strict=True))
 # Of processes that import this file.
 PATH = {**os.environ, 'PYTHONPATH': os.pathsep.join(
-    [str(Path(hnn_vi_ros.__file__).parents[1]), *map(str, Path(__file__).parents[:2])])}
+    [str(Path(hnn_vi_ros.__file__).parents[1]), *map(str, Path(__file__).parents[:3])])}
 ATTACHMENTS = {'scene.yaml': b'step_size: 0.01\n', 'model': bytes(range(256))}
 
 
