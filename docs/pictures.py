@@ -232,9 +232,9 @@ def write_flow(path: Path) -> None:
         'model.safetensors': (0, 0, ''),
         'Kernel of H': (1, 0, 'models/, hamiltonians/,\nkernels/'),
         'Simulation': (2, 1, 'simulation/,\nintegrators/, effects/'),
-        'Trajectory': (3, 0, 'trajectory/, gradients/,\nsweeps/'), 'Run': (3, 1, 'run/, ros/run/'),
-        'alarms': (4, 2, 'guards/'), 'topics': (4, 1, 'ros/topics/'),
-        'bag, picture': (4, 0, 'bags/, viewer/')}
+        'Trajectory': (3, 0, 'simulation/trajectory/,\nsweeps/'), 'Run': (3, 1, 'run/, ros/run/'),
+        'alarms': (4, 2, 'simulation/guards/'), 'topics': (4, 1, 'ros/topics/'),
+        'bag, picture': (4, 0, 'recording/')}
     arrows = [('scene.yaml', 'Scene'), ('Scene', 'Simulation'), ('Kernel of H', 'Simulation'),
               ('model.safetensors', 'Kernel of H'), ('Simulation', 'Run'),
               ('Simulation', 'Trajectory'), ('Run', 'alarms'), ('Run', 'topics'),
