@@ -37,8 +37,8 @@ PERIOD = 10_000_000
 FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 QOS = {
     'history': 'keep_last', 'depth': 10, 'reliability': 'reliable', 'durability': 'volatile',
-    'deadline': FOREVER, 'lifespan': FOREVER, 'liveliness': 'automatic',
-    'liveliness_lease_duration': FOREVER, 'avoid_ros_namespace_conventions': False}
+    'deadline': {**FOREVER}, 'lifespan': {**FOREVER}, 'liveliness': 'automatic',
+    'liveliness_lease_duration': {**FOREVER}, 'avoid_ros_namespace_conventions': False}
 TOPICS = tuple(
     Topic(name, kind, STORE.generate_msgdef(kind, ros_version=2)[0], STORE.hash_rihs01(kind),
           yaml.safe_dump([QOS]))
