@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING
 from hnn_vi_ros.exports import lazy_exports
 
 if TYPE_CHECKING:
+    from hnn_vi_ros.control.balance import Balance
     from hnn_vi_ros.control.batch_step import BatchStep
-    from hnn_vi_ros.control.costs import Energy, Kinetic, Point, Quadratic
+    from hnn_vi_ros.control.costs import Cost, Energy, Kinetic, Point, Quadratic
+    from hnn_vi_ros.control.energy_shaping import EnergyShaping
+    from hnn_vi_ros.control.hover import Hover
     from hnn_vi_ros.control.ilqr import Ilqr, Regulator
     from hnn_vi_ros.control.linear import (
-        find_equilibrium, linearise, lqr, momentum, state_space, velocity)
+        find_equilibrium, Gain, linearise, lqr, momentum, state_space, velocity)
     from hnn_vi_ros.control.mppi import Mppi
     from hnn_vi_ros.control.planning import Planner
     from hnn_vi_ros.control.task import assign, Assignment

@@ -164,8 +164,7 @@ def test_explain_tells_where_a_body_starts_column_by_column():
 @pytest.mark.parametrize('time, said', [(12.34, 'Lyapunov time: 12.3 s: the motion is chaotic'), (
     math.inf, 'Lyapunov time: none found within 102.4 s: the motion is regular so far')])
 def test_explain_tells_the_lyapunov_time(monkeypatch, time, said):
-    monkeypatch.setattr(
-        'hnn_vi_ros.simulation.accuracy.lyapunov.lyapunov_time', lambda *arguments: time)
+    monkeypatch.setattr('hnn_vi_ros.simulation.lyapunov_time', lambda *arguments: time)
     assert lyapunov_line(load_scene('henon_heiles'), 2048) == said
 
 

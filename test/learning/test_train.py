@@ -230,7 +230,7 @@ lbfgs_steps: 300
     main(['--config', 'config/swings.yaml'])
     hamiltonian = NeuralHamiltonian(load_checkpoint('models/swings.safetensors'))
     assert hamiltonian.coordinates[0].p_unit == 'kg m2 rad/s'
-    assert 'log.csv (600 rows' in hamiltonian.checkpoint.card.dataset
+    assert 'log.csv (584 samples' in hamiltonian.checkpoint.card.dataset
     # H = p^2 / (2 m) + m omega^2 q^2 / 2, within the loss and what the cubic flattens: a window
     # of 9 rows spans 0.8 rad, whose derivative errs by 1e-3 of itself at most.
     q, p = np.array([0.6]), np.array([-2.0])

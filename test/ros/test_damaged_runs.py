@@ -8,7 +8,6 @@ from pathlib import Path
 import re
 import shutil
 
-from bags.bag_mutations import Mutant, mutants, records_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import HnnViRosError, RecordingError
 from hnn_vi_ros.learning.data.bags import BagData, BagMotions
@@ -21,6 +20,7 @@ from hnn_vi_ros.ros.replay.replay_check import check_replay
 from mcap.opcode import Opcode
 import pytest
 from recorded import record_run
+from recording.bags.bag_mutations import Mutant, mutants, records_of
 from scene_files import write_scene
 
 # Of each kind in `make test-long`; from 50 on with the opcode of every record flipped in all ways.

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from bags.bag_mutations import records_of
 from hnn_vi_ros import load_scene
 from hnn_vi_ros.errors import ParameterError, RecordingError
 from hnn_vi_ros.kernels.sources import identity
@@ -27,6 +26,7 @@ from peer import simulating
 from processes import finish, refusal, start_executable
 import pytest
 from recorded import as_received, assert_agrees, of_several, record_run, rewritten
+from recording.bags.bag_mutations import records_of
 import safetensors.numpy
 from scene_files import write_scene
 from std_msgs.msg import Float64MultiArray
