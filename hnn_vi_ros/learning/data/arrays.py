@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured runs from arrays in an .npz file: of machines, and of bodies that turn."""
+"""Read measured motions of machines and of rotating bodies from arrays in an .npz file."""
 
 from collections.abc import Callable, Sequence
 import errno
@@ -18,13 +18,13 @@ import torch
 
 MAX_BYTES = 1 << 30
 _NAMED = '; name them by --keys, or in the data of a configuration'
-# R^T R and the norm of a quaternion may be off by this in data that were written with few digits,
-# and by that in those that were written with all of them.
+# Largest accepted deviation of R^T R and of quaternion norms, for data with few digits, and
+# deviation above which attitudes are projected onto the group; below it is rounding.
 _NOT_TURNING, _ROUNDING = 1e-3, 1e-14
 
 
 class ArraysData(MotionData):
-    """Arrays of an .npz file: of one run, or of several, each with its name before the key."""
+    """Keys of the arrays in an .npz file with one run, or several whose names prefix the keys."""
 
     kind: Literal['arrays'] = 'arrays'
     path: str = Field('', description='the file; or given on the command line')
@@ -46,10 +46,10 @@ class ArraysData(MotionData):
 
 class BodyArrays(StrictModel):
     """
-    Arrays of motions of a body: of one run, or of several, each with its name before the key.
+    Keys of the arrays of body motions, of one run or of several whose names prefix the keys.
 
-    An attitude is a unit quaternion x, y, z, w, or the nine entries of its matrix row by row; a
-    pose has its place before that. Each input is held until the next sample.
+    An attitude is a unit quaternion x, y, z, w or the nine entries of its matrix, row by row; a
+    pose is a position followed by an attitude. Each input is held until the next sample.
     """
 
     kind: Literal['arrays']
@@ -66,9 +66,9 @@ class BodyArrays(StrictModel):
 
 class BodyWindows(StrictModel):
     """
-    One array of many short motions, with all columns side by side.
+    Key of one array of many short motions, with all columns side by side.
 
-    The columns are attitude, velocity and inputs as in BodyArrays, of a pose place and attitude.
+    Columns as in BodyArrays: attitude (of a pose: position and attitude), velocity, inputs.
     """
 
     kind: Literal['windows']
@@ -82,15 +82,15 @@ class BodyWindows(StrictModel):
 
 class BodyMotions(NamedTuple):
     """
-    M motions of T instants, one after another in the last but one axis of each.
+    M motions of T samples each; time is the first axis and the motion is the second.
 
     Parameters
     ----------
     x, R, v, u : torch.Tensor
-        Places (T, M, k - 3), attitudes (T, M, 3, 3), velocities in the frame of the body
-        (T, M, k), and inputs that are held until the next instant (T, M, m).
+        Positions (T, M, k - 3), attitudes (T, M, 3, 3), velocities in the body frame
+        (T, M, k), and inputs that are held until the next sample (T, M, m).
     interval : float
-        From one instant to the next [s].
+        Time between samples [s].
 
     """
 
@@ -101,15 +101,15 @@ class BodyMotions(NamedTuple):
     interval: float
 
     def at(self, times: slice) -> 'BodyMotions':
-        """Return the motions at some instants."""
+        """Return the samples of all motions in a slice of times."""
         return self._each(lambda part: part[times])
 
     def of(self, rows: torch.Tensor) -> 'BodyMotions':
-        """Return some of the motions."""
+        """Return the motions with these indices."""
         return self._each(lambda part: part[:, rows])
 
     def windows(self, count: int) -> 'BodyMotions':
-        """Return all windows of ``count`` intervals, overlapping, as motions."""
+        """Return all overlapping windows of ``count`` intervals as motions."""
         length = len(self.R)
         if count >= length:
             raise DataError(f'windows of {count} intervals are longer than the motions, of '
@@ -125,24 +125,24 @@ class BodyMotions(NamedTuple):
 
 class Archive:
     """
-    The arrays of an .npz file that numpy.savez wrote, of at most 1 GiB; nothing is unpickled.
+    Arrays of an .npz file written by numpy.savez, at most 1 GiB; pickled data is rejected.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
 
     Attributes
     ----------
     arrays : dict
-        By key.
+        Arrays by key.
     digest : str
-        The first digits of the file's SHA-256.
+        First digits of the SHA-256 of the file.
 
     Raises
     ------
     DataError
-        It cannot be read, is too large, or holds other than plain arrays.
+        The file cannot be read, is too large, or holds anything but plain arrays.
 
     """
 
@@ -161,7 +161,7 @@ class Archive:
                             ) from problem
 
     def runs(self, key: str, wanted: Sequence[str] = ()) -> list[str]:
-        """Return the names of the runs that have a key, or those wanted; '' is of the whole."""
+        """Return ``wanted``, or the names of all runs that have a key; '' is the unnamed run."""
         found = [name.rpartition('/')[0] for name in self.arrays
                  if name.rpartition('/')[2] == key]
         for run in wanted:
@@ -178,8 +178,8 @@ class Archive:
         """
         Return an array of numbers.
 
-        With ``rows`` it must have that many of one of some widths, or with ``fewer`` of a smaller
-        one; of any width if there are none.
+        If ``rows`` is given, the shape must be (rows, width) with a width in ``widths`` (any width
+        if that is empty); ``fewer`` also allows smaller widths.
         """
         if key not in self.arrays:
             raise DataError(f'{self.path}: no key {key}; it has {self._keys()}{_NAMED}')
@@ -198,7 +198,7 @@ class Archive:
         return values.astype(np.float64)
 
     def velocities(self, run: str, key: str | None) -> str | None:
-        """Return the key of the velocities of a run: dq and v are one word."""
+        """Return the key of the velocities of a run; dq and v are synonyms."""
         others = ('dq', 'v') if key in ('dq', 'v') else (key,)
         found = [other for other in others if other is None or run + other in self.arrays]
         if not found:
@@ -212,7 +212,7 @@ class Archive:
 
 
 def keys_of(path: Path) -> set[str]:
-    """Return the keys of an .npz file without its runs' prefixes; none if it is no such file."""
+    """Return the keys of an .npz file without run prefixes; the empty set for other files."""
     try:
         return {key.rpartition('/')[2] for key in array_names(path, MAX_BYTES)}
     except (OSError, ValueError):
@@ -220,9 +220,9 @@ def keys_of(path: Path) -> set[str]:
 
 
 def split_runs(data: str) -> tuple[Path, list[str]]:
-    """Return the file and the runs of ``FILE:RUN,RUN``; of ``FILE``, no runs, which is all."""
+    """Split ``FILE:RUN,RUN`` into file and runs; for ``FILE`` the list is empty and means all."""
     file, colon, runs = data.rpartition(':')
-    # Which tells of no name that is too long to be one.
+    # os.path.exists also returns False for names that are too long.
     if not colon or os.path.exists(data):
         return Path(data), []
     return Path(file), runs.split(',')
@@ -230,23 +230,23 @@ def split_runs(data: str) -> tuple[Path, list[str]]:
 
 def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) -> Recording:
     """
-    Read the motions of a machine, one for each run.
+    Read the motions of a machine, one per run.
 
     Parameters
     ----------
     path : Path
-        The file; see Archive.
+        Path of the file; see Archive.
     data : ArraysData
-        Its keys.
+        Keys of the arrays.
     d : int
         Number of coordinates.
     runs : sequence of str
-        The runs to take, instead of ``data.runs``.
+        Runs to read; overrides ``data.runs``.
 
     Raises
     ------
     DataError
-        The file cannot be read, lacks a run or a key, or an array cannot be used.
+        The file cannot be read, a run or a key is missing, or an array is invalid.
 
     """
     archive = Archive(path)
@@ -271,26 +271,26 @@ def read_arrays(path: Path, data: ArraysData, d: int, runs: Sequence[str] = ()) 
 def read_bodies(path: Path, data: BodyArrays | BodyWindows, kind: str
                 ) -> tuple[list[BodyMotions], list[BodyMotions], str]:
     """
-    Read motions of a body to learn from, and to judge by.
+    Read the training and the test motions of a body.
 
     Parameters
     ----------
     path : Path
-        The file; see Archive.
+        Path of the file; see Archive.
     data : BodyArrays or BodyWindows
-        Its keys.
+        Keys of the arrays.
     kind : str
         ``'rotation'`` or ``'pose'``.
 
     Returns
     -------
     list of BodyMotions, list of BodyMotions and str
-        The two, and a description of them for the model card.
+        Training motions, test motions, and a description of both for the model card.
 
     Raises
     ------
     DataError
-        The file cannot be read, lacks a key, or an array cannot be used.
+        The file cannot be read, a key is missing, or an array is invalid.
 
     """
     archive, places = Archive(path), 0 if kind == 'rotation' else 3
@@ -342,7 +342,7 @@ def _of_run(archive: Archive, data: BodyArrays, places: int, run: str) -> BodyMo
 
 
 def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMotions:
-    """Return motions of places, attitudes, velocities and inputs, attitudes as matrices."""
+    """Return the motions with attitudes converted to matrices."""
     x, attitude, v, u = parts
     if not all(np.isfinite(part).all() for part in parts):
         raise DataError(f'{name}: holds something else than finite numbers, here or beside it')
@@ -351,13 +351,13 @@ def _motions(name: str, parts: Sequence[np.ndarray], interval: float) -> BodyMot
     else:
         R = attitude.reshape(-1, 3, 3).copy()
     gram = R.transpose(0, 2, 1) @ R
-    # The determinant of a mirror image is -1.
+    # A reflection has determinant -1.
     wrong = np.abs(gram - np.eye(3)).max(axis=(1, 2)) + (np.linalg.det(R) < 0.0)
     if not (wrong <= _NOT_TURNING).all():
         raise DataError(f'{name}: attitude {int(wrong.argmax())} is no rotation; expected a unit '
                         'quaternion x, y, z, w, or the matrix that takes vectors of the body to '
                         'space, row by row')
-    # Attitudes that are off the group by more than rounding are replaced by the next ones on it.
+    # Attitudes off the group by more than rounding are replaced by the nearest rotations.
     off = wrong > _ROUNDING
     left, _, right = np.linalg.svd(R[off])
     R[off] = left @ right

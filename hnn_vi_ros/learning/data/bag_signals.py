@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of joints, from the topics of ROS 2 bags: joint states and arrays."""
+"""Read joint signals from topics of ROS 2 bags: joint states and arrays."""
 
 from collections.abc import Callable, Iterator, Sequence
 import logging
@@ -17,11 +17,11 @@ import safetensors.numpy
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 ARRAY = 'std_msgs/msg/Float64MultiArray'
-# Types that a topic of states may have.
+# Message types allowed for a topic of states.
 STATES = f'{ARRAY} or {JOINT_STATE}'
-# Times agree with stamps that are off by less than this, in mean intervals.
+# Largest difference between log times and stamps that agree, in mean intervals.
 _DISAGREEMENT = 0.01
-# Steps this many times as large as usual, there and back, and how many of them are no chance.
+# Size of a jump away and back in usual steps, and the number of jumps that triggers a warning.
 _JUMP, _JUMPS = 10.0, 3
 
 _LOGGER = logging.getLogger(__name__)
@@ -32,29 +32,29 @@ Decoded = TypeVar('Decoded')
 @final
 class SignalReader:
     """
-    A bag as signals of some joints; one that was cut off will do.
+    Reader of joint signals in a bag; truncated bags are accepted.
 
     Parameters
     ----------
     path : Path
-        A folder with the files of one bag, or one file.
+        Folder with the files of one bag, or one file.
     joints : sequence of str
-        Names of the joints, in the order of the coordinates.
+        Names of the joints in the order of the coordinates.
     columns : sequence of int
-        Which numbers of an array belong to them; none for all.
+        Indices of the joints' numbers in an array; empty for all.
 
     Attributes
     ----------
     bag : BagReader
-        The bag.
+        The open bag.
     stamps : str
-        ``'header'`` or ``'log'``: what counts as a message's time. It may be set before the first
+        ``'header'`` or ``'log'``: source of the message times. It may be set before the first
         signal is read.
 
     Raises
     ------
     DataError
-        It is no bag, or holds no messages.
+        The path is not a bag, or the bag is empty.
 
     """
 
@@ -74,7 +74,7 @@ class SignalReader:
 
     @property
     def commanded_before(self) -> bool:
-        """Return whether a simulator held a command when it began the bag, which lacks that."""
+        """Return whether a simulator already held a command at the start, missing from the bag."""
         try:
             state = safetensors.numpy.load(self.bag.attachment(STATE_FILE) or b'')
         except (safetensors.SafetensorError, ValueError, KeyError):
@@ -82,21 +82,21 @@ class SignalReader:
         return 'live.command' in state and bool(state['live.command'].any())
 
     def type_of(self, topic: str) -> str:
-        """Return the type of a topic; DataError if the bag does not hold it."""
+        """Return the type of a topic; raise DataError if it is missing."""
         return self._found(topic)[1]
 
     def has_topic(self, topic: str) -> bool:
-        """Return whether the bag holds exactly this topic."""
+        """Return whether the bag holds a topic of exactly this name."""
         return topic in self._topics
 
     def state_topic(self) -> str | None:
-        """Return the simulator's ~/state, if the bag holds one with the joints, and no more."""
+        """Return the ~/state topic of a simulator with the joints; None unless it is unique."""
         found = [topic for topic in self._topics
                  if topic.endswith('/state') and self.is_state(topic)]
         return found[0] if len(found) == 1 else None
 
     def is_state(self, topic: str) -> bool:
-        """Return whether a topic is a ~/state of the simulator, with the joints."""
+        """Return whether a topic is the ~/state of a simulator with the joints."""
         _, kind, messages = self._found(topic)
         first = next(messages, None)
         if first is None or kind != JOINT_STATE:
@@ -106,9 +106,9 @@ class SignalReader:
 
     def check_resets(self, state: str) -> None:
         """
-        Raise DataError if a simulator was reset while a topic was recorded that is its ~/state.
+        Raise DataError if a simulator was reset while its ~/state, this topic, was recorded.
 
-        Between the samples around that there is no motion.
+        The samples before and after a reset are not of one motion.
         """
         scene = f'{self._found(state)[0].rpartition("/")[0]}/scene'
         times: dict[bytes, int] = {}
@@ -124,7 +124,7 @@ class SignalReader:
         """
         Raise DataError if the log times of joint states differ from their stamps.
 
-        Then messages of a topic without stamps cannot be assigned to states.
+        Messages of a topic without stamps could then not be assigned to states.
         """
         times = np.array([
             (message.time, self._decoded(topic, message, decode_joint_state).stamp)
@@ -140,14 +140,14 @@ class SignalReader:
 
     def warn_of_publishers(self, topic: str, q: np.ndarray) -> None:
         """
-        Warn where messages of a topic seem to come from several publishers.
+        Warn if messages of a topic seem to come from several publishers.
 
         Parameters
         ----------
         topic : str
-            Its name, or the end of it, if only one topic ends so.
+            Full name, or a suffix that matches one topic only.
         q : np.ndarray, shape (N, d)
-            Positions of the joints in the order of the recording, in which angles go on.
+            Positions of the joints in the order of the recording, with angles unwrapped.
 
         """
         name = self._found(topic)[0]
@@ -165,29 +165,29 @@ class SignalReader:
     def read(self, topic: str, prefix: str = '', expected: str = STATES
              ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the messages of a topic that hold a joint, complete or not.
+        Return the messages of a topic that contain at least one of the joints.
 
         Parameters
         ----------
         topic : str
-            Its name, or the end of it, if only one topic ends so.
+            Full name, or a suffix that matches one topic only.
         prefix : str
-            What stands before the joints in the names of joint states.
+            Prefix of the joint names in joint states.
         expected : str
-            Its possible types, separated by ``or``.
+            Allowed types, separated by ``or``.
 
         Returns
         -------
         t : np.ndarray, shape (N,)
-            Since the first [s], in the order of the recording: late ones come late.
+            Times since the first message [s], in recording order: late messages come late.
         values : np.ndarray, shape (N, 3, d)
-            Positions, velocities and efforts of joint states, NaN where a message has none of a
-            joint; an array is all three.
+            Positions, velocities and efforts of joint states, NaN where a message lacks a joint;
+            all three are equal for an array.
 
         Raises
         ------
         DataError
-            There is no such topic, it has another type, or a message cannot be read.
+            The topic is missing, has another type, or a message cannot be read.
 
         """
         name, kind, messages = self._found(topic, expected)
@@ -210,28 +210,28 @@ class SignalReader:
 
     def forces(self, topic: str, columns: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the commands of a topic, complete or not.
+        Return all commands of a topic, including incomplete ones.
 
         Parameters
         ----------
         topic : str
-            Its name, or the end of it, if only one topic ends so; of joint states with efforts,
-            or of arrays.
+            Full name of the topic, or a suffix that matches one topic only; it holds joint states
+            with efforts, or arrays.
         columns : sequence of int
-            Which numbers of an array are forces; none for all.
+            Indices of the forces in an array; empty for all.
 
         Returns
         -------
         t : np.ndarray, shape (N,)
             As in ``read``.
         values : np.ndarray, shape (N, m)
-            Efforts of the joints, or the numbers of an array; NaN where a message has no effort
-            of a joint, or an array has another length than most.
+            Efforts of the joints, or numbers of an array; NaN where a message lacks the effort of
+            a joint, or an array has an unusual length.
 
         Raises
         ------
         DataError
-            There is no such topic, it has another type, or a message cannot be read.
+            The topic is missing, has another type, or a message cannot be read.
 
         """
         name, kind, messages = self._found(topic, STATES)
@@ -254,14 +254,14 @@ class SignalReader:
 
     def _joint_rows(self, name: str, prefix: str = ''
                     ) -> tuple[list[int], list[list[list[float]]], set[str]]:
-        """Return stamps and numbers of a topic's messages, and the names of joints in them."""
+        """Return the stamps and values of a topic's messages, and all joint names in them."""
         names = [prefix + joint for joint in self._joints]
         stamps, rows, seen = [], [], set[str]()
         for message in self._found(name)[2]:
             state = self._decoded(name, message, decode_joint_state)
             seen.update(state.names)
             places = [state.names.index(one) if one in state.names else None for one in names]
-            if any(place is not None for place in places):  # else it is of another driver
+            if any(place is not None for place in places):  # else from another driver
                 stamps.append(state.stamp if self.stamps == 'header' else message.time)
                 rows.append([[
                     np.nan if place is None or len(values) != len(state.names) else values[place]
@@ -270,7 +270,7 @@ class SignalReader:
         return stamps, rows, seen
 
     def _times(self, name: str, stamps: list[int]) -> np.ndarray:
-        """Return times since the first of the signal that was read first [s]."""
+        """Return the times since the start of the signal read first [s]."""
         if len(stamps) > 1 and len(set(stamps)) == 1:
             other = 'header' if self.stamps == 'log' else \
                 'log, the times at which its messages were recorded'
@@ -282,7 +282,7 @@ class SignalReader:
         return np.array([stamp - origin for stamp in stamps]) * 1e-9
 
     def _found(self, topic: str, expected: str = '') -> tuple[str, str, Iterator[Recorded]]:
-        """Return name, type and messages of the one topic of this name, or that ends with it."""
+        """Return name, type and messages of the one topic that has this name or ends with it."""
         topic = '/' + topic.lstrip('/')
         if topic not in self._topics:
             found = [name for name in self._topics if name.endswith(topic)]
@@ -327,7 +327,7 @@ class SignalReader:
 
 
 def _jumps(q: np.ndarray) -> int:
-    """Return how many rows, shape (N, d), lie off while those around them agree."""
+    """Return the number of rows of q, shape (N, d), that jump away from their neighbours."""
     steps, across = np.diff(q, axis=0), np.abs(q[2:] - q[:-2])
     usual = np.array([np.median(column[column > 0.0]) if column.any() else 0.0
                       for column in across.T])

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read motions from ROS 2 bags: of a robot's joints, or of the simulator."""
+"""Read motions of robot joints or of the simulator from ROS 2 bags."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,9 +17,9 @@ from hnn_vi_ros.recording import MOMENTUM, RATE
 import numpy as np
 from pydantic import Field, model_validator
 
-# Blocks of a recording, unless data.block gives their length.
+# Number of blocks of a recording unless data.block gives their length.
 BLOCKS = 20
-# Unless data.derivatives says more.
+# Default window and degree of data.derivatives.
 _WINDOW, _DEGREE = 9, 4
 EFFORT, NONE = 'effort', 'none'
 
@@ -28,7 +28,7 @@ Columns = list[Annotated[int, Field(ge=0)]]
 
 
 class Topics(NamedTuple):
-    """Topics of the channels of a motion, '' for none; forces may be EFFORT, those of q."""
+    """Topics of the channels of a motion, '' for none; EFFORT takes the forces from topic q."""
 
     q: str
     v: str = ''
@@ -38,7 +38,7 @@ class Topics(NamedTuple):
 
 
 class BagOptions(StrictModel):
-    """Options of bags, whatever is learned from them."""
+    """Options of bags, shared by all fits."""
 
     kind: Literal['bag'] = 'bag'
     paths: list[Topic] = Field([], description='bags: folders or .mcap files; --data overrides')
@@ -50,12 +50,12 @@ class BagOptions(StrictModel):
 
 class BagData(BagOptions, StateOptions):
     """
-    Topics of MCAP bags; joint states hold positions, velocities and efforts, arrays one of them.
+    Topics of MCAP bags: joint states (positions, velocities and efforts) or arrays of one of them.
 
-    A topic may be named by the end of its name, if no other ends so.
+    A topic may be given by a suffix of its name that no other topic has.
     """
 
-    # The ends of a spline are not as good as the rest of it.
+    # The spline is less accurate near its ends.
     margin: ClassVar[int] = 10
     least: ClassVar[int] = 2 * margin + 15
 
@@ -92,25 +92,25 @@ class BagData(BagOptions, StateOptions):
 
     @property
     def forces(self) -> str | None:
-        """Return the topic of commands; see BagMotions."""
+        """Return the topic of commands, named as in BagMotions."""
         return self.commands
 
     def method(self, spacing: float) -> Derivatives:
-        """Return how rates are estimated; by default in a window of nine rows."""
+        """Return the differentiation method, by default with a window of nine rows."""
         return self.derivatives or SavitzkyGolay(window=_WINDOW * spacing, degree=_DEGREE)
 
     def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
-        """Return blocks of time, a twentieth of the motion each; see StateOptions."""
+        """Return the block of each row; by default a block is a twentieth of the motion."""
         return time_blocks(t, self.block or (t[-1] - t[0]) * (1.0 + 1e-9) / BLOCKS)
 
     def topics(self, reader: SignalReader) -> Topics:
-        """Return where the channels are, also those that the configuration leaves open."""
+        """Return the topics of the channels; fill in those that the configuration omits."""
         state = None
         if self.q is None and self.p is None and self.mass is None and self.dp_dt is None:
             state = reader.state_topic()
         velocity, q = self.velocity, state or self.q or 'joint_states'
         if velocity is None and not self.estimate_velocity:
-            # The velocities of ~/state are on ~/joint_states, with the same stamps.
+            # The velocities of ~/state are published on ~/joint_states with the same stamps.
             beside = f'{q.rpartition("/")[0].rpartition("/")[0]}/joint_states' if state else q
             if (not state or reader.has_topic(beside)) and reader.type_of(beside) == JOINT_STATE:
                 velocity = beside
@@ -119,7 +119,7 @@ class BagData(BagOptions, StateOptions):
 
 
 class BagMotions(BagOptions, MotionData):
-    """Joint states in bags, each bag a run; joints in any order, possibly with others."""
+    """Joint states in bags, one run per bag; joints in any order, other joints are ignored."""
 
     joints: list[str] = Field([], description=(
         'names of the joints, one a coordinate; none: those of the coordinates'))
@@ -134,7 +134,7 @@ class BagMotions(BagOptions, MotionData):
         'all'))
 
     def topics(self, reader: SignalReader) -> Topics:
-        """Return where the channels are, also those that the configuration leaves open."""
+        """Return the topics of the channels; fill in those that the configuration omits."""
         forces = '' if self.forces == NONE else self.forces
         if forces is None:
             state = reader.state_topic()
@@ -142,7 +142,7 @@ class BagMotions(BagOptions, MotionData):
             if state and reader.has_topic(f'{node}/commands'):
                 forces = f'{node}/commands'
             elif state:
-                # In bags of before joints could be commanded the effort was p'.
+                # Older bags, without joint commands, have p' as effort.
                 forces = EFFORT if any(reader.has_topic(f'{node}/{name}') for name in (
                     'joint_commands', 'joint_trajectory')) else ''
             else:
@@ -153,22 +153,22 @@ class BagMotions(BagOptions, MotionData):
 def read_bags(paths: Sequence[Path], data: BagData | BagMotions, joints: Sequence[str]
               ) -> Recording:
     """
-    Read the motions of bags, each named by its folder or file.
+    Read the motions of bags; each is named after its folder or file.
 
     Parameters
     ----------
     paths : sequence of Path
-        Folders with the files of one bag, or files; unfinished and damaged ones are read as far
-        as they go.
+        Folders with the files of one bag, or files; unfinished and damaged ones are read up to
+        the first error.
     data : BagData or BagMotions
-        Topics.
+        Topics of the bags.
     joints : sequence of str
-        Of the coordinates; joints that ``data`` names take their places.
+        Names of the coordinates' joints; overridden by ``data.joints``.
 
     Raises
     ------
     DataError
-        A bag cannot be read, or lacks a topic or a joint; lists its content.
+        A bag cannot be read, or a topic or joint is missing; the message lists the content.
 
     """
     if isinstance(data, BagMotions) and len(data.joints or joints) != len(joints):
@@ -218,7 +218,7 @@ def _motion(name: str, reader: SignalReader, data: BagData | BagMotions, joints:
 
 
 def _choose_stamps(reader: SignalReader, topics: Topics, data: BagData | BagMotions) -> None:
-    """Let a reader take the stamps of headers, unless a topic has none or the data say so."""
+    """Use the header stamps, unless a topic has none or the configuration chooses."""
     named = [topic for topic in topics if topic not in ('', EFFORT)]
     unstamped = [topic for topic in named if reader.type_of(topic) == ARRAY]
     if unstamped and data.stamps == 'header':
@@ -231,7 +231,7 @@ def _choose_stamps(reader: SignalReader, topics: Topics, data: BagData | BagMoti
 
 
 def _at(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values of other times [s] at times, NaN before, after and where they have a gap."""
+    """Interpolate values with times ``own`` at times t [s]; NaN outside them and in gaps."""
     if np.array_equal(own, t):
         return values
     found = np.full((len(t), values.shape[1]), np.nan)
@@ -241,7 +241,7 @@ def _at(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
         return found
     intervals = np.diff(own[rows])
     for part in np.split(rows, np.flatnonzero(intervals > GAP * np.median(intervals)) + 1):
-        if len(part) >= 4:  # for a cubic
+        if len(part) >= 4:  # a cubic spline needs four points
             inside = (own[part[0]] <= t) & (t <= own[part[-1]])
             found[inside] = cubic(t[inside], own[part], values[part])
     return found
@@ -250,7 +250,7 @@ def _at(t: np.ndarray, own: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _forces(reader: SignalReader, topics: Topics, t: np.ndarray, efforts: np.ndarray,
             data: BagData | BagMotions, joints: Sequence[str]
             ) -> tuple[np.ndarray | None, list[str]]:
-    """Return the forces of the motors at each time, shape (N, m), and notes on them."""
+    """Return the forces of the motors at each time, shape (N, m), and notes about them."""
     tau, notes = efforts, list[str]()
     if topics.forces not in ('', EFFORT):
         tau, notes = _commanded(reader, topics.forces, t, data)
@@ -274,7 +274,7 @@ def _forces(reader: SignalReader, topics: Topics, t: np.ndarray, efforts: np.nda
 
 def _commanded(reader: SignalReader, forces: str, t: np.ndarray,
                data: BagData | BagMotions) -> tuple[np.ndarray, list[str]]:
-    """Return the command at each time, shape (N, m), and notes on them."""
+    """Return the command at each time, shape (N, m), and notes about it."""
     stamps, values = reader.forces(
         forces, data.columns if isinstance(data, BagMotions) else ())
     motors = np.isfinite(values).any(axis=0)
@@ -291,9 +291,9 @@ def _commanded(reader: SignalReader, forces: str, t: np.ndarray,
         notes.append(f'{lacking.sum()} commands that lack a number')
         if data.on_bad == 'drop':
             stamps, values = stamps[~lacking], values[~lacking]
-    # Sorted by stamps: a command that comes late still acts from its stamp on.
+    # Sorted by stamp: a command that arrives late still acts from its stamp on.
     order = np.argsort(stamps, kind='stable')
-    # Each holds until the next; before the first there is none.
+    # Each command holds until the next one; before the first there is none.
     at = np.searchsorted(stamps[order], t, side='right')
     before = int((at == 0).sum())
     if before == len(t):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""States (q, p) with their rates of change: of measured motions, or drawn exactly."""
+"""States (q, p) with their rates of change, from measured motions or an exact Hamiltonian."""
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ from scipy.interpolate import make_smoothing_spline
 from scipy.signal import savgol_filter
 
 MIN_ROWS = 10
-# Instants count as evenly spaced if they differ from even ones by less than this share of the
-# interval: enough for clocks written with few digits, less than a dropped sample.
+# Largest deviation of evenly spaced times, as a share of the interval: more than the error of
+# clocks written with few digits, less than a dropped sample.
 UNEVENNESS = 0.1
 
 Names = list[Annotated[str, Field(min_length=1)]]
@@ -34,7 +34,7 @@ Block = Annotated[float | None, Field(gt=0.0, description=(
 @dataclass(frozen=True)
 class Dataset:
     """
-    States and their rates of change.
+    A set of states and their rates of change.
 
     Parameters
     ----------
@@ -43,19 +43,19 @@ class Dataset:
     dq_dt, dp_dt : np.ndarray, shape (N, d)
         Their rates of change [1/s].
     block : np.ndarray of int, shape (N,)
-        Rows that depend on one another share a block; a split keeps a block together.
+        Block number of each row. Dependent rows share a block; a split keeps blocks whole.
     description : str
-        Where the data comes from, for the model card.
+        Source of the data, for the model card.
     t : np.ndarray, shape (N,), optional
-        When [s]; it increases within a trajectory. States drawn at random have none.
+        Times [s], increasing within a trajectory; None for states drawn at random.
     trajectory : np.ndarray of int, shape (N,), optional
-        Rows of one motion share a number; without it, each block is one motion.
+        Motion number of each row; default: each block is one motion.
     accelerations : np.ndarray, shape (N, d), optional
-        d2q/dt2 [1/s2], where known.
+        Accelerations d2q/dt2 [1/s2], if known.
     commands : np.ndarray, shape (N, m), optional
-        The commands.
+        Commands u.
     energies : np.ndarray, shape (N,), optional
-        The true H [J], where known.
+        True values of H [J], if known.
 
     """
 
@@ -73,12 +73,12 @@ class Dataset:
 
     def checked(self) -> 'Dataset':
         """
-        Return this data if something can be learned from it.
+        Return this dataset after checking that a model can be trained on it.
 
         Raises
         ------
         DataError
-            Too few rows, or a coordinate, momentum or rate that never changes.
+            There are too few rows, or a coordinate, momentum or rate is constant.
 
         """
         if len(self.q) < MIN_ROWS or len(np.unique(self.block)) < 2:
@@ -93,7 +93,7 @@ class Dataset:
 
     @property
     def motion(self) -> np.ndarray:
-        """Return the number of the motion that each row is of, shape (N,)."""
+        """Return the motion number of each row, shape (N,)."""
         return self.block if self.trajectory is None else self.trajectory
 
     @property
@@ -102,35 +102,35 @@ class Dataset:
         return Box.of(self.q, self.p)
 
     def split(self, fraction: float, seed: int) -> tuple['Dataset', 'Dataset']:
-        """Split off about this fraction of the blocks, at least one, at random by the seed."""
+        """Split off about this fraction of the blocks at random by seed, at least one block."""
         blocks = np.random.default_rng(seed).permutation(np.unique(self.block))
         held_out = np.isin(self.block, blocks[:max(1, round(fraction * len(blocks)))])
         return self.rows(~held_out), self.rows(held_out)
 
     def rows(self, chosen: np.ndarray) -> 'Dataset':
-        """Return the rows that a mask of shape (N,) chooses."""
+        """Return the rows selected by a mask of shape (N,)."""
         return part_of(self, chosen)
 
     def windows(self, step_size: float, count: int) -> np.ndarray:
         """
-        Return which rows follow one another at even times.
+        Return the indices of consecutive rows at even times.
 
         Parameters
         ----------
         step_size : float
-            Time from one to the next [s].
+            Time between consecutive rows [s].
         count : int
-            How many each.
+            Number of rows in a window.
 
         Returns
         -------
         np.ndarray of int, shape (M, count)
-            Every such sequence; all rows of one are of one trajectory.
+            All such windows; the rows of one window belong to one trajectory.
 
         Raises
         ------
         DataError
-            There are none.
+            No motion is long enough.
 
         """
         found = []
@@ -154,19 +154,19 @@ class Dataset:
 
 def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:
     """
-    Return the matrix M of p = M dq/dt, shape (d, d).
+    Return the mass matrix M in p = M dq/dt, shape (d, d).
 
     Parameters
     ----------
     mass : list of float, list of list of float, or None
-        The masses, or the whole matrix by rows; None is 1 for each coordinate.
+        Masses, or the whole matrix by rows; None is the identity.
     d : int
         Number of coordinates.
 
     Raises
     ------
     ValueError
-        It has another size, or is not symmetric and positive definite.
+        The matrix has the wrong size, or is not symmetric positive definite.
 
     """
     if mass is None:
@@ -181,19 +181,19 @@ def mass_matrix(mass: Mass | None, d: int) -> np.ndarray:
 
 
 def time_blocks(t: np.ndarray, length: float) -> np.ndarray:
-    """Return the number, from 0 on, of the block of time that each row is in."""
+    """Return the block number of each row, from 0; blocks have equal length in time."""
     return np.floor((t - t[0]) / length).astype(int)
 
 
 class SavitzkyGolay(StrictModel):
-    """Derivatives of a polynomial fitted in a sliding window; needs even sampling."""
+    """Derivatives of a polynomial fitted in a sliding window; requires even sampling."""
 
     kind: Literal['savitzky_golay'] = 'savitzky_golay'
     window: float = Field(gt=0.0, description='length of the window [s]')
     degree: int = Field(3, ge=1, le=9, description='of the polynomial')
 
     def rows(self, spacing: float, most: int, where: str, of: str) -> int:
-        """Return the window in rows of this spacing [s], an odd number; or raise DataError."""
+        """Return the odd number of rows of the window at `spacing` [s]; DataError if unfit."""
         rows = 2 * round(0.5 * (min(self.window / spacing, 1e9) - 1.0)) + 1
         least = self.degree + 2
         if most < least:
@@ -207,7 +207,7 @@ class SavitzkyGolay(StrictModel):
 
 
 class SmoothingSpline(StrictModel):
-    """Derivatives of a smoothing cubic spline; takes uneven sampling."""
+    """Derivatives of a smoothing cubic spline, for uneven sampling."""
 
     kind: Literal['smoothing_spline']
     smoothing: float | None = Field(None, ge=0.0, description=(
@@ -225,15 +225,15 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
     Parameters
     ----------
     t : np.ndarray, shape (N,)
-        Increasing instants [s]; evenly spaced for a SavitzkyGolay method.
+        Increasing times [s]; evenly spaced for SavitzkyGolay.
     values : np.ndarray, shape (N, d)
-        The measured values.
+        Measured values.
     method : SavitzkyGolay or SmoothingSpline
-        How to smooth.
+        Smoothing method.
     window : int
-        Rows in the window of a SavitzkyGolay method.
+        Number of rows in the window of SavitzkyGolay.
     where : str, optional
-        Where the values come from, for the message.
+        Source of the values, for error messages.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
     Raises
     ------
     DataError
-        They cannot be estimated.
+        The derivatives cannot be estimated.
 
     References
     ----------
@@ -265,9 +265,9 @@ def differentiate(t: np.ndarray, values: np.ndarray, method: Derivatives, window
 
 
 class StateOptions(StrictModel):
-    """Options of measured states, wherever they come from."""
+    """Options of measured states in every format."""
 
-    # Rows that are left out at each end of a motion, at least.
+    # Minimum number of rows that are dropped at each end of a motion.
     margin: ClassVar[int] = 0
 
     mass: Mass | None = Field(None, description=(
@@ -283,28 +283,28 @@ class StateOptions(StrictModel):
     @property
     @abstractmethod
     def least(self) -> int:
-        """Return the rows that a motion needs."""
+        """Return the minimum number of rows of a motion."""
 
     @abstractmethod
     def method(self, spacing: float) -> Derivatives | None:
-        """Return how rates are estimated from samples of this interval [s], None if none are."""
+        """Return the differentiation method for this interval [s]; None if rates are measured."""
 
     @abstractmethod
     def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
-        """Return the block of each row, shape (N,); the window of a filter in rows, or 0."""
+        """Return the block of each row, shape (N,); `window` is the filter's in rows, or 0."""
 
 
 def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
     """
-    Return states and rates of measured motions, one after another.
+    Concatenate the states and rates of measured motions.
 
-    Where a rate is estimated, the value that belongs to it is replaced by the smoothed one, and
-    rows too close to an end of their motion for a whole window are left out.
+    If a rate is estimated, the values it is estimated from are smoothed too. Rows without a whole
+    window, near the ends of their motion, are dropped.
 
     Raises
     ------
     DataError
-        The motions are too short or too bad, or a rate cannot be estimated.
+        The motions are too short or too noisy, or a rate cannot be estimated.
 
     """
     report, count = Report(data.least), 0
@@ -328,7 +328,7 @@ def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
 
 def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report: Report
                     ) -> tuple[Motion, int]:
-    """Return a piece of a motion with p and all rates, and the rows of a filter's window, or 0."""
+    """Return a piece of a motion with p and all rates, and the filter window in rows, or 0."""
     t = motion.t[rows]
     mean = (t[-1] - t[0]) / max(len(t) - 1, 1)
     method = data.method(data.spacing or mean)
@@ -347,7 +347,7 @@ def _differentiated(motion: Motion, rows: np.ndarray, data: StateOptions, report
 
 def differentiated(motion: Motion, method: Derivatives, window: int, mass: Mass | None = None
                    ) -> Motion:
-    """Return a motion with momenta and all rates; what they are estimated from is smoothed."""
+    """Return a motion with momenta and all rates; differentiated values are smoothed."""
     q, v, p, dp_dt = motion.q, motion.v, motion.p, motion.dp_dt
 
     def rate(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -364,7 +364,7 @@ def differentiated(motion: Motion, method: Derivatives, window: int, mass: Mass 
 
 _MOST_DRAWS = 10_000
 MAX_STATES = 1_000_000
-# Tolerances of the motions, relative and absolute.
+# Relative and absolute tolerance of the integrated motions.
 _TOLERANCES = 1e-10, 1e-12
 
 
@@ -387,12 +387,12 @@ class ExactHamiltonian(StrictModel):
         return self
 
     def create(self) -> Hamiltonian:
-        """Build the Hamiltonian."""
+        """Return the Hamiltonian."""
         return HAMILTONIANS[self.kind](**self.__pydantic_extra__)
 
 
 class EvenTimes(StrictModel):
-    """Sampling of a motion: its states at even times, from 0 to the duration."""
+    """Sampling of a motion at even times from 0 to the duration."""
 
     duration: float = Field(gt=0.0, description='of each motion [s]')
     spacing: float = Field(gt=0.0, description='from one state to the next [s]')
@@ -406,12 +406,12 @@ class EvenTimes(StrictModel):
 
     @property
     def times(self) -> np.ndarray:
-        """Return the instants [s]."""
+        """Return the times [s]."""
         return self.spacing * np.arange(int(self.duration / self.spacing * (1.0 + 1e-12)) + 1)
 
 
 class Commands(StrictModel):
-    """Commands u drawn evenly from [-largest, largest], which add B u to dp/dt."""
+    """Commands u, uniform in [-largest, largest], which add B u to dp/dt."""
 
     input_map: list[Annotated[list[float], Field(min_length=1)]] = Field(
         min_length=1, description='B: one row for each coordinate, one column for each command')
@@ -419,7 +419,7 @@ class Commands(StrictModel):
 
     @property
     def matrix(self) -> np.ndarray:
-        """Return B, shape (d, m)."""
+        """Return the input matrix B, shape (d, m)."""
         return np.array(self.input_map)
 
     @model_validator(mode='after')
@@ -430,7 +430,7 @@ class Commands(StrictModel):
 
 
 class ExactData(StrictModel):
-    """States drawn at random from a box, their rates computed from an exact Hamiltonian."""
+    """States drawn at random from a box, with rates computed from an exact Hamiltonian."""
 
     kind: Literal['exact']
     hamiltonian: ExactHamiltonian
@@ -473,21 +473,21 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
     """
     Draw states from a box and compute their rates, dq/dt = H_p and dp/dt = -H_q.
 
-    With ``trajectory``, each state is the first of a motion. With ``noise``, the rates are those
-    of the states without it, as in the data of Greydanus, Dzamba and Yosinski (NeurIPS 2019).
+    With ``trajectory``, each state starts a motion. With ``noise``, the rates belong to the
+    noise-free states, as in the data of Greydanus, Dzamba and Yosinski (NeurIPS 2019).
 
     Parameters
     ----------
     data : ExactData
-        The Hamiltonian, the box and the number of samples.
+        Hamiltonian, box and number of samples.
     seed : int
-        Of the random numbers; the same seed gives the same data.
+        Seed of the random numbers.
 
     Raises
     ------
     DataError
-        The box has another number of coordinates than the Hamiltonian, or a motion cannot be
-        followed.
+        The box and the Hamiltonian differ in dimension, or a motion cannot be
+        integrated.
 
     """
     hamiltonian = data.hamiltonian.create()
@@ -518,7 +518,7 @@ def sample_exact(data: ExactData, seed: int) -> Dataset:
 
 def _rates(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
            commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return dq/dt and dp/dt, of the shape of q, with damping and commands."""
+    """Return dq/dt and dp/dt, shaped like q, including damping and commands."""
     dH_dq, dH_dp = hamiltonian.gradient(q, p)
     dp_dt = -dH_dq
     if data.damping:
@@ -544,7 +544,7 @@ def _describe(data: ExactData) -> str:
 
 def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray,
             times: np.ndarray, commands: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (q, p) of the motions from these ones, one motion after another."""
+    """Integrate the motions from states (q, p); return the states, one motion after another."""
     d, motions = hamiltonian.dimension, []
     for i, z in enumerate(np.hstack([q, p])):
         command = None if commands is None else commands[i]
@@ -564,7 +564,7 @@ def _follow(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndar
 
 def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Generator
                  ) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and p of shape (samples, d), drawn again until all are within the bounds."""
+    """Draw q and p, shape (samples, d); redraw those out of bounds."""
     q, p = np.empty((2, data.samples, len(data.box.q)))
     again = np.arange(data.samples)
     for _ in range(_MOST_DRAWS):
@@ -579,20 +579,20 @@ def _draw_states(data: ExactData, hamiltonian: Hamiltonian, rng: np.random.Gener
 
 def _momenta(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, drawn: np.ndarray
              ) -> np.ndarray:
-    """Return p of shape (N, d), where velocities may have been drawn in its place."""
+    """Return p, shape (N, d), converted from velocities if those were drawn."""
     if not data.velocities:
         return drawn
     zero = np.zeros_like(q)
     columns = [hamiltonian.hessian_vector(q, zero, zero, np.tile(unit, (len(q), 1)))[1]
                for unit in np.eye(q.shape[1])]
     rest = hamiltonian.gradient(q, zero)[1]
-    # Exact, since dq/dt is linear in p in all of these Hamiltonians.
+    # This is exact because dq/dt is affine in p for all of these Hamiltonians.
     return np.linalg.solve(np.stack(columns, axis=2), (drawn - rest)[:, :, None])[:, :, 0]
 
 
 def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray
                ) -> np.ndarray:
-    """Return which states are within the bounds of radius and energy."""
+    """Return the mask of states within the bounds of radius and energy."""
     within = np.ones(len(q), dtype=bool)
     if data.radius is not None:
         low, high = data.radius
@@ -606,7 +606,7 @@ def _is_within(data: ExactData, hamiltonian: Hamiltonian, q: np.ndarray, p: np.n
 
 
 def _draw(bounds: list[list[float]], data: ExactData, rng: np.random.Generator) -> np.ndarray:
-    """Return values of shape (samples, d), uniform between the bounds or on one of them."""
+    """Draw values of shape (samples, d), uniform between the bounds or on one of them."""
     low, high = np.transpose(bounds)
     values = rng.uniform(low, high, size=(data.samples, len(bounds)))
     if data.edge_share > 0.0:

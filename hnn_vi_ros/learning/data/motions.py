@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measured motions: one container for all formats and fits, cleaned, resampled and smoothed.
+Measured motions: a common container for all formats and fits; cleaning, resampling, smoothing.
 
-Arrays, bags and logs become motions; bad samples are left out, counted and reported.
+Arrays, bags and logs become motions; bad samples are dropped, counted and reported.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,30 +20,29 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 MIN_SAMPLES = 20
-# Larger numbers are no measurements, and their squares overflow.
+# Largest accepted absolute value; squares of larger numbers may overflow.
 MOST = 1e100
-# The time of no clock in seconds, which begin in 1970 at the earliest.
+# Largest plausible time in seconds since 1970.
 _LATEST = 1e11
-# The order of the low-pass filter. It runs forth and back, so it counts twice and shifts no phase.
+# Order of the low-pass filter. It runs forward and backward: twice the order, no phase shift.
 _ORDER = 2
-# A filter whose cut-off is above this share of the fastest motion that samples can hold takes
-# nothing away.
+# A low-pass filter with a cut-off above this share of the Nyquist frequency is skipped.
 _WHOLE = 0.9
-# Samples further apart than this many usual intervals are a gap, over which nothing is known.
+# Gap threshold in usual intervals; nothing is interpolated over a gap.
 GAP = 10.0
 MAX_ROWS = 1_000_000
-# With more bad samples than this share the data are not what they are taken for.
+# Largest accepted share of bad samples.
 _MOST_BAD = 0.5
-# Nor are rates that leave more than this share of the motion unexplained.
+# Largest accepted share of the motion that the rates do not explain.
 _UNEXPLAINED = 0.25
-# Intervals of runs that differ by less than this share are taken as one.
+# Relative difference below which intervals of runs are regarded as equal.
 _ALIKE = 0.01
-# Intervals of a log are off by the resolution of its clock, a share of a step that asks for no
+# Tolerance for the resolution of a log's clock, as a share of a step; smaller excesses add no
 # further step.
 _CLOCK = 0.01
-# Samples before and after one that tell a clock which was set back from samples that are late.
+# Number of samples on each side that distinguish a reset clock from late samples.
 _AROUND = 20
-# Rates are judged by a coordinate only where it moves by this many times its noise.
+# Rates are judged only where a coordinate moves by this multiple of its noise.
 _SEEN = 20.0
 OnBad = Annotated[Literal['drop', 'split', 'fail'], Field(description=(
     'samples that are late, come twice or lack a number: drop, and bridge what is missing; '
@@ -53,12 +52,12 @@ TEST_RUNS: list[str] = Field([], description=(
     'runs to judge the model by; none: the last fifth of each run in time'))
 
 Record = TypeVar('Record', bound=Any)
-# Returns values, shape (N, k), measured at times t, at other times.
+# Interpolation: maps new times, times t and values, shape (N, k), to values at the new times.
 Between = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
 class MotionData(StrictModel):
-    """Options of measured motions, wherever they come from."""
+    """Options of measured motions in every format."""
 
     smoothing: float = Field(40.0, gt=0.0, description=(
         'cut-off of the zero-phase filter from which initial states and accelerations come [Hz]; '
@@ -76,16 +75,16 @@ class MotionData(StrictModel):
 @dataclass(frozen=True)
 class Motion:
     """
-    One measured motion; a channel that was not measured is None, a number that lacks NaN.
+    One measured motion; unmeasured channels are None, missing numbers are NaN.
 
     Parameters
     ----------
     name : str
-        Of the run.
+        Name of the run.
     where : str
-        File and run, for messages.
+        File and run, for error messages.
     t : np.ndarray, shape (N,)
-        Times [s], not necessarily even.
+        Times [s], not necessarily evenly spaced.
     q : np.ndarray, shape (N, d)
         Coordinates.
     v, a : np.ndarray, shape (N, d), or None
@@ -95,7 +94,7 @@ class Motion:
     p, dp_dt : np.ndarray, shape (N, d), or None
         Momenta, and their rates.
     held : bool
-        Whether each force acts until the next; else it goes over into it.
+        True if each force is held until the next sample; otherwise linear between samples.
     notes : tuple of str
         Further notes for the model card.
 
@@ -115,13 +114,13 @@ class Motion:
 
     @property
     def channels(self) -> dict[str, np.ndarray]:
-        """Return what was measured, by name."""
+        """Return the measured channels by name."""
         return {name: values for name, values in vars(self).items()
                 if isinstance(values, np.ndarray)}
 
 
 class Recording(NamedTuple):
-    """Motions that a reader returns, with the names of their files and runs, and digests."""
+    """Motions returned by a reader, with the names of their files and runs, and digests."""
 
     motions: list[Motion]
     name: str
@@ -131,17 +130,17 @@ class Recording(NamedTuple):
 @dataclass(frozen=True, kw_only=True)
 class EvenMotion(Motion):
     """
-    A motion, or a piece of one without gaps, at even times, with smoothed states.
+    A motion without gaps, or a piece of one, at even times and with smoothed states.
 
     Parameters
     ----------
     tau : np.ndarray, shape (N, m)
-        Forces of the motors, as measured: those on the coordinates, if there are d.
+        Forces of the motors as measured; if there are d, those on the coordinates.
     q_smooth, v_smooth, a_smooth : np.ndarray, shape (N, d)
-        Coordinates, velocities and accelerations through a zero-phase low-pass filter; estimated
-        where they were not measured.
+        Coordinates, velocities and accelerations after a zero-phase low-pass filter; estimated
+        if they were not measured.
     idle : bool
-        Whether no force acted before the first sample, or the first one did.
+        True if no force acted before the first sample; otherwise the first force did.
 
     """
 
@@ -163,13 +162,13 @@ class EvenMotion(Motion):
 
     @property
     def measured(self) -> np.ndarray:
-        """Return coordinates, and velocities if they were measured, shape (N, d) or (N, 2 d)."""
+        """Return coordinates and, if measured, velocities, shape (N, d) or (N, 2 d)."""
         return self.q if self.v is None else np.hstack([self.q, self.v])
 
 
 @dataclass
 class Report:
-    """Number of samples that could not be used, by the reason, and where runs were cut."""
+    """Counts of dropped samples by reason, and places where runs were cut."""
 
     least: int = MIN_SAMPLES
     lacking: int = 0
@@ -187,21 +186,21 @@ class Report:
         return '; '.join([*found, *self.notes])
 
     def note(self, *texts: str) -> None:
-        """Keep notes, each once, in order."""
+        """Keep notes in order, without duplicates."""
         self.notes.update(dict.fromkeys(texts))
 
     def described(self, recording: Recording, samples: int) -> str:
-        """Return a description of data for the model card."""
+        """Describe the data for the model card."""
         digest = f', sha256 {recording.digest}' if recording.digest else ''
         counts = f'; {self}' if str(self) else ''
         return f'{recording.name} ({samples} samples{digest}{counts})'
 
 
 def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotion], str]:
-    """Return the pieces of motions at even times, and a description of them for the card."""
+    """Return the pieces of motions at even times, and their description for the model card."""
     report = Report()
     cut = [pieces_of(motion, data.on_bad, report) for motion in recording.motions]
-    # The interval of most samples, for motions at different rates.
+    # The interval of most samples is used for motions at different rates.
     usual = float(np.quantile(np.repeat([one.spacing for one in cut], [
         sum(map(len, one.rows)) for one in cut]), 0.5, method='lower'))
     found = [motion for one in cut for motion in _even(one, usual, data, report)]
@@ -212,7 +211,7 @@ def even_motions(recording: Recording, data: MotionData) -> tuple[list[EvenMotio
 
 
 class Pieces(NamedTuple):
-    """A motion, its samples in pieces without gaps, and the interval of its samples [s]."""
+    """A motion, its samples in pieces without gaps, and the sampling interval [s]."""
 
     motion: Motion
     rows: list[np.ndarray]
@@ -220,7 +219,7 @@ class Pieces(NamedTuple):
 
 
 def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
-    """Return a motion without its bad samples; DataError if on_bad is fail, or most are bad."""
+    """Drop bad samples of a motion; raise DataError if most are bad or on_bad is fail."""
     if not len(motion.t):
         raise DataError(f'{motion.where}: no samples, expected at least {report.least}; record '
                         'for longer')
@@ -254,7 +253,7 @@ def pieces_of(motion: Motion, on_bad: str, report: Report) -> Pieces:
 
 
 def _kept(motion: Motion, on_bad: str, report: Report) -> np.ndarray:
-    """Return the samples of a motion that can be used; between two, time goes back at a reset."""
+    """Return the indices of usable samples; time decreases between two at a reset."""
     lacks = {name: ~(np.abs(part) <= MOST).reshape(len(motion.t), -1).all(axis=1)
              for name, part in motion.channels.items()}
     lacking = np.any([*lacks.values()], axis=0)
@@ -288,9 +287,9 @@ def _kept(motion: Motion, on_bad: str, report: Report) -> np.ndarray:
 
 def _even(pieces: Pieces, usual: float, data: MotionData, report: Report
           ) -> Iterator[EvenMotion]:
-    """Yield the pieces of a motion at even times, by the interval of most samples [s]."""
+    """Resample each piece of a motion; `usual` is the interval of most samples [s]."""
     motion, pieces_rows, spacing = pieces
-    # Clocks that jitter make one rate look like several.
+    # Jittering clocks make one rate look like several.
     if abs(spacing - usual) > _ALIKE * usual:
         report.note(f'{motion.name} put from every {spacing:.4g} s on every {usual:.4g} s')
     long = [rows for rows in pieces_rows
@@ -308,7 +307,7 @@ def _even(pieces: Pieces, usual: float, data: MotionData, report: Report
 
 
 def unwound_piece(motion: Motion, rows: np.ndarray, report: Report) -> Motion:
-    """Return some samples of a motion, in which angles that jumped by a turn go on."""
+    """Return some samples of a motion with angles unwrapped."""
     piece = part_of(motion, rows)
     q, turning = unwound(piece.t, piece.q, piece.v)
     report.note(*(f'turns of coordinate {k + 1} counted' for k in turning))
@@ -316,7 +315,7 @@ def unwound_piece(motion: Motion, rows: np.ndarray, report: Report) -> Motion:
 
 
 def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
-    """Return times from the first on, at an interval [s], none of them after the last."""
+    """Return evenly spaced times [s] from the first time on, none after the last."""
     count = int((t[-1] - t[0]) / spacing * (1.0 + 1e-12)) + 1
     if count > MAX_ROWS:
         raise DataError(f'data.spacing = {spacing:g} s makes more than {MAX_ROWS} rows; give a '
@@ -325,37 +324,37 @@ def even_times(t: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def linear(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values, shape (N, k), at other times, between the measured ones on lines."""
+    """Interpolate values of shape (N, k) linearly at other times."""
     return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
 
 
 def cubic(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values, shape (N, k), at other times, between the measured ones on a spline."""
+    """Interpolate values of shape (N, k) with a cubic spline at other times."""
     return CubicSpline(t, values)(times)
 
 
 def resampled(motion: Motion, spacing: float, between: Between = linear) -> Motion:
     """
-    Return a motion at even times.
+    Resample a motion at even times.
 
     Parameters
     ----------
     motion : Motion
-        Without numbers that lack, and without gaps.
+        Motion without missing numbers and gaps.
     spacing : float
-        From one sample to the next [s].
+        Time between samples [s].
     between : callable
-        Interpolates rates that are not measured further: ``linear`` makes no overshoots of
-        noise, ``cubic`` is exact for slow motions.
+        Interpolation of channels with unmeasured rates: ``linear`` does not overshoot on noise,
+        ``cubic`` is more accurate for slow motions.
 
     """
     t, times = motion.t, even_times(motion.t, spacing)
     q, v, a, tau = motion.q, motion.v, motion.a, motion.tau
     if tau is not None:
-        # Where each force acts until the next, the last one counts.
+        # If each force is held until the next, the latest one applies.
         tau = tau[np.searchsorted(t, times + 1e-9 * spacing, side='right') - 1] \
             if motion.held else linear(times, t, tau)
-    # The slope v helps to interpolate q: clocks of drivers jitter by a large part of the interval.
+    # The slope v improves the interpolation of q: driver clocks jitter by much of an interval.
     q = cubic(times, t, q) if v is None else CubicHermiteSpline(t, q, v)(times)
     if v is not None:
         v = between(times, t, v) if a is None else CubicHermiteSpline(t, v, a)(times)
@@ -365,7 +364,7 @@ def resampled(motion: Motion, spacing: float, between: Between = linear) -> Moti
 
 
 def _check_rates(motion: Motion) -> None:
-    """Refuse velocities and accelerations that are not rates of positions or velocities."""
+    """Raise DataError if velocities or accelerations contradict the measured changes."""
     for name, of, x, rate, remedy in (
             ('velocities', 'positions', motion.q, motion.v, 'have them estimated, by '
              'data.estimate_velocity: true of bags or without v in arrays and logs'),
@@ -382,7 +381,7 @@ def _check_rates(motion: Motion) -> None:
 
 
 def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np.ndarray:
-    """Return values, at times along axis 0, through a zero-phase filter of a cut-off [Hz]."""
+    """Apply a zero-phase low-pass filter with this cut-off [Hz] along axis 0 (even times)."""
     share = 2.0 * spacing * cutoff
     if share > _WHOLE:
         return values
@@ -396,7 +395,7 @@ def low_pass(name: str, values: np.ndarray, spacing: float, cutoff: float) -> np
 
 def smoothed(name: str, t: np.ndarray, q: np.ndarray, v: np.ndarray | None, tau: np.ndarray,
              cutoff: float, a: np.ndarray | None = None) -> EvenMotion:
-    """Return a motion at even times, smoothed, with estimates of the rates that it lacks."""
+    """Return a smoothed motion at even times, with missing rates estimated."""
     def smooth(values: np.ndarray) -> np.ndarray:
         return low_pass(name, values, float(t[1] - t[0]), cutoff)
 
@@ -414,8 +413,8 @@ def clock_resets(t: np.ndarray) -> np.ndarray:
     """
     Return the indices of samples before which the clock was set back, in increasing order.
 
-    Three quarters of those before are then later than three quarters of those after. One stamp
-    that is wrong, or some that are late, are no reset.
+    A reset is detected if three quarters of the samples before are later than three quarters of
+    those after. A single wrong stamp or a few late ones do not count.
     """
     found: list[int] = []
     for i in np.flatnonzero(np.diff(t) < 0.0) + 1:
@@ -428,15 +427,15 @@ def clock_resets(t: np.ndarray) -> np.ndarray:
 
 def increasing(t: np.ndarray) -> np.ndarray:
     """
-    Return the indices of the most samples whose times increase, shape (M,).
+    Return the indices of the largest set of samples with increasing times, shape (M,).
 
-    The longest increasing subsequence: a stamp that is far ahead costs one sample, not all that
+    This is the longest increasing subsequence: a stamp far ahead costs one sample, not all that
     follow (M. Fredman, On computing the length of longest increasing subsequences, Discrete
     Mathematics 11, 1975).
     """
     if (np.diff(t) > 0.0).all():
         return np.arange(len(t))
-    least: list[float] = []  # the smallest time that ends a subsequence of each length
+    least: list[float] = []  # smallest final time of a subsequence of each length
     ends: list[int] = []
     before = np.full(len(t), -1)
     for i, time in enumerate(t):
@@ -452,11 +451,11 @@ def increasing(t: np.ndarray) -> np.ndarray:
 
 def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndarray, list[int]]:
     """
-    Return coordinates that go on where angles jumped by a turn, and which of them did.
+    Unwrap angles that jump by a turn; return the coordinates and the indices of those unwrapped.
 
-    An angle that is kept within one turn jumps by more than half of one from sample to sample,
-    and never leaves 2 pi. Rates, if given, determine the number of turns between two samples;
-    otherwise it is the smallest possible one.
+    A wrapped angle jumps by more than half a turn between samples, and its range is within 2 pi.
+    Rates, if given, determine the number of turns between two samples; otherwise the smallest
+    possible number is taken.
 
     Parameters
     ----------
@@ -465,7 +464,7 @@ def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndar
     q : np.ndarray, shape (N, d)
         Coordinates.
     v : np.ndarray, shape (N, d), or None
-        Their rates.
+        Rates of the coordinates.
 
     """
     steps = np.diff(q, axis=0)
@@ -481,18 +480,18 @@ def unwound(t: np.ndarray, q: np.ndarray, v: np.ndarray | None) -> tuple[np.ndar
 
 def unexplained(t: np.ndarray, x: np.ndarray, rate: np.ndarray) -> np.ndarray:
     """
-    Return the share of the motion of each coordinate that its rates do not explain, shape (d,).
+    Return the share of the motion of each coordinate not explained by its rates, shape (d,).
 
-    Of the squares of the changes of x over 1, 2, 4, ... samples, the least share that is left
-    when the integral of the rates is taken off: 0 for rates without noise, 1 for rates that are
-    zero. NaN for a coordinate that hardly moves.
+    This is the minimum over lags 1, 2, 4, ... of the mean squared change of x minus the integral
+    of the rates, divided by that of x: 0 for exact rates, 1 for zero rates, NaN for a coordinate
+    that hardly moves.
 
     Parameters
     ----------
     t : np.ndarray, shape (N,)
         Times [s].
     x, rate : np.ndarray, shape (N, d)
-        Coordinates, and their supposed rates.
+        Coordinates and their supposed rates.
 
     """
     rest = x - cumulative_trapezoid(rate, t, axis=0, initial=0.0)
@@ -504,7 +503,7 @@ def _share(x: np.ndarray, rest: np.ndarray) -> float:
     steps = changes[changes > 0.0]
     if not len(steps):
         return np.nan
-    # A sensor tells no less than its quantum, nor than what it jumps by from sample to sample.
+    # Sensor noise is at least the quantum and at least the median second difference.
     noise = max(float(steps.min()), float(np.median(np.abs(np.diff(x, 2)))))
     shares, apart = [], 1
     while apart <= len(x) // 2:
@@ -516,30 +515,30 @@ def _share(x: np.ndarray, rest: np.ndarray) -> float:
 
 
 def steps_between(spacing: float, step_size: float) -> int:
-    """Return how many steps of about a size [s], or less, make the interval of samples [s]."""
+    """Return the number of steps of about `step_size` [s] or less in a sampling interval [s]."""
     return max(1, math.ceil(spacing / step_size - _CLOCK))
 
 
 def delayed(motion: EvenMotion, samples: float) -> EvenMotion:
-    """Return a motion whose forces act so many samples later; the first and last ones last."""
+    """Delay the forces by a number of samples; the first and last forces are held."""
     at = np.arange(len(motion.t), dtype=np.float64)
     return replace(motion, tau=linear(at - samples, at, motion.tau))
 
 
 def run_of(motion: Motion) -> str:
-    """Return the name of the run that this is a piece of."""
+    """Return the name of the run that a piece was cut from."""
     return motion.name.rpartition('#')[0] or motion.name
 
 
 def train_and_test(runs: Sequence[Record], test_runs: Sequence[str]
                    ) -> tuple[list[Record], list[Record]]:
     """
-    Return runs to learn from and runs to judge by: those named, or the last fifth of each.
+    Split runs into training and test runs: the named ones, or the last fifth of each run.
 
     Raises
     ------
     DataError
-        One that is named is not among them.
+        A named run is missing.
 
     """
     names = list(dict.fromkeys(run_of(run) for run in runs))
@@ -555,7 +554,7 @@ def train_and_test(runs: Sequence[Record], test_runs: Sequence[str]
 
 
 def part_of(record: Record, rows: slice | np.ndarray) -> Record:
-    """Return a run, or other dataclass, with some rows of each of its arrays."""
+    """Return a run, or another dataclass, with some rows of each of its arrays."""
     parts: dict[str, Any] = {name: values[rows] for name, values in vars(record).items()
                              if isinstance(values, np.ndarray)}
     return replace(record, **parts)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Training data from wherever a configuration or a command line says that they are."""
+"""Load training data from the source named by a configuration or on the command line."""
 
 from collections.abc import Sequence
 import os
@@ -19,12 +19,12 @@ from pydantic import Field
 
 Source = Annotated[ExactData | MeasuredData | BagData, Field(discriminator='kind')]
 MotionSource = ArraysData | BagMotions | LogMotions
-# The suffix of files of arrays.
+# Suffix of array files.
 _ARRAYS = '.npz'
 
 
 def dimension(data: Source) -> int:
-    """Return the number of coordinates of a source."""
+    """Return the number of coordinates of a data source."""
     if isinstance(data, BagData):
         return len(data.joints)
     return len(data.box.q if isinstance(data, ExactData) else data.q)
@@ -37,14 +37,14 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
     Parameters
     ----------
     data : Source
-        What to learn from.
+        Data source.
     seed : int
-        Of samples.
+        Seed of the random samples.
     source : Path
-        The file of the configuration; relative paths of the data are looked up in its folder,
+        Path of the configuration; relative data paths are looked up in its folder,
         then in the working directory.
     given : sequence of str
-        Files that replace those of the configuration.
+        Files that override the configured ones.
 
     Raises
     ------
@@ -63,26 +63,26 @@ def make_dataset(data: Source, seed: int, source: Path, given: Sequence[str] = (
 def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: Sequence[str] = ()
                  ) -> tuple[list[EvenMotion], str]:
     """
-    Read measured motions, and put them on even times.
+    Read measured motions and resample them at even times.
 
     Parameters
     ----------
     source, given
-        See make_dataset; ``FILE:RUN,RUN`` for some runs of arrays.
+        As in make_dataset; ``FILE:RUN,RUN`` selects runs of arrays.
     data : ArraysData, BagMotions or LogMotions
-        Their format.
+        Format of the data.
     names : sequence of str
-        Of the coordinates.
+        Names of the coordinates.
 
     Returns
     -------
     list of EvenMotion and str
-        The motions, which share one interval, and a description of them.
+        The motions, which share one interval, and a description of the data.
 
     Raises
     ------
     DataError
-        They cannot be read.
+        The motions cannot be read.
 
     """
     return even_motions(_recording(source, data, names, given), data)
@@ -90,7 +90,7 @@ def read_motions(source: Path, data: MotionSource, names: Sequence[str], given: 
 
 def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names: Sequence[str],
                given: Sequence[str]) -> Recording:
-    """Return the motions as they were measured."""
+    """Return the motions as measured."""
     if isinstance(data, BagData | BagMotions):
         return read_bags(bags_of(source, data.paths, given), data, names)
     hint = f', which is {data.source}' if isinstance(data, MeasuredData) and data.source else ''
@@ -103,12 +103,12 @@ def _recording(source: Path, data: MeasuredData | BagData | MotionSource, names:
 
 def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[EvenMotion], str]:
     """
-    Return states and rates as measured motions, with commands for forces.
+    Convert states and rates to measured motions, with commands as forces.
 
     Raises
     ------
     DataError
-        They have no times, or no motion has enough samples in a row.
+        There are no times, or no motion has enough consecutive samples.
 
     """
     if dataset.t is None:
@@ -125,7 +125,7 @@ def motions_of(dataset: Dataset, data: MotionData) -> tuple[list[EvenMotion], st
 
 
 def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> Path:
-    """Return the one file of some data: that given, or that of a configuration; or DataError."""
+    """Return the one data file, given or configured; raise DataError for none or several."""
     if len(given) > 1:
         raise DataError(f'{source}: its data are one file, but --data has {len(given)}; join '
                         'them')
@@ -135,7 +135,7 @@ def one_file(source: Path, path: str, given: Sequence[str], hint: str = '') -> P
 
 
 def bags_of(source: Path, paths: Sequence[str], given: Sequence[str]) -> list[Path]:
-    """Return the given bags, or else a configuration's; DataError if there are none."""
+    """Return the given bags, or else the configured ones; raise DataError if there are none."""
     if not (given or paths):
         raise DataError(f'{source}: data.paths is empty; pass bags with --data BAG ...')
     return [Path(path) for path in given] or [_beside(source, path) for path in paths]
@@ -148,7 +148,7 @@ def _beside(source: Path, path: str) -> Path:
 
 
 def guessed(path: str) -> ArraysData | BagMotions:
-    """Return the format of a file that nothing else is said of: arrays or a bag; or DataError."""
+    """Guess the format of a file, arrays or a bag, from the file alone; DataError if unknown."""
     file, _ = split_runs(path)
     if file.suffix == _ARRAYS:
         return ArraysData()

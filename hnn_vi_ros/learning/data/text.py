@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read motions from text files, a row of numbers for each instant."""
+"""Read motions from text files with one row of numbers per sample."""
 
 from array import array
 import os
@@ -18,24 +18,24 @@ import numpy as np
 from pydantic import Field, model_validator
 
 MAX_BYTES = 256 << 20
-MAX_VALUE = 1e100  # whose square is still a number
-# Columns of a header.
+MAX_VALUE = 1e100  # its square is still finite
+# Maximum number of columns of a header.
 _MOST_COLUMNS = 1000
-# Blocks of neighbouring rows in a trial whose derivatives come from one spline through all rows.
+# Number of blocks of neighbouring rows in a trial differentiated with one spline.
 BLOCKS = 20
 
 _DATE = re.compile(r'\d+[-/:.]\d+[-/:.]\d.*')
 _COMMA = re.compile(r'[+-]?\d*,\d+(e[+-]?\d+)?', re.IGNORECASE)
-# Whitespace last: it also splits at the space after a comma.
+# Whitespace comes last because it also splits at the space after a comma.
 _SEPARATORS = {'comma': ',', 'semicolon': ';', 'tab': '\t', 'whitespace': None}
 _OTHER_TIME = re.compile(
     r'(?<![a-z])([mun]s(ecs?)?|µs|(milli|micro|nano)s\w*|min(utes)?)(?![a-z])', re.IGNORECASE)
 
 
 class LogColumns(StrictModel):
-    """Columns of a log: a text file with one row of numbers for each instant."""
+    """Columns of a log, a text file with one row of numbers per sample."""
 
-    # The key of the columns of each channel of a motion.
+    # Configuration key of the columns of each channel of a motion.
     keys: ClassVar[dict[str, str]]
 
     path: str = Field('', max_length=4096, description='the log; --data FILE overrides it')
@@ -58,12 +58,12 @@ class LogColumns(StrictModel):
 
     @property
     def used(self) -> list[str]:
-        """Return the names of the columns that are used."""
+        """Return the names of the columns in use."""
         return [self.time, *([] if self.trial is None else [self.trial]),
                 *(name for group in self.channels.values() for name in group)]
 
     def check_columns(self) -> None:
-        """Raise ValueError for a column that there is not, or that is used twice."""
+        """Raise ValueError for a missing column or one that is used twice."""
         for name in self.used:
             if (self.columns or [name]).count(name) != 1 or self.used.count(name) != 1:
                 raise ValueError(f'column {name} must stand once in columns and be used once')
@@ -74,7 +74,7 @@ class LogColumns(StrictModel):
 
 
 class MeasuredData(LogColumns, StateOptions):
-    """States of a log, one or several recordings, and their rates."""
+    """States of a log with one or several recordings, and their rates."""
 
     keys = {'q': 'q', 'p': 'p', 'v': 'dq_dt', 'dp_dt': 'dp_dt'}
 
@@ -101,15 +101,15 @@ class MeasuredData(LogColumns, StateOptions):
 
     @property
     def least(self) -> int:
-        """Return the rows that a motion needs: five for a spline, any number with its rates."""
+        """Return the minimum number of rows: 5 for a spline, 1 if rates are measured."""
         return 1 if self.method(1.0) is None else 5
 
     def method(self, spacing: float) -> Derivatives | None:
-        """Return how rates are estimated, unless the log has both."""
+        """Return the differentiation method; None if the log has both rates."""
         return None if self.dq_dt and self.dp_dt else self.derivatives
 
     def blocks(self, t: np.ndarray, window: int) -> np.ndarray:
-        """Return blocks of one window each, or one row where nothing is estimated."""
+        """Return blocks of one window each, or of one row if no rate is estimated."""
         if self.block is not None:
             return time_blocks(t, self.block)
         spline = 1 if self.method(1.0) is None else max(len(t) // BLOCKS, 1)
@@ -117,7 +117,7 @@ class MeasuredData(LogColumns, StateOptions):
 
 
 class LogMotions(LogColumns, MotionData):
-    """Motions of a log, of one run or of several that a column numbers."""
+    """Motions of a log with one run, or several numbered by a column."""
 
     keys = {'q': 'q', 'v': 'v', 'a': 'a', 'tau': 'tau'}
 
@@ -142,19 +142,19 @@ class LogMotions(LogColumns, MotionData):
 
 def read_text(path: Path, data: LogColumns) -> Recording:
     """
-    Read the motions of a log, one for each recording in it.
+    Read the motions of a log, one per recording.
 
     Parameters
     ----------
     path : Path
-        A text file of at most 256 MiB; a field that is empty or ``nan`` is a number that lacks.
+        Text file of at most 256 MiB; an empty field or ``nan`` is a missing number.
     data : LogColumns
-        Its columns.
+        Columns of the log.
 
     Raises
     ------
     DataError
-        The file cannot be read, or a row cannot; names file and line.
+        The file or a row cannot be read; the message names file and line.
 
     """
     table, lines, digest, names = read_log(path, data)
@@ -180,7 +180,7 @@ def read_text(path: Path, data: LogColumns) -> Recording:
 
 
 def _check_units(path: Path, data: LogColumns) -> None:
-    """Raise DataError for columns named in degrees, unless data name them or none, or in ms."""
+    """Raise DataError for columns in degrees, unless `data` names them or none, or in ms."""
     if _OTHER_TIME.search(data.time):
         raise DataError(f'{path}: column {data.time!r}: times must be in seconds; convert the '
                         'column, or rename it if it is in s')
@@ -197,20 +197,20 @@ def read_log(path: Path, data: LogColumns) -> tuple[np.ndarray, np.ndarray, str,
     Parameters
     ----------
     path : Path
-        A text file of at most 256 MiB.
+        Text file of at most 256 MiB.
     data : LogColumns
-        How its rows are read.
+        Format of its rows.
 
     Returns
     -------
     np.ndarray, shape (N, columns), np.ndarray of int, shape (N,), str, and list of str
-        In this order.
+        Numbers, lines, SHA-256, columns.
 
     """
     if not os.path.isfile(path):
         raise DataError(f'{path}: {no_file(path, "no such data file")}; pass the log with '
                         '--data FILE')
-    # As numbers, of eight bytes each: lists of lists would take ten times the log.
+    # Stored as 8-byte numbers: lists of lists would take ten times the size of the log.
     numbers, lines, names = array('d'), array('q'), data.columns
     try:
         for number, line in text_lines(path, MAX_BYTES):
@@ -234,19 +234,19 @@ def read_log(path: Path, data: LogColumns) -> tuple[np.ndarray, np.ndarray, str,
 
 
 def _fields(line: str, data: LogColumns, most: int) -> list[str]:
-    # No further than needed: a line may be as long as the file.
+    # Limit the splits: a line may be as long as the file.
     mark = _SEPARATORS[data.delimiter or 'whitespace']
     return [field.strip().strip('"') for field in line.split(mark, most)]
 
 
 def _delimited(line: str, data: LogColumns, given: bool = True) -> LogColumns:
-    """Return data with the delimiter that they name, or else the one that fits a first line."""
+    """Return `data` with its delimiter, or the one that fits the first line best."""
     if data.delimiter and given:
         return data
     ways = [data.model_copy(update={'delimiter': delimiter}) for delimiter in _SEPARATORS]
     fields = [_fields(line, way, _MOST_COLUMNS) for way in ways]
-    # Where none has all names, the one that has most of their letters is most likely meant; where
-    # some have as many, the first: between spaces, the commas of 't , x' are fields too.
+    # If no delimiter yields all names, take the one that yields most of their letters; on a tie
+    # the first, because splitting 't , x' at spaces makes fields of commas too.
     scores = [len(found) == len(data.columns) if data.columns else
               sum(map(len, {*data.used} & {*found})) for found in fields]
     if not any(scores):
@@ -255,7 +255,7 @@ def _delimited(line: str, data: LogColumns, given: bool = True) -> LogColumns:
 
 
 def _header(place: str, line: str, data: LogColumns) -> Names:
-    """Return the names in the first line of a log, which must have those that are used."""
+    """Return the names in the first line of a log; it must contain all that are used."""
     names = _fields(line, data, _MOST_COLUMNS)
     other = _delimited(line, data, given=False)
     for name in data.used:
@@ -270,7 +270,7 @@ def _header(place: str, line: str, data: LogColumns) -> Names:
 
 
 def _row(place: str, line: str, data: LogColumns, names: Names, first: bool) -> list[float]:
-    """Return the numbers of a line; none of the header that may come first."""
+    """Return the numbers of a line, or [] if it is an optional header."""
     fields = _fields(line, data, len(names) + 1)
     if first and fields == names:
         return []
@@ -278,7 +278,7 @@ def _row(place: str, line: str, data: LogColumns, names: Names, first: bool) -> 
         more = ' or more' * (len(fields) > len(names) + 1)
         raise DataError(f'{place}: {len(fields)} columns{more}, expected '
                         f'{len(names)}: {listed(names)}')
-    # Of a header that was only read, columns that nobody uses may hold anything.
+    # If the header was read from the file, unused columns may hold anything.
     known = names if data.columns is not None else data.used
     return [np.nan if field.lower() in ('', 'nan') or name not in known else
             _number(place, i, field, name)
