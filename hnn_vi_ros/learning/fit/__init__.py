@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit a family to data: configurations, losses, steps, and the loop."""
+"""Fitting of model families to data: configurations, losses, steps, training loop."""

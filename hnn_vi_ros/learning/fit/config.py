@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The schema of a training configuration, by its family: joined of those of its parts."""
+"""Schema of training configurations, one per family."""
 
 from collections.abc import Sequence
 import os
@@ -42,7 +42,7 @@ Rate = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
 class TrainingConfig(StrictModel):
-    """One training run; a file states only what differs from the defaults."""
+    """Configuration of one training run; omitted keys take the defaults."""
 
     description: str = Field('', max_length=1000)
 
@@ -56,14 +56,14 @@ class TrainingConfig(StrictModel):
         return coordinates
 
     def check_loss(self, family: FamilyChoice, kind: str) -> None:
-        """Raise ValueError if a loss does not train a family."""
+        """Raise ValueError if a loss cannot train a family."""
         if kind not in family.losses:
             raise ValueError(f'loss: {kind} does not train the family {family.kind}; valid: '
                              f'{", ".join(family.losses)}')
 
 
 class ReferenceState(StrictModel):
-    """The state that sets the zero of the energy, which its gradient leaves open."""
+    """The state of zero energy; it fixes the constant that the gradient of H leaves free."""
 
     q: list[float]
     p: list[float]
@@ -71,7 +71,7 @@ class ReferenceState(StrictModel):
 
 
 class FieldConfig(TrainingConfig):
-    """A family that learns a field of (q, p)."""
+    """Configuration of a family that learns H or a vector field of (q, p)."""
 
     coordinates: list[CoordinateCard] = Field(min_length=1)
     data: Source
@@ -117,7 +117,7 @@ class FieldConfig(TrainingConfig):
 
 
 class MachineCoordinate(CoordinateCard):
-    """A joint."""
+    """A joint of a machine."""
 
     kind: Kind = Field('revolute', description=(
         'revolute: an angle with ends; continuous: one that turns over, of period 2 pi; '
@@ -125,7 +125,7 @@ class MachineCoordinate(CoordinateCard):
 
 
 class MachineConfig(TrainingConfig):
-    """A family that learns a machine from (q, v, tau)."""
+    """Configuration of a family that learns a machine from (q, v, tau)."""
 
     coordinates: list[MachineCoordinate] = Field([], max_length=MOST_JOINTS, description=(
         'at least one; of a rigid_body joints of its URDF, and all that move if none is named'))
@@ -168,11 +168,11 @@ class MachineConfig(TrainingConfig):
 
     @property
     def windows(self) -> Trajectory:
-        """Return the windows by which a rigid body is fitted."""
+        """Return the windows used to fit a rigid body."""
         return self.loss if isinstance(self.loss, Trajectory) else Trajectory()
 
     def loss_of(self, motions: Sequence[Motion]) -> Forward | Inverse | Discrete | Trajectory:
-        """Return the loss for motions, whose accelerations were measured or not."""
+        """Return the configured loss, or the default for these motions."""
         if self.loss is not None:
             return self.loss
         alone = self.family.prior in (None, AUTO)
@@ -182,21 +182,21 @@ class MachineConfig(TrainingConfig):
     def motions(self, source: Path, names: Sequence[str], given: Sequence[str], **changes: object
                 ) -> tuple[list[EvenMotion], str]:
         """
-        Return the motions of the data, measured or computed, and what they are.
+        Return the motions of the data, measured or computed, and their description.
 
         Parameters
         ----------
         source, given
-            See ``read_motions``.
+            As in ``read_motions``.
         names : sequence of str
-            Of the coordinates.
+            Names of the coordinates.
         **changes
-            Options of the data.
+            Changed options of the data.
 
         Raises
         ------
         DataError
-            They cannot be read, or files are given although they are computed.
+            The motions cannot be read, or files are given for computed motions.
 
         """
         data = self.data.model_copy(update=changes)
@@ -209,20 +209,20 @@ class MachineConfig(TrainingConfig):
         return excited_motions(data, self.family.robot(names), self.seed)
 
     def structure(self) -> Structure:
-        """Return the structure of the networks; ValueError for a name of no coordinate."""
+        """Return the structure of the networks; ValueError for an unknown coordinate name."""
         return self.family.structure([coordinate.name for coordinate in self.coordinates],
                                      [coordinate.kind for coordinate in self.coordinates])
 
 
 class BodyCoordinate(CoordinateCard):
-    """A body."""
+    """The coordinate of a body."""
 
     kind: Literal['rotation', 'pose'] = Field(description=(
         'rotation: it turns about a point; pose: it moves as well'))
 
 
 class BodyConfig(TrainingConfig):
-    """A family that learns a body that turns."""
+    """Configuration of a family that learns a rotating body."""
 
     coordinates: list[BodyCoordinate] = Field(min_length=1, max_length=1)
     data: Annotated[BodyArrays | BodyWindows, Field(discriminator='kind')]
@@ -248,7 +248,7 @@ class BodyConfig(TrainingConfig):
 
     @property
     def kind(self) -> Literal['rotation', 'pose']:
-        """Return how the body moves."""
+        """Return the kind of motion of the body."""
         return self.coordinates[0].kind
 
 
@@ -260,17 +260,17 @@ _SCHEMAS: dict[str, type[FieldConfig] | type[MachineConfig] | type[BodyConfig]] 
 
 def find_config(config: str) -> Path:
     """
-    Return the file of a training configuration.
+    Return the path of a training configuration.
 
     Parameters
     ----------
     config : str
-        The name of a shipped one, or the path of a YAML file.
+        Name of a shipped configuration, or path of a YAML file.
 
     Raises
     ------
     DataError
-        No such configuration; lists the valid names.
+        The configuration does not exist; the message lists the valid names.
 
     """
     return find_yaml('training', config, DataError)
@@ -278,12 +278,12 @@ def find_config(config: str) -> Path:
 
 def load_config(path: Path) -> AnyConfig:
     """
-    Read and validate a training configuration, by the schema of its family.
+    Read a training configuration and validate it with the schema of its family.
 
     Raises
     ------
     DataError
-        It cannot be read or is not valid; names file, line and key.
+        The file cannot be read or is invalid; the message names file, line and key.
 
     """
     data, places = parse_mapping(read_text(path, DataError), path, DataError)
@@ -301,7 +301,7 @@ def load_config(path: Path) -> AnyConfig:
 
 
 def load_machine(path: Path) -> MachineConfig:
-    """Read a training configuration of a machine; DataError for another one."""
+    """Read a training configuration of a machine; raise DataError for other families."""
     config = load_config(path)
     if not isinstance(config, MachineConfig):
         raise DataError(f'{path}: the family {config.family.kind} is no machine; take a '
@@ -310,7 +310,7 @@ def load_machine(path: Path) -> MachineConfig:
 
 
 def _with_robot(path: Path, config: MachineConfig, family: RigidBodyChoice) -> MachineConfig:
-    """Return a configuration whose URDF was found, with the coordinates of its joints."""
+    """Return a configuration with its URDF located and the coordinates of its joints filled in."""
     given = {coordinate.name: coordinate for coordinate in config.coordinates}
     try:
         file = package_file(family.file) if family.file.startswith(SCHEME) else \

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motions that are computed of a robot, in place of measured ones."""
+"""Simulated excitation of a robot, as a replacement for measured motions."""
 
 from typing import Literal
 
@@ -13,16 +13,16 @@ import numpy as np
 from pydantic import Field
 import torch
 
-# Sines of each joint; and the width of the speeds at which dry friction changes sign, as in the
-# effect joint_friction [rad/s], [m/s].
+# Number of sines per joint, and the width of the speed range in which dry friction changes
+# sign, as in the effect joint_friction [rad/s], [m/s].
 _SINES, _SPEED = 5, 0.01
-# The share of the room between limits that is used, and the amplitude of joints without limits
+# Share of the range between limits that is used, and amplitude of joints without limits
 # [rad], [m].
 _ROOM, _UNLIMITED = 0.4, 1.5
 
 
 class ExcitationData(MotionData):
-    """Each joint of the URDF along a sum of sines; forces by its H, its damping and friction."""
+    """Motions of joints along sums of sines; forces of the URDF with damping and friction."""
 
     kind: Literal['excitation'] = 'excitation'
     runs: int = Field(5, ge=1, le=1000)
@@ -39,16 +39,16 @@ class ExcitationData(MotionData):
 def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
                     ) -> tuple[list[EvenMotion], str]:
     """
-    Return motions of a robot, and what they are.
+    Return computed motions of a robot and their description.
 
     Parameters
     ----------
     data : ExcitationData
-        How many, how fast and how noisy.
+        Number, speed and noise of the motions.
     robot : RigidBodyTree
-        What moves.
+        The robot.
     seed : int
-        Of sines and noise.
+        Seed of the sines and the noise.
 
     """
     rng, d = np.random.default_rng(seed), robot.dimension
@@ -74,7 +74,7 @@ def excited_motions(data: ExcitationData, robot: RigidBodyTree, seed: int
 
 def _sines(rng: np.random.Generator, robot: RigidBodyTree, t: np.ndarray, fastest: float
            ) -> tuple[np.ndarray, ...]:
-    """Return coordinates, velocities and accelerations, each of shape (N, d)."""
+    """Return coordinates, velocities and accelerations, shape (N, d) each."""
     found = np.zeros((3, len(t), robot.dimension))
     for j, joint in enumerate(robot.joints):
         low, high = joint.bounds

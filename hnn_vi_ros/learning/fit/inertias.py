@@ -1,13 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Identify a robot of rigid bodies and its friction from measured motions.
+Identify the inertial parameters and friction of a rigid-body robot from measured motions.
 
-The forces are linear in the parameters theta, Y(q, v, a) theta = tau, and theta(x) is physically
-consistent for every x, with x = 0 for the URDF. Least squares on the stacked regressor Y, each
-joint in units of its own noise, and a small preference for x = 0 fix x; along directions that the
-data determine to less than _DETERMINED that preference is as strong as a sample. Noise of
-accelerations biases this estimate towards zero; a fit of simulated windows can follow.
+The forces are linear in the parameters, Y(q, v, a) theta = tau, and theta(x) is physically
+consistent for every x, with x = 0 for the URDF. x minimises the residual of the stacked
+regressor Y, each joint scaled by its noise, plus a small regularisation towards x = 0, which
+weighs as much as one sample in directions that the data determine to less than _DETERMINED.
+Acceleration noise biases this estimate towards zero; a fit of simulated windows can follow.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -32,15 +32,15 @@ from scipy.optimize import least_squares, OptimizeResult
 from scipy.stats import norm, t as student_t
 import torch
 
-# Half an interval that holds 95 % of a normal distribution, in standard deviations.
+# Half-width of a 95 % interval of the normal distribution, in standard deviations.
 _HALF = 1.96
-# Samples at a time: more would fill the memory.
+# Number of samples per chunk, which limits the memory.
 _CHUNK = 5000
 
 
 def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
                       motions: Sequence[EvenMotion]) -> Checkpoint:
-    """Return the model of a rigid body whose card tells its forces' errors along motions."""
+    """Return an identified rigid-body model with its force errors along motions in the card."""
     mechanical = checkpoint.card.mechanical
     if mechanical is None or mechanical.prior is None or mechanical.prior.identification is None:
         return checkpoint
@@ -55,14 +55,14 @@ def with_force_errors(checkpoint: Checkpoint, network: MechanicalNetwork,
 def force_errors(network: MechanicalNetwork, motions: Sequence[EvenMotion]
                  ) -> tuple[list[float], list[float]]:
     """
-    Return how far forces are off along motions, and the share that networks have in them.
+    Return the force errors along motions, and the share of the forces that networks produce.
 
     Returns
     -------
     list of float, d
-        Squared error over the variance, of each joint [1].
+        Squared error divided by the variance, per joint [1].
     list of float, d
-        RMS of the forces of networks over that of all forces [1]; empty without networks.
+        RMS force of the networks divided by that of all forces [1]; empty without networks.
 
     """
     errors, added, measured = zip(*(_errors(network, motion) for motion in motions), strict=True)
@@ -75,7 +75,7 @@ def force_errors(network: MechanicalNetwork, motions: Sequence[EvenMotion]
 
 
 def _errors(network: MechanicalNetwork, motion: EvenMotion) -> tuple[np.ndarray, ...]:
-    """Return errors of forces, the part of networks, and the measured forces, (N, d) each."""
+    """Return errors of forces, forces of networks, and measured forces, shape (N, d) each."""
     states = motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau
     chunks = zip(*(torch.tensor(part).split(_CHUNK) for part in states), strict=True)
     forces, added = [], []
@@ -87,7 +87,7 @@ def _errors(network: MechanicalNetwork, motion: EvenMotion) -> tuple[np.ndarray,
 
 
 def identified_text(card: ModelCard) -> str:
-    """Return the tables of identified parameters; '' for other models."""
+    """Return the tables of identified parameters, or '' for other models."""
     prior = None if card.mechanical is None else card.mechanical.prior
     if card.mechanical is None or prior is None or prior.identification is None:
         return ''
@@ -121,41 +121,41 @@ def _lines(names: Sequence[str], prior: PriorCard, found: Identification, fricti
 
 
 def sum_text(combination: Mapping[str, float]) -> str:
-    """Return a linear combination as people write it."""
+    """Format a linear combination."""
     text = ' '.join(f'{"-" if factor < 0.0 else "+"} '
                     f'{"" if abs(factor) == 1.0 else f"{abs(factor):.4g} "}{name}'
                     for name, factor in combination.items())
     return text.removeprefix('+ ')
 
 
-# Samples at most, and blocks of them for each joint that count as independent of each other:
-# longer than noise is remembered, and some for each number that is fitted.
+# Maximum number of samples, and number of blocks per joint regarded as independent: longer
+# than the noise correlation, and several for each fitted parameter.
 _SAMPLES, _BLOCKS = 20000, 25
-# Windows that are simulated at most: a tree takes ten times what a chain does.
+# Maximum number of simulated windows; a tree takes ten times as long as a chain.
 _WINDOWS = 200
-# States whose accelerations are looked at.
+# Number of states at which accelerations are compared.
 _STATES = 2000
-# Data determine a direction if their noise moves it by less than one part in so many of the URDF;
-# singular values below this share of the largest one are rounding.
+# A direction is determined if noise changes it by less than 1 / _DETERMINED of the URDF's
+# value; singular values below _ROUNDING times the largest are zero.
 _DETERMINED, _ROUNDING = 3.0, 1e-8
-# Noise is not less than this share of the force; preference for the URDF, in standard deviations.
+# Minimum noise as a share of the force; weight of the URDF, in standard deviations.
 _LEAST_NOISE, _PREFERENCE = 1e-9, 0.1
-# Factors of base parameters smaller than this, in units of parameters, are left out.
+# Coefficients of base parameters below this, in units of the parameters, are dropped.
 _SMALL = 1e-6
-# Masses come last among base parameters: their columns are scaled by this factor.
+# Column scale of masses, which makes them the last choice of base parameters.
 _MASS_LAST = 1e-3
 
 
 class Unknowns(RigidUnknowns):
     """
-    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb); some of them are fixed.
+    Unknowns x = (log-Cholesky, rotors, offsets, viscous, Coulomb), some of them fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        With a RigidTree, and without networks.
+        Network with a RigidTree and without residual networks.
     rotors, offsets : bool
-        Whether those are identified as well.
+        True to identify rotors and offsets too.
 
     """
 
@@ -177,19 +177,19 @@ class Unknowns(RigidUnknowns):
                            np.zeros(d), np.full(rubbing, 10.0 * LEAST)]
 
     def linear(self, x: torch.Tensor) -> torch.Tensor:
-        """Return all that the forces are linear in, shape (k,), of x in units of ``scale``."""
+        """Return the parameters that enter forces linearly, (k,); x is in units of ``scale``."""
         prior, friction = (x * torch.tensor(self.scale)).tensor_split(self.sizes[:1])
         log, rotors, offsets = self.raw_prior(prior).values()
         values = torch.cat([self.tree.inertial(log), rotors[:, None], offsets[:, None]], dim=1)
         return torch.cat([values.flatten(), friction])
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Return the derivatives of ``linear`` by x."""
+        """Return the Jacobian of ``linear`` with respect to x."""
         found: np.ndarray = torch.func.jacfwd(self.linear)(torch.tensor(x)).numpy()
         return found
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return log-Cholesky parameters, rotors and offsets; see RigidUnknowns."""
+        """Return log-Cholesky parameters, rotors and offsets, as in RigidUnknowns."""
         log, rotors, offsets = values.split(self._parts)
         return {'prior.raw': log.reshape(-1, INERTIAL), 'prior.rotor': rotors,
                 'prior.offset': offsets}
@@ -197,16 +197,16 @@ class Unknowns(RigidUnknowns):
 
 class Equations(NamedTuple):
     """
-    Forces of N samples of d joints, by k parameters that they are linear in.
+    Linear equations for the forces of N samples of d joints in k parameters.
 
     Parameters
     ----------
     matrix : np.ndarray, shape (N, d, k)
         The regressor.
     forces : np.ndarray, shape (N, d)
-        As measured.
+        Measured forces.
     blocks : np.ndarray of int, shape (N,)
-        Which stretch of a motion a sample is of.
+        Index of each sample's block of consecutive samples.
 
     """
 
@@ -217,22 +217,22 @@ class Equations(NamedTuple):
 
 class Information(NamedTuple):
     """
-    Information of the data on the inertial parameters at x, with rotors and offsets.
+    Information of the data on the inertial parameters, rotors and offsets at x.
 
     Parameters
     ----------
     held : np.ndarray, shape (n, m)
         Directions of the n free entries of x that the data do not determine.
     excited : np.ndarray, shape (n, r)
-        The others, which are orthogonal to these.
+        Their orthogonal complement, the determined directions.
     felt : np.ndarray, shape (n, s)
-        All directions that change forces at all, the excited ones first.
+        All directions that affect the forces, the determined ones first.
     base : np.ndarray, shape (s, k)
-        Factors of parameters in the combinations that the forces depend on.
+        Coefficients of the base parameters, the combinations on which the forces depend.
     units : np.ndarray, shape (s,)
-        Changes of the base parameters with x, each by its first parameter.
+        Scales of the base parameters: change of the first parameter of each with x.
     idle : list of np.ndarray, each (k,)
-        Changes of parameters that make no force.
+        Parameter changes that do not affect the forces.
 
     """
 
@@ -248,29 +248,29 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
                       motions: Sequence[EvenMotion], rotors: bool = False, offsets: bool = True
                       ) -> dict[str, float]:
     """
-    Identify a tree and its friction, whose widths stay what they are.
+    Identify the inertias and friction of a tree; the friction widths stay fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        With a RigidTree and without networks; changed in place. It keeps what was found of it as
-        ``prior.identification``.
+        Network with a RigidTree and without residual networks; changed in place. The result is
+        stored in ``prior.identification``.
     config : MachineConfig
-        How.
+        Configuration of the fit.
     motions : sequence of EvenMotion
-        What to learn from, with forces.
+        Measured motions with forces.
     rotors, offsets : bool
-        Whether those are identified as well.
+        True to identify rotors and offsets too.
 
     Returns
     -------
     dict
-        The loss after each fit, infinite where windows were thrown far.
+        Loss after each fit, inf where a window diverged.
 
     Raises
     ------
     DataError
-        There are no forces on some joint.
+        Some joint has no measured forces.
 
     """
     unknowns = Unknowns(network, rotors, offsets)
@@ -298,7 +298,7 @@ def identify_inertias(network: MechanicalNetwork, config: MachineConfig,
 
 def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cutoff: float
                  ) -> Equations:
-    """Return the equations of motions; what was measured is filtered as the motions are [Hz]."""
+    """Return the equations of motions; forces get the cut-off of the states' filter [Hz]."""
     every = max(1, sum(len(motion.t) for motion in motions) // _SAMPLES)
     length = sum(len(motion.t) for motion in motions) / (_BLOCKS * network.d)
     found, first = [], 0
@@ -308,7 +308,7 @@ def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cuto
                 motion.q_smooth, motion.v_smooth, motion.a_smooth, motion.tau))).numpy()
         forces = motion.tau
         if motion.a is None:
-            # Alike, so that they stay equal.
+            # Both sides get the same filter, so that they stay equal.
             matrix, forces = (low_pass(motion.name, part, motion.spacing, cutoff)
                               for part in (matrix, forces))
         blocks = first + (np.arange(len(motion.t)) / length).astype(int)
@@ -318,7 +318,7 @@ def equations_of(network: MechanicalNetwork, motions: Sequence[EvenMotion], cuto
 
 
 def _weights(equations: Equations, unknowns: Unknowns) -> np.ndarray:
-    """Return one over the noise of each joint, autocorrelation included."""
+    """Return the reciprocal noise of each joint, including autocorrelation."""
     n, d = equations.forces.shape
     size = np.sqrt(np.mean(equations.forces**2, axis=0))
     weights, least = 1.0 / size, _LEAST_NOISE * size
@@ -330,7 +330,7 @@ def _weights(equations: Equations, unknowns: Unknowns) -> np.ndarray:
         errors = equations.forces - equations.matrix[:, :, used] @ (columns[used] * found)
         sums = np.stack([errors[equations.blocks == block].sum(axis=0)
                          for block in np.unique(equations.blocks)])
-        # The variance of sums, that of each sample if they are independent.
+        # Variance of block sums; it equals the variance of a sample if samples are independent.
         noise = np.maximum((sums**2).sum(axis=0) / n, np.mean(errors**2, axis=0))
         weights = 1.0 / np.maximum(np.sqrt(noise), least)
     return weights
@@ -343,7 +343,7 @@ def _residuals(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> np.nd
 
 
 def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
-    """Return x by least squares; QR leaves as many equations as there are parameters."""
+    """Return the least-squares x; QR reduces the equations to the number of parameters."""
     k = equations.matrix.shape[2]
     R = np.asarray(np.linalg.qr(np.hstack([
         equations.matrix.reshape(-1, k), equations.forces.reshape(-1, 1)]), mode='r'))
@@ -370,23 +370,23 @@ def _regress(unknowns: Unknowns, equations: Equations) -> np.ndarray:
 
 
 def _information(unknowns: Unknowns, equations: Equations, x: np.ndarray) -> Information:
-    """Return the information by the singular values of the regressor without friction."""
+    """Return the information from the SVD of the regressor after eliminating friction."""
     k, rows = equations.matrix.shape[2], equations.matrix.reshape(-1, equations.matrix.shape[2])
     values = EACH * unknowns.network.d
     slopes = unknowns.slopes(x)
     inertial = unknowns.free[unknowns.free < unknowns.sizes[0]]
     G = slopes[:values][:, inertial]
-    # Behind the columns of friction: what it cannot explain.
+    # QR puts friction first; the trailing block is what friction cannot explain.
     whole = np.asarray(np.linalg.qr(
         np.hstack([rows[:, values:], rows[:, :values]]), mode='r'))
     R = whole[k - values:, k - values:]
     _, sizes, V = np.linalg.svd(R @ G)
     felt = int(np.sum(sizes > _ROUNDING * sizes[0]))
     rank = int(np.sum(sizes[:felt] > _DETERMINED))
-    # Parameters in units of what x changes them by.
+    # Scale of each parameter: its change with x.
     unit = np.sqrt((G**2).sum(axis=1))
     used = np.flatnonzero(unit)
-    # People know moments better than masses, which come last.
+    # Moments come before masses because users know moments better.
     pick = np.where(used % EACH == 0, _MASS_LAST, 1.0) * unit[used]
     _, triangle, order = qr(R[:, used] * pick, mode='economic', pivoting=True)
     count = int(np.sum(np.abs(np.diag(triangle)) > _ROUNDING * abs(triangle[0, 0])))
@@ -408,18 +408,18 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
                  motions: Sequence[EvenMotion], x: np.ndarray
                  ) -> tuple[np.ndarray, dict[str, float], np.ndarray]:
     """
-    Return x of the least errors of windows along determined directions, losses, and covariance.
+    Fit windows along determined directions; return x, losses, and covariance.
 
-    Accelerations come first: their errors do not shrink with a common factor of the forces.
+    Accelerations are fitted first: a common factor of all forces does not reduce their errors.
     """
     samples, losses = samples_of(motions, loss.step_size), {}
     network, covariance = unknowns.network, np.zeros((len(x), len(x)))
     rows = spread(torch.arange(len(samples.q)), _STATES)
     inertial = unknowns.sizes[0]
-    # From least squares on forces, and from the URDF with the friction that they found.
+    # Start from the least-squares x, and from the URDF with the friction of that x.
     tries = [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
              for one in (x, np.r_[unknowns.start[:inertial], x[inertial:]])]
-    # The determined directions there differ from those where the fit began.
+    # Repeat, because the determined directions at the result differ from those at the start.
     tries += [_fit(unknowns, equations, one, lambda _: acceleration_errors(network, samples, rows))
               for one, _, found in tries if found is not None]
     x, directions, found = min(tries, key=lambda one: np.inf if one[2] is None else one[2].cost)
@@ -429,7 +429,7 @@ def _fit_windows(unknowns: Unknowns, equations: Equations, loss: Trajectory,
         losses[name] = loss_of(found)
         if found is None:
             continue
-        # Errors of one window after another, as soft as they count.
+        # Residuals of each window with soft_l1 weights.
         soft = (1.0 + found.fun**2)**-0.25
         parts = -1, len(chosen), unknowns.network.d
         jacobian = (found.jac * soft[:, None]).reshape(*parts, directions.shape[1])
@@ -457,7 +457,7 @@ def _fit(unknowns: Unknowns, equations: Equations, x: np.ndarray,
 
 
 def _directions(unknowns: Unknowns, inertial: np.ndarray) -> np.ndarray:
-    """Return the directions of x that these are of its inertial part, and all of friction."""
+    """Extend directions of the inertial part of x by all directions of friction."""
     free, (rows, count) = unknowns.free, inertial.shape
     found = np.zeros((len(unknowns.start), count + len(free) - rows))
     found[free[:rows], :count] = inertial
@@ -467,7 +467,7 @@ def _directions(unknowns: Unknowns, inertial: np.ndarray) -> np.ndarray:
 
 def _covariance(unknowns: Unknowns, equations: Equations, known: Information, x: np.ndarray
                 ) -> np.ndarray:
-    """Return the covariance of x that the residuals tell, zero along what changes no force."""
+    """Return the covariance of x from residuals; zero along directions without effect."""
     directions = _directions(unknowns, known.felt)
     J = equations.matrix @ (unknowns.slopes(x) @ directions)
     scores = np.einsum('nd,ndk->nk', _residuals(unknowns, equations, x), J)
@@ -477,10 +477,10 @@ def _covariance(unknowns: Unknowns, equations: Equations, known: Information, x:
 
 def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """
-    Return the covariance of least squares from scores (N, k) that are correlated in blocks.
+    Return the least-squares covariance from scores (N, k) that are correlated within blocks.
 
-    Residuals of g blocks have lost the k numbers that were fitted: hence g / (g - k), and the
-    quantiles of Student's t for g - k, by which 1.96 standard errors stay 95 %.
+    The factor g / (g - k) for g blocks and k fitted numbers corrects the degrees of freedom;
+    scaling by quantiles of Student's t for g - k keeps 1.96 standard errors at 95 %.
     """
     names, k = np.unique(blocks), len(gram)
     sums = np.stack([scores[blocks == name].sum(axis=0) for name in names])
@@ -493,7 +493,7 @@ def _sandwich(gram: np.ndarray, scores: np.ndarray, blocks: np.ndarray) -> np.nd
 
 def _base_errors(unknowns: Unknowns, known: Information, covariance: np.ndarray, x: np.ndarray
                  ) -> np.ndarray:
-    """Return the standard errors of base parameters, shape (s,)."""
+    """Return the standard errors of the base parameters, shape (s,)."""
     base = known.base @ unknowns.slopes(x)
     errors: np.ndarray = np.sqrt(np.maximum(np.diag(base @ covariance @ base.T), 0.0))
     return errors
@@ -501,7 +501,7 @@ def _base_errors(unknowns: Unknowns, known: Information, covariance: np.ndarray,
 
 def _summary(unknowns: Unknowns, known: Information, weak: np.ndarray, covariance: np.ndarray,
              x: np.ndarray) -> Identification:
-    """Return the result for the model card."""
+    """Return the identification summary for the model card."""
     names, units = unknowns.tree.names, [*unknowns.tree.tree.units.values()]
     linear = unknowns.linear(torch.tensor(x)).numpy()
     errors = _base_errors(unknowns, known, covariance, x)
@@ -516,7 +516,7 @@ def _summary(unknowns: Unknowns, known: Information, weak: np.ndarray, covarianc
 
 
 def _factors(names: Sequence[str], row: np.ndarray) -> Iterator[tuple[str, float]]:
-    """Yield the parameters of a combination, that of factor 1 first."""
+    """Yield names and coefficients of a combination; the one of coefficient 1 comes first."""
     places = np.flatnonzero(row[:len(names)]).tolist()
     for place in sorted(places, key=lambda place: (row[place] != 1.0, place)):
         yield names[place], float(row[place])

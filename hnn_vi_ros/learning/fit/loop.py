@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The training loop: stages of Adam and of L-BFGS, which can be stopped and resumed."""
+"""Training loop: stages of Adam and L-BFGS that can be stopped and resumed."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,19 +26,19 @@ import numpy as np
 from pydantic import ValidationError
 import torch
 
-# torch's L-BFGS drops curvature pairs below an absolute 1e-10: unscaled, it stops learning once
-# the loss is below 1e-7.
+# torch's L-BFGS drops curvature pairs below an absolute 1e-10: unscaled, it stops making
+# progress once the loss is below 1e-7.
 LBFGS_SCALE = 1e8
-# Steps from one look at held-out data to the next; L-BFGS ends when as many steps gain less than
-# this share of the loss.
+# Number of steps between evaluations on held-out data; L-BFGS ends when that many steps reduce
+# the loss by less than this share.
 INTERVAL, LEAST_GAIN = 20, 1e-6
-# L-BFGS gets this loss for a point without a finite one, so that its line search shortens the
+# Loss passed to L-BFGS instead of a non-finite one, so that its line search shortens the
 # step.
 _TOO_FAR = 1e30
-# What a saved run tells of its progress.
+# Attributes of a saved run that describe its progress.
 _KEPT = (
     'stage', 'taken', 'before', 'least', 'waited', 'best', 'loss_at_best', 'retried', 'gained')
-# A stage that is begun again has this share of its rate before.
+# Factor of the learning rate when a stage restarts.
 _SLOWER = 0.25
 _REMEDY = 'lower learning_rate, and look for outliers in the data'
 
@@ -46,37 +46,36 @@ _REMEDY = 'lower learning_rate, and look for outliers in the data'
 @dataclass(frozen=True)
 class Stage:
     """
-    Some steps of one optimiser on one loss.
+    A number of steps of one optimiser on one loss.
 
     Parameters
     ----------
     name : str
-        For the card and the progress bar.
+        Name for the model card and the progress bar.
     loss : callable
-        Returns the loss, a scalar: for Adam of another batch each time, for L-BFGS a function of
-        the parameters alone.
+        Callable that returns the scalar loss: for Adam on a new batch at each call, for L-BFGS a
+        function of the parameters alone.
     steps : int
-        How many at most.
+        Maximum number of steps.
     rate : float, optional
-        Learning rate of Adam, which ends at zero along a cosine; without it the steps are those
-        of L-BFGS.
+        Initial learning rate of Adam, annealed to zero along a cosine; None selects L-BFGS.
     held_out : callable, optional
-        Returns the loss on data that are held out.
+        Callable that returns the loss on held-out data.
     patience : int, optional
-        Looks at ``held_out`` without a lower value after which the stage ends. Then it ends with
-        the best parameters so far; without it, with the last ones.
+        Number of evaluations of ``held_out`` without improvement after which the stage ends; the
+        best parameters are then restored. If None, the last ones are kept.
     retries : int
-        How often the stage begins again, at a quarter of its rate, when it gains nothing by
-        ``held_out`` or its loss is not finite; with patience alone.
+        Number of restarts, each at a quarter of the rate, if ``held_out`` does not improve or the
+        loss is not finite; requires patience.
     clip : bool
-        Whether gradients are clipped to length one: a sample that is far off must not undo what
-        the others have taught.
+        True to clip gradients to norm one, so that an outlier cannot undo the training on
+        other samples.
     pairs, evaluations : int
-        Steps that L-BFGS remembers, and evaluations of the loss at most for each of its steps.
+        History size of L-BFGS, and maximum number of loss evaluations per step.
     remedy : str
-        For a loss that is not finite.
+        Advice in the error message for a loss that is not finite.
     begin, ended : callable
-        Called when the stage begins, where it may draw what it is about, and when it has ended.
+        Callbacks at the start, where the stage may draw random numbers, and at the end.
 
     """
 
@@ -98,9 +97,9 @@ class Stage:
 @dataclass
 class LossHistory:
     """
-    Losses over the steps of a run: training, and on held-out data every so often.
+    Training loss per step, and loss on held-out data at some steps.
 
-    ``begins`` has the first step of each stage.
+    ``begins`` maps each stage to its first step.
     """
 
     train: list[float] = field(default_factory=list)
@@ -113,19 +112,19 @@ class LossHistory:
 
 class TrainingProblem:
     """
-    A module, and the stages that fit it.
+    A module and the stages that fit it.
 
     Parameters
     ----------
     module : torch.nn.Module
-        Its parameters are changed.
+        Trained in place.
     stages : sequence of Stage
-        In their order. The best parameters so far, by held-out data, are kept from one stage to
-        the next that is judged in the same way.
+        Stages in order. The best parameters by held-out data are passed on to the next stage if
+        it is judged in the same way.
     generator : torch.Generator, optional
-        Draws the batches.
+        Source of randomness of the batches.
     losses : mapping of str to float
-        Those of fits that came before.
+        Losses of preceding fits.
 
     """
 
@@ -136,28 +135,28 @@ class TrainingProblem:
         self.losses = dict(losses or {})
 
     def fit(self) -> dict[str, float]:
-        """Run all stages, and return the losses at their ends."""
+        """Run all stages; return their final losses."""
         return Fit(self).run()
 
 
 class Fit:
     """
-    A training run, from its first step or from where one was stopped.
+    A training run, from the first step or resumed.
 
     Parameters
     ----------
     problem : TrainingProblem
-        Its module is changed.
+        Problem whose module is trained in place.
     name : str
-        For the progress bar.
+        Name for the progress bar.
 
     Attributes
     ----------
     history : LossHistory
-        How the losses fell.
+        Losses over the steps.
     losses : dict of str to float
-        The loss of each stage at its end: of Adam the mean of the last tenth of its steps, with
-        patience that at the best parameters.
+        Final loss of each stage: for Adam the mean of the last tenth of the steps; with patience
+        the loss at the best parameters.
 
     """
 
@@ -174,22 +173,22 @@ class Fit:
 
     @property
     def step(self) -> int:
-        """Return the next step to take, counted from the first stage on."""
+        """Return the index of the next step, counted from the start of the first stage."""
         return sum(stage.steps for stage in self.stages[:self._stage]) + self._taken
 
     def run(self, pause: Callable[['Fit'], None] = lambda fit: None) -> dict[str, float]:
         """
-        Train to the end, and return the losses of the stages.
+        Train to the end; return the losses of the stages.
 
         Parameters
         ----------
         pause : callable
-            Called every INTERVAL steps, when ``state`` is one to resume from.
+            Callback every INTERVAL steps; ``state`` can be saved there.
 
         Raises
         ------
         DataError
-            The loss is not finite any more.
+            The loss is not finite.
 
         """
         while self._stage < len(self.stages):
@@ -223,7 +222,7 @@ class Fit:
         return stage.rate * _SLOWER**self._retried
 
     def _begin(self) -> None:
-        """Begin the next stage, with an optimiser of its own."""
+        """Start the next stage with a new optimiser."""
         if self._stage == len(self.stages):
             return
         stage = self.stages[self._stage]
@@ -266,7 +265,7 @@ class Fit:
             lbfgs.zero_grad()
             loss = LBFGS_SCALE * stage.loss()
             if not loss.isfinite():
-                # A gradient that is not a number would be all that is left of the parameters.
+                # Stepping with a NaN gradient would destroy the parameters.
                 for parameter in self._parameters:
                     parameter.grad = torch.zeros_like(parameter)
                 return torch.full_like(loss, _TOO_FAR)
@@ -290,14 +289,14 @@ class Fit:
         self._end(stage, self.history.train[-1])
 
     def _end(self, stage: Stage, loss: float) -> None:
-        """Go back to the best parameters of a stage with patience, and note its loss."""
+        """Restore the best parameters of a stage with patience; record its loss."""
         if stage.patience is not None and self._best is not None:
             self.module.load_state_dict(self._best)
             loss = self._loss_at_best
         self.losses[stage.name] = loss
 
     def _note(self, stage: Stage, loss: float, look: bool) -> bool:
-        """Note the loss; return whether that of held-out data has not fallen for too long."""
+        """Record the loss; return True if the stage should stop."""
         if not math.isfinite(loss) and stage.retries and self._best is not None:
             self._gained = False
             return True
@@ -315,7 +314,7 @@ class Fit:
         return look and stage.held_out is not None and self._look(stage, loss)
 
     def _look(self, stage: Stage, loss: float) -> bool:
-        """Note the loss of held-out data, and return whether it has not fallen for too long."""
+        """Record the held-out loss; return True if patience is exhausted."""
         assert stage.held_out is not None
         history, step, held_out = self.history, self.step, stage.held_out()
         history.validation.append(held_out)
@@ -333,7 +332,7 @@ class Fit:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Return all that the next steps depend on: tensors, numbers and lists of them."""
+        """Return the state needed to resume: tensors, numbers and lists of them."""
         adam = not isinstance(self._optimiser, torch.optim.LBFGS)
         return {**{name: getattr(self, f'_{name}') for name in _KEPT},
                 'weights': self.module.state_dict(), 'history': asdict(self.history),
@@ -344,14 +343,14 @@ class Fit:
 
     @state.setter
     def state(self, state: Mapping[str, Any]) -> None:
-        """Go back to a state; the steps that follow are bit-identical to those after it."""
+        """Restore a state; the steps that follow are bit-identical to the original ones."""
         self.module.load_state_dict(state['weights'])
         self.history = LossHistory(**state['history'])
         self.losses.update(state['losses'])
         for name in _KEPT:
             setattr(self, f'_{name}', state[name])
         if self._generator is not None:
-            # The stage draws again what it is about, then batches go on where they were.
+            # Reproduce the random draws of the stage; then restore the generator of the batches.
             self._generator.set_state(state['drawn_from'])
         self._begin()
         self._optimiser.load_state_dict(state['optimiser'])
@@ -361,27 +360,27 @@ class Fit:
             self._generator.set_state(state['generator'])
 
 
-# Wall time from one saving of the state to the next [s].
+# Wall time between saved states [s].
 PERIOD = 30.0
 
 
 class Keeper:
     """
-    A file that holds the state of a training run while it runs.
+    File with the state of a running training.
 
-    It is written every PERIOD and when Ctrl-C stops the run; it is removed when that has ended. It
-    is read as tensors and numbers: nothing in it is executed.
+    The file is written every PERIOD and when Ctrl-C stops the run, and removed when the run
+    ends. Only tensors and numbers are read from it; no code is executed.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     config : TrainingConfig
-        How the model is trained.
+        Configuration of the training.
     arrays : iterable of np.ndarray
-        The data.
+        The training data.
     device : str
-        Where the model is trained.
+        Device of the training.
 
     """
 
@@ -396,12 +395,12 @@ class Keeper:
 
     def load(self, fit: Fit) -> None:
         """
-        Resume where the saved run stopped.
+        Restore the saved run.
 
         Raises
         ------
         ParameterError
-            There is no saved run, or it is one of something else.
+            There is no saved run, or it belongs to another configuration or data.
 
         """
         try:
@@ -423,7 +422,7 @@ class Keeper:
 
     def __call__(self, fit: Fit) -> None:
         """
-        Save the state if it is time to.
+        Save the state if the period has elapsed.
 
         Raises
         ------
@@ -436,7 +435,7 @@ class Keeper:
         try:
             with replacing(self.path) as temporary:
                 torch.save({'digest': self._digest, 'state': fit.state}, temporary)
-        except (OSError, RuntimeError) as problem:  # torch has an error of its own for a full disk
+        except (OSError, RuntimeError) as problem:  # torch raises its own error for a full disk
             if self._stopping:
                 raise ParameterError(f'stopped at step {fit.step}; its state cannot be written '
                                      f'to {self.path} ({one_line(problem)})') from problem
@@ -449,7 +448,7 @@ class Keeper:
 
     @contextmanager
     def watching(self) -> Iterator[None]:
-        """Let Ctrl-C stop the run at its next pause; a second one stops it at once."""
+        """Stop at the next pause after Ctrl-C, and at once after a second one."""
         def stop(number: int, frame: object) -> None:
             self._stopping = True
             signal.signal(signal.SIGINT, before)
@@ -465,20 +464,20 @@ class Keeper:
 @contextmanager
 def kept(model: Path, checkpoint: Checkpoint) -> Iterator[None]:
     """
-    Save a trained model, and say of an error inside, where it is judged, that it is kept.
+    Save a trained model; errors in the body, where it is judged, mention that it is saved.
 
     Parameters
     ----------
     model : Path
-        The file to write; where it cannot be written, as on a full disk, a folder for temporary
-        files is taken instead, and the error names it.
+        Path of the file; if it cannot be written, as on a full disk, a folder for temporary
+        files is used instead and named in the error.
     checkpoint : Checkpoint
         The trained model.
 
     Raises
     ------
     DataError, RecordingError
-        In place of an error of this package, of a card, or of a file inside.
+        Raised instead of errors of this package, of a card, or of a file in the body.
     ModelError
         The file cannot be written.
 
@@ -502,13 +501,13 @@ def kept(model: Path, checkpoint: Checkpoint) -> Iterator[None]:
 
 
 def member_files(model: Path, count: int) -> list[Path]:
-    """Return where the members of an ensemble are kept if its training does not end."""
+    """Return the paths of ensemble members that are saved if training is interrupted."""
     return [model.with_suffix(f'.member{k}.safetensors') for k in range(1, count + 1)]
 
 
 @contextmanager
 def members_kept(model: Path, members: Sequence[Checkpoint]) -> Iterator[None]:
-    """Save the members of an ensemble that are trained, each as a model, if another one fails."""
+    """Save the trained members of an ensemble, each as a model, if training another one fails."""
     try:
         yield
     except BaseException:

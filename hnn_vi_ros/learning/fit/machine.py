@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Losses and stages by which a network of a machine is fitted to measured motions."""
+"""Losses and stages that fit the network of a machine to measured motions."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -18,43 +18,43 @@ from hnn_vi_ros.learning.fit.steps import simulated, Solutions
 import numpy as np
 import torch
 
-# Errors beyond this share of the usual size count by their size, no longer by their square.
+# Share of the usual size beyond which the loss grows linearly with an error.
 _USUAL_ERROR = 0.25
-# Step size of windows, unless it is given, and samples come as often [s].
+# Default step size of windows; rounded to a multiple of the sampling interval [s].
 _STEP = 0.01
-# Adam learns windows at this share of its rate on accelerations; networks beside a prior, which
-# are small, at twice that.
+# Factor of Adam's learning rate for windows, relative to accelerations; twice that for the
+# small networks on top of a prior.
 _RATE = 0.2
-# L-BFGS leaves out every tenth of so many blocks of samples; it ends when it has made those worse
-# so many times; and it takes no more than so many samples.
+# L-BFGS holds out every tenth of _BLOCKS blocks of samples, ends after _PATIENCE evaluations
+# that do not improve them, and uses at most _MOST_ROWS samples.
 _BLOCKS, _TENTH, _PATIENCE, _MOST_ROWS = 50, 10, 6, 20000
-# All stages of windows are judged by so many of the longest windows; those that make them no
-# better are tried again so often, at lower rates.
+# Number of the longest windows that judge all window stages; number of restarts at lower
+# rates of a stage that does not improve them.
 _JUDGED, _RETRIES = 256, 2
 
 Network = MechanicalNetwork | PlainNetwork
-# Returns the loss of some rows of samples.
+# Loss of the samples with the given row indices.
 Value = Callable[[torch.Tensor], torch.Tensor]
 
 
 class Samples(NamedTuple):
     """
-    All motions, one after another, as tensors.
+    Concatenated samples of all motions as tensors.
 
     Parameters
     ----------
     measured : torch.Tensor, shape (N, d)
-        Coordinates as measured.
+        Measured coordinates.
     q, v, a : torch.Tensor, shape (N, d)
         Smoothed states and accelerations.
     tau, mean_tau : torch.Tensor, shape (N, m)
-        Commands of the motors as measured, and averaged over the step that begins at each sample.
+        Measured motor commands, and their mean over the step that begins at each sample.
     left : torch.Tensor of int, shape (N,)
-        How many samples follow in the same motion.
+        Number of later samples in the same motion.
     every : int
-        Samples in one step.
+        Number of sampling intervals per step.
     step_size : float
-        How long it is [s].
+        Length of a step [s].
 
     """
 
@@ -70,7 +70,7 @@ class Samples(NamedTuple):
 
 
 def samples_of(motions: Sequence[EvenMotion], step_size: float | None) -> Samples:
-    """Return the samples of motions, for windows of this step size [s], or DataError."""
+    """Return the samples for windows of this step size [s]; raise DataError if it does not fit."""
     step_size = step_size or usual_step(motions)
     every = round(step_size / motions[0].spacing)
     for motion in motions:
@@ -86,17 +86,17 @@ def samples_of(motions: Sequence[EvenMotion], step_size: float | None) -> Sample
 
 
 def usual_step(motions: Sequence[EvenMotion]) -> float:
-    """Return the step size [s] of windows where none is given."""
+    """Return the default step size of windows [s]."""
     return max(1, round(_STEP / motions[0].spacing)) * motions[0].spacing
 
 
 def slowness(motions: Sequence[EvenMotion], step_size: float | None = None) -> float:
-    """Return how many times longer than usual a step is, where samples are rare; 1 or more."""
+    """Return the step size relative to the usual one, 1 or more; larger if samples are rare."""
     return max(1.0, round((step_size or usual_step(motions)) / _STEP, 2))
 
 
 def mean_forces(motion: EvenMotion, every: int) -> np.ndarray:
-    """Return forces, shape (N, m), averaged over ``every`` intervals from each sample on."""
+    """Average the forces over ``every`` intervals after each sample, shape (N, m)."""
     n, tau = len(motion.t), motion.tau
     total = np.vstack([np.zeros((1, tau.shape[1])), np.cumsum(motion.forces, axis=0)])
     starts = np.arange(n)
@@ -107,18 +107,18 @@ def mean_forces(motion: EvenMotion, every: int) -> np.ndarray:
 
 def acceleration_loss(network: Network, samples: Samples, rows: torch.Tensor
                       ) -> torch.Tensor:
-    """Return the soft size of the errors of the accelerations, in units of their usual size."""
+    """Return the soft loss of acceleration errors relative to their usual size."""
     return _soft(acceleration_errors(network, samples, rows))
 
 
 def acceleration_errors(network: Network, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
-    """Return the errors of the accelerations, shape (N, d), in units of their usual size."""
+    """Return acceleration errors relative to their usual size, shape (N, d)."""
     predicted = network.accelerations(samples.q[rows], samples.v[rows], samples.tau[rows])
     return (predicted - samples.a[rows]) / torch.tensor(network.scales.a)
 
 
 def force_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor) -> torch.Tensor:
-    """Return the soft size of the errors of the forces, in units of what usual motions take."""
+    """Return the soft loss of force errors relative to the forces of usual motions."""
     tau = network.joint_forces(samples.tau[rows])
     predicted = network.forces(samples.q[rows], samples.v[rows], samples.a[rows], tau)
     unit = torch.tensor(network.scales.inertia * network.scales.a)
@@ -128,12 +128,12 @@ def force_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor)
 def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tensor
                   ) -> torch.Tensor:
     """
-    Return the soft size of the residuals of the forced discrete Euler-Lagrange equations.
+    Return the soft loss of the residuals of the forced discrete Euler-Lagrange equations.
 
     D2 L_d(q0, q1) + D1 L_d(q1, q2) + h (f01 + f12) / 2 = 0 for L_d(q0, q1) = h L((q0 + q1) / 2,
     (q1 - q0) / h) and forces f at the same midpoint (J. Marsden, M. West, Acta Numerica 10,
-    2001, part 3.2), as an acceleration: a residual of momentum could be made small by small
-    masses.
+    2001, part 3.2). The residual is converted to an acceleration because small masses alone would
+    make a residual of momentum small.
     """
     h, every = samples.step_size, samples.every
     q0, q1, q2 = (samples.measured[rows + k * every] for k in range(3))
@@ -147,18 +147,18 @@ def discrete_loss(network: MechanicalNetwork, samples: Samples, rows: torch.Tens
 
 def balanced_step(motions: Sequence[EvenMotion]) -> float:
     """
-    Return the multiple of the samples' interval [s] for discrete_loss.
+    Return the step size for discrete_loss, a multiple of the sampling interval [s].
 
-    Noise sigma of q makes an error of sqrt(6) sigma / h^2 in a second difference, the midpoint
-    rule one of about h^2 / 12 times the fourth derivative of q: where they are the same.
+    Noise sigma of q causes an error of sqrt(6) sigma / h^2 in a second difference; the midpoint
+    rule has an error of h^2 / 12 times the fourth derivative of q. The step makes both equal.
     """
     errors, speeds, accelerations = (np.concatenate(parts) for parts in zip(*(
         (motion.q - motion.q_smooth, motion.v_smooth, motion.a_smooth) for motion in motions),
         strict=True))
-    # The median, for the filter is wrong at the ends; of normal noise it is 0.6745 sigma.
+    # The median ignores the filter's end effects; for normal noise it is 0.6745 sigma.
     noise = float(np.median(np.abs(errors))) / 0.6745
     speed, acceleration = (float(np.sqrt(np.mean(part**2))) for part in (speeds, accelerations))
-    # As if all were one oscillation: estimated fourth derivatives are nothing but noise.
+    # Assume one harmonic oscillation: estimated fourth derivatives are only noise.
     fourth = acceleration * (acceleration / speed)**2
     spacing = motions[0].spacing
     step = (12.0 * math.sqrt(6.0) * noise / fourth)**0.25
@@ -167,16 +167,16 @@ def balanced_step(motions: Sequence[EvenMotion]) -> float:
 
 class Windows(NamedTuple):
     """
-    Windows of motions that are simulated.
+    Settings of simulated windows.
 
     Parameters
     ----------
     steps : int
-        In each.
+        Number of steps per window.
     method : str
-        Of their steps.
+        Integrator.
     time_scale : float
-        An error of q counts as one of v does that makes it in this time [s].
+        Time [s] that converts an error of v to an equivalent error of q.
 
     """
 
@@ -187,18 +187,18 @@ class Windows(NamedTuple):
 
 def window_loss(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
                 solutions: Solutions | None = None) -> torch.Tensor:
-    """Return the soft size of the errors of windows from these samples; see window_errors."""
+    """Return the soft loss of the errors of windows from these samples; see window_errors."""
     return _soft(window_errors(network, samples, starts, windows, solutions))
 
 
 def window_errors(network: Network, samples: Samples, starts: torch.Tensor, windows: Windows,
                   solutions: Solutions | None = None) -> torch.Tensor:
     """
-    Return the errors of q and v after each step of windows, shape (2 steps, N, d).
+    Return the errors of q and v after each step of the windows, shape (2 steps, N, d).
 
-    ``solutions`` keeps the solutions of the equations, to use them again.
+    ``solutions`` caches the solutions of the implicit equations for reuse.
     """
-    # What has no masses has no momenta, which a variational method steps.
+    # A network without masses has no momenta, which variational methods need.
     method = windows.method if network.has_masses else 'rk4'
     at = starts + samples.every * torch.arange(windows.steps + 1)[:, None]
     measured_q, measured_v = samples.q[at], samples.v[at]
@@ -212,7 +212,7 @@ def window_errors(network: Network, samples: Samples, starts: torch.Tensor, wind
 def _simulated(network: Any, method: WindowMethod, measured: torch.Tensor, v: torch.Tensor,
                tau: torch.Tensor, h: float, solutions: Solutions | None
                ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return q and v after each step, from the first that was measured, at held commands."""
+    """Simulate from the first measured state with held commands; return q and v per step."""
     if method != 'rk4':
         forces = network.joint_forces(tau.flatten(0, 1)).unflatten(0, tau.shape[:2])
         q, v, _ = simulated(network, method, measured[0], v, forces, h, measured.diff(dim=0) / h,
@@ -232,7 +232,7 @@ def _soft(z: torch.Tensor) -> torch.Tensor:
 
 def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: torch.Tensor,
                 tau: torch.Tensor, h: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return (q, v) after a step h [s] of the classical method of order 4, at a held force."""
+    """Return (q, v) after a step h [s] of the classical RK4 method with a held force."""
     a1 = accelerations(q, v, tau)
     v2 = v + 0.5 * h * a1
     a2 = accelerations(q + 0.5 * h * v, v2, tau)
@@ -245,18 +245,18 @@ def runge_kutta(accelerations: Callable[..., torch.Tensor], q: torch.Tensor, v: 
 
 def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> MotionScales:
     """
-    Return the scales of motions, with a first input map where one is to be learned.
+    Return the scales of motions, with an initial input map if it is learned.
 
     Raises
     ------
     DataError
-        A coordinate never moves, or the commands do not determine the effect of each motor.
+        A coordinate is constant, or the commands do not determine the effect of each motor.
 
     """
     q, v, a, tau = (np.concatenate([getattr(motion, name) for motion in motions])
                     for name in ('q_smooth', 'v_smooth', 'a_smooth', 'tau'))
     size = [np.sqrt(np.mean(part**2, axis=0)) for part in (v, a, tau)]
-    # Measured coordinates: smoothed ones differ from rest by rounding.
+    # Use measured coordinates: smoothed ones vary by rounding even at rest.
     moves = np.any([np.ptp(motion.q, axis=0) > 0.0 for motion in motions], axis=0)
     if not moves.all() or not (size[0] > 0.0).all() or not (size[1] > 0.0).all():
         rests = ', '.join(str(k + 1) for k in np.flatnonzero(~moves)) or 'of one or more'
@@ -266,7 +266,7 @@ def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> Motion
     if learns_map:
         input_map, inertia = _first_map(q, v, a, tau)
         return MotionScales(centre, half, size[0], size[1], inertia, size[2], input_map)
-    # Without forces the scale of energy is open: that of one unit of inertia is taken.
+    # Without forces the energy scale is free; one unit of inertia is assumed.
     driven = size[2] > 0.0
     inertia = np.where(driven, size[2] / size[1], 1.0)
     if driven.any():
@@ -276,7 +276,7 @@ def scales_of(motions: Sequence[EvenMotion], learns_map: bool = False) -> Motion
 
 def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
                ) -> tuple[np.ndarray, np.ndarray]:
-    """Return an input map and inertias of joints, from accelerations that are linear in u."""
+    """Return the input map and joint inertias from a regression of accelerations on u."""
     rank, motors = int(np.linalg.matrix_rank(u)), u.shape[1]
     if not rank:
         raise DataError('input_map: the motors are never commanded in the data, which fixes no '
@@ -286,7 +286,7 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
                         'independent, which does not tell what each of them does; leave out '
                         'motors that are not used, or record while each moves by itself')
     rates = np.linalg.lstsq(np.hstack([u, _others(q, v)]), a, rcond=None)[0][:motors].T
-    # The inertias are those for the same force on each joint, in the norm of the network.
+    # Inertias that give each joint the same RMS force, in the norm of the network.
     inertia = np.sqrt(np.mean(u**2)) / np.sqrt(np.mean(a**2, axis=0))
     input_map = inertia[:, None] * rates
     factor = math.sqrt(motors) / float(np.linalg.norm(input_map))
@@ -294,14 +294,14 @@ def _first_map(q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray
 
 
 def _others(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return what accelerations are about linear in beside commands: gravity, friction, ..."""
+    """Return the regressors of accelerations besides commands: gravity, friction, ..."""
     return np.hstack([np.sin(q), np.cos(q), q, v, np.tanh(v / np.abs(v).mean(axis=0)),
                       np.ones((len(q), 1))])
 
 
 def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
                ) -> tuple[Windows, torch.Tensor]:
-    """Return the windows of a stage, and the samples that they can begin at, or DataError."""
+    """Return the windows of a stage and their possible first samples, or raise DataError."""
     count = round(stage.duration / samples.step_size)
     starts = torch.nonzero(samples.left >= count * samples.every)[:, 0]
     if count < 1 or not len(starts):
@@ -310,30 +310,30 @@ def windows_of(loss: Trajectory, stage: WindowStage, samples: Samples
     return Windows(count, loss.method, loss.time_scale), starts
 
 
-# Networks fade beyond about this distance from all that was seen: of coordinates that turn over
-# [rad], and of others as a share of half their range.
+# Distance from the data beyond which networks fade: for continuous joints [rad], and for other
+# coordinates as a share of half their range.
 _NEAR_ANGLE, _NEAR_SHARE = 0.5, 0.33
-# A sample of each cell of half that distance stands for what was seen, of so many cells at most;
-# networks fade at this multiple of its speeds, and at so many random states in each step.
+# Size of grid cells, one sample each, in units of that distance; maximum number of cells;
+# multiple of the data's speeds at which networks fade; number of random states per step.
 _CELL, _SEEN, _FASTER, _STATES = 0.5, 2000, 2.0, 64
 
 
 class Fading:
     """
-    A penalty by which networks beside a prior fade outside of what was seen.
+    Penalty that makes networks added to a prior fade away from the data.
 
-    It is the size of the networks, as forces, at random states: with a small weight at those
-    like the data, with a large one at all others, and, as an error of M' grows with v^2, with
-    the large one for the forces that M' makes at up to twice the speeds of the data.
+    The penalty is the size of the networks' forces at random states, with a small weight near the
+    data and a large one elsewhere. An error of M' grows with v^2; the forces that M' causes at up
+    to twice the speeds of the data therefore also get the large weight.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        With a prior.
+        Network with a prior.
     motions : sequence of EvenMotion
-        What was seen.
+        Training motions.
     seen_weight, fade_weight : float
-        The two weights.
+        Weights near the data and elsewhere.
 
     """
 
@@ -346,14 +346,14 @@ class Fading:
         self._turns = torch.tensor([kind == 'continuous' for kind in network.structure.kinds])
         self._unit = torch.where(self._turns, _NEAR_ANGLE, _NEAR_SHARE * torch.tensor(
             np.where(np.ptp(q, axis=0) > 0.0, 0.5 * np.ptp(q, axis=0), 1.0)))
-        # Every n-th sample would leave gaps where motions are fast.
+        # Taking every n-th sample would leave gaps where motions are fast.
         cells = np.round(q / (_CELL * self._unit.numpy()))
         seen = np.unique(cells, axis=0, return_index=True)[1]
         self._seen = torch.tensor(q[seen[::1 + len(seen) // _SEEN]])
         self._fastest = torch.tensor(np.abs(v).max(axis=0))
 
     def __call__(self, generator: torch.Generator) -> torch.Tensor:
-        """Return it, at states drawn anew."""
+        """Return the penalty at newly drawn states."""
         network, large = self._network, self._weights[1]
         q = network.random_states(_STATES, generator, reach=2.0)
         rows = torch.randint(len(self._seen), (_STATES,), generator=generator)
@@ -363,7 +363,7 @@ class Fading:
             self._seen[rows], _FASTER * self._fastest * share)).mean()
 
     def weights(self, q: torch.Tensor) -> torch.Tensor:
-        """Return what the size of the networks counts at coordinates (N, d), shape (N,)."""
+        """Return the weight of the network size at coordinates (N, d), shape (N,)."""
         usual, large = self._weights
         away = q[:, None] - self._seen
         away = torch.where(self._turns, torch.remainder(away + math.pi, 2.0 * math.pi) - math.pi,
@@ -374,31 +374,31 @@ class Fading:
 
 class MachineProblem(TrainingProblem):
     """
-    A network, and the stages that fit it to motions: at single samples, or by simulated windows.
+    A network and the stages that fit it to motions, at single samples or on simulated windows.
 
-    Accelerations that are estimated from measured motions are noisy, and an error of them says
-    little of where a motion goes. So they only find the beginning; then windows of the motions
-    are simulated from their smoothed first states, with the measured forces, short ones first
-    (multiple shooting). Accelerations that were measured, or are exact, tell all.
+    Accelerations estimated from measured motions are noisy, and their errors say little about
+    the error of a simulated motion. They only initialise the network; then windows are simulated
+    from smoothed states with the measured forces, short windows first (multiple shooting).
+    Accelerations that were measured or are exact suffice on their own.
 
     Parameters
     ----------
     network : MechanicalNetwork or PlainNetwork
-        Changed by a fit. A plain network, which has no masses, takes no loss but accelerations
-        and windows.
+        Trained in place. A plain network has no masses and supports only the losses on
+        accelerations and windows.
     config : MachineConfig
         Loss, learning rate and seed.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
     penalty : callable, optional
-        Added to the loss of networks beside a prior; L-BFGS takes no accelerations then.
+        Penalty added to the loss of networks on top of a prior; disables forward L-BFGS.
     losses : mapping of str to float
-        Those of fits that came before.
+        Losses of preceding fits.
 
     Raises
     ------
     DataError
-        The motions are shorter than a window.
+        All motions are shorter than a window.
 
     """
 
@@ -417,7 +417,7 @@ class MachineProblem(TrainingProblem):
             len(rows), (size,), generator=self.generator)])
 
     def _penalised(self, loss: torch.Tensor, anew: bool = True) -> torch.Tensor:
-        """Return a loss with the penalty at states drawn anew, or at the same ones each time."""
+        """Add the penalty to a loss, at new random states or always at the same ones."""
         return loss if self._penalty is None else loss + self._penalty(
             self.generator if anew else torch.Generator().manual_seed(self._config.seed))
 
@@ -436,7 +436,7 @@ class MachineProblem(TrainingProblem):
             raise DataError('no motion has three samples at distances of step_size; lower it')
 
         def value(rows: torch.Tensor) -> torch.Tensor:
-            # The same states again: L-BFGS needs a function.
+            # Use the same random states: L-BFGS needs a deterministic function.
             return self._penalised(at(self.module, samples, rows), anew=False)
         return [Stage(loss.kind, self._batches(value, rows, loss.batch), loss.steps,
                       self._config.learning_rate, clip=True),
@@ -456,13 +456,13 @@ class MachineProblem(TrainingProblem):
             with torch.no_grad():
                 errors = window_loss(self.module, samples, chosen, windows, Solutions())
                 return float(self._penalised(errors, anew=False))
-        # On samples that Adam had fitted L-BFGS would seem to make it worse at once.
+        # On samples that Adam fitted too, L-BFGS would seem to overfit at once.
         polishes = self._penalty is None and loss.forward_lbfgs_steps > 0
         learnt = rows[~_left_out(rows)] if polishes else rows
         found = [Stage('forward', self._batches(value, learnt, loss.forward_batch),
                        loss.forward_steps, self._config.learning_rate, clip=True)]
         if self._penalty is not None:
-            # Beside a prior, the networks begin with something that is good already.
+            # With a prior, the initial model is already good.
             found[0] = replace(found[0], held_out=judged, patience=loss.forward_steps)
         if polishes:
             found += _polish('forward', value, rows, loss.forward_lbfgs_steps)
@@ -492,7 +492,7 @@ class MachineProblem(TrainingProblem):
 
 
 def _polish(name: str, value: Value, rows: torch.Tensor, steps: int) -> list[Stage]:
-    """Return a stage of L-BFGS that lasts as long as it helps on samples left out."""
+    """Return an L-BFGS stage that ends when held-out samples no longer improve; [] for none."""
     if not steps or len(rows) < _TENTH:
         return []
     left_out = _left_out(rows)
@@ -507,6 +507,6 @@ def _polish(name: str, value: Value, rows: torch.Tensor, steps: int) -> list[Sta
 
 
 def _left_out(rows: torch.Tensor) -> torch.Tensor:
-    """Return which of some rows L-BFGS is judged by: blocks, as neighbours tell the same."""
+    """Return the mask of held-out samples; whole blocks, because neighbours are correlated."""
     block = torch.arange(len(rows)) * min(_BLOCKS, len(rows)) // len(rows)
     return block % _TENTH == _TENTH - 1

@@ -1,11 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fit the parameters of a rigid body with friction to measured motions, by least squares.
+Fit the parameters of a rigid body with friction to measured motions by least squares.
 
-The forces are linear in the parameters, and so the fit begins with them; but noise of the
-accelerations biases this estimate. Windows that are simulated end the fit, by the trust-region
-form of the Levenberg-Marquardt method.
+Linear regression of the forces initialises the fit, but noise of the accelerations biases it.
+Nonlinear least squares on simulated windows (trust-region Levenberg-Marquardt) follow.
 """
 
 from abc import ABC, abstractmethod
@@ -24,47 +23,47 @@ import numpy as np
 from scipy.optimize import least_squares, lsq_linear, OptimizeResult
 import torch
 
-# Evenly spread samples and windows; more change the parameters by less than their errors.
+# Number of evenly spread samples and windows; more change the result by less than its error.
 _SAMPLES, _WINDOWS = 4000, 500
-# Evaluations of each fit at most; it usually ends earlier.
+# Maximum number of evaluations per fit; it usually ends earlier.
 _EVALUATIONS = 60
-# Weight of the size of numbers in a regression, in units of their columns.
+# Ridge penalty of the regression, relative to the column norms.
 _RIDGE = 1e-6
-# Least inertia and friction that a fit begins with, in units of the usual ones.
+# Smallest initial inertia and friction, relative to the usual ones.
 LEAST = 1e-4
-# Differences of numbers by which whole motions are differentiated, far above their rounding.
+# Finite-difference step for whole motions, far above the rounding error.
 _DIFFERENCE = 1e-5
-# Stribeck friction ends between this share of the usual speed and the rest of it.
+# Bounds of the Stribeck speed: this share of the usual speed, and one minus this share.
 _SHARE = 0.01
-# Windows begin at most so many times in the time that one lasts.
+# Maximum number of windows that start within the length of one.
 _OVERLAP = 20
-# How far above its bound a number begins, in the same units.
+# Smallest initial distance from a lower bound, in the same units.
 _ABOVE = 10.0 * LEAST
 
 
 def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[EvenMotion]
                    ) -> dict[str, float]:
     """
-    Fit prior and friction of a network, whose widths of friction stay what they are.
+    Fit prior and friction of a network; the friction widths stay fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        With a prior and without networks; changed in place.
+        Network with a prior and without residual networks; changed in place.
     loss : Trajectory
-        Its windows are simulated.
+        Windows to simulate.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
 
     Returns
     -------
     dict
-        The loss after each fit, infinite where one had no place to begin: windows were thrown far.
+        Loss after each fit, inf where windows diverged from its initial values.
 
     """
     samples = samples_of(motions, loss.step_size)
     physical = _Physical(network)
-    # The forces are linear in the parameters of rigid links.
+    # For rigid links, the forces are linear in the parameters.
     found = _regression(physical, samples) if physical.prior.linear else physical.now()
     rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     losses = {}
@@ -84,19 +83,19 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
     Parameters
     ----------
     network : MechanicalNetwork
-        With a prior and without networks; changed in place, never for the worse.
+        Network with a prior and without residual networks; changed in place only if it improves.
     loss : Trajectory
-        Its step size, by which motions are thinned out, forces averaged.
+        Source of the step size to which motions are downsampled; forces are averaged.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
     simulate : callable
-        ``simulate(motion)`` returns the positions, shape (N, d), of the network as it is, from
+        ``simulate(motion)`` returns positions, shape (N, d), of the current network, from
         the first smoothed state of a motion.
 
     Returns
     -------
     float
-        The root mean square error, in units of the spread of each coordinate.
+        Root mean square error, in units of the standard deviation of each coordinate.
 
     """
     physical, (records, size) = _Physical(network), thinned(motions, loss.step_size)
@@ -105,7 +104,7 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
     def errors(x: np.ndarray) -> np.ndarray:
         physical.give((x - 1.0) * scale)
         return np.concatenate([(simulate(motion) - motion.q) / size for motion in records]).ravel()
-    # All numbers are one more than they are, so that differences are of one size.
+    # All numbers are shifted by one, so that difference steps have similar sizes.
     least, most, start = (1.0 + part for part in (
         physical.least, physical.most, physical.now() / scale))
     fit = least_squares(errors, np.maximum(start, least + _ABOVE), diff_step=_DIFFERENCE,
@@ -115,7 +114,7 @@ def fit_records(network: MechanicalNetwork, loss: Trajectory, motions: Sequence[
 
 def thinned(motions: Sequence[EvenMotion], step_size: float | None
             ) -> tuple[list[EvenMotion], np.ndarray]:
-    """Return motions by steps of this size, of held forces, and the spread of q, shape (d,)."""
+    """Downsample motions to this step, with held forces; return them and std(q), shape (d,)."""
     every = samples_of(motions, step_size).every
     return [replace(part_of(motion, slice(None, None, every)), held=True,
                     tau=mean_forces(motion, every)[::every]) for motion in motions
@@ -126,25 +125,25 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
                     structure: Structure | None = None, learns_map: bool = False
                     ) -> tuple[MechanicalNetwork, dict[str, float]] | None:
     """
-    Return a chain of as many links as there are coordinates, and its losses after each fit.
+    Return a chain with one link per coordinate, and its losses after each fit.
 
     Parameters
     ----------
     loss : Trajectory
-        Its windows are simulated.
+        Windows to simulate.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
     structure : Structure, optional
-        Joints and friction. The links have its angles, or those that fit best if it names none.
-        Default: joints that turn, with viscous friction and two Coulomb terms.
+        Joints and friction, and the angles of the links; without angles, the best ones are found.
+        Default: continuous joints with viscous friction and two Coulomb terms.
     learns_map : bool
-        Whether an input map is fitted as well.
+        True to fit an input map too.
 
     Returns
     -------
     tuple or None
-        None if no chain has so many links, if none follows the motions through the last windows,
-        or if the forces are not those on the joints.
+        None if no chain has that many links, if all diverge in the last windows, or if the forces
+        do not act on the joints.
 
     """
     d, motors = motions[0].q.shape[1], motions[0].tau.shape[1]
@@ -167,10 +166,10 @@ def best_rigid_body(loss: Trajectory, motions: Sequence[EvenMotion],
 
 def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, most: int
                 ) -> Iterator[tuple[str, torch.Tensor, Callable[[Solutions], torch.Tensor]]]:
-    """Yield the name of each stage, at most about so many starts of windows, and their errors."""
+    """Yield the name of each stage, the starts of about `most` windows, and their errors."""
     for stage in loss.windows:
         windows, starts = windows_of(loss, stage, samples)
-        # Windows that are nearly as long as their motion are nearly the same.
+        # Windows nearly as long as their motion are nearly identical.
         length = windows.steps * samples.every
         chosen = spread(starts, min(most, 1 + _OVERLAP * len(starts) // length))
         yield f'rigid_body_{stage.duration:g}', chosen, partial(
@@ -178,32 +177,32 @@ def window_fits(network: MechanicalNetwork, loss: Trajectory, samples: Samples, 
 
 
 def spread(rows: torch.Tensor, most: int) -> torch.Tensor:
-    """Return at most about so many rows, evenly spread."""
+    """Return about `most` rows or fewer, evenly spread."""
     return rows[:: max(1, len(rows) // most)]
 
 
 class RigidUnknowns(ABC):
     """
-    Numbers that give the parameters of a prior, of friction and of motors, in that order.
+    Unknown parameters of a prior, of friction and of motors, in that order.
 
     Parameters
     ----------
     network : MechanicalNetwork
         A network with a prior.
     scale, least : np.ndarray, shape (n,)
-        Usual sizes of the numbers of the prior, and their lower bounds in units of these.
+        Usual sizes of the prior's numbers, and their lower bounds in units of these.
 
     Attributes
     ----------
     sizes : list of int
-        How many there are of the prior, of viscous and of other friction, of offsets, of the
-        input map, of fades, and of the speeds of Stribeck friction.
+        Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades, and
+        Stribeck speeds.
     scale, least, most : np.ndarray, shape (k,)
-        The same of all numbers, and upper bounds. Friction has no slope below its least.
+        Sizes and bounds of all numbers. The gradient of friction vanishes at its lower bound.
 
     """
 
-    # Whether numbers by which forces are not linear are among them: fades and those speeds.
+    # True if fades and Stribeck speeds, in which forces are nonlinear, are unknowns too.
     everything = True
 
     def __init__(self, network: MechanicalNetwork, scale: np.ndarray, least: np.ndarray):
@@ -226,10 +225,10 @@ class RigidUnknowns(ABC):
 
     @abstractmethod
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the parameters of the prior, by their names in the network."""
+        """Return the parameters of the prior, keyed by name in the network."""
 
     def raw(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the parameters of the network, of all numbers in SI units."""
+        """Return the network's parameters from all numbers, given in SI units."""
         network, friction, d = self.network, self.network.friction, self.network.d
         prior, *others = values.split(self.sizes)
         raw: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
@@ -245,28 +244,28 @@ class RigidUnknowns(ABC):
             name: raw[name](part) for name, part in zip(raw, others, strict=True) if len(part)}
 
     def give(self, values: np.ndarray) -> None:
-        """Give the network these numbers, in SI units."""
+        """Set the network's parameters from numbers in SI units."""
         with torch.no_grad():
             for name, parameter in self.raw(torch.tensor(values)).items():
                 self.network.get_parameter(name).copy_(parameter)
 
 
 class _Physical(RigidUnknowns):
-    """The parameters of a prior themselves."""
+    """The physical parameters of a prior as unknowns."""
 
     def __init__(self, network: MechanicalNetwork):
         assert network.prior is not None
         self.prior = network.prior
         free = [name.startswith(('coupling', 'gravity')) for name in self.prior.names]
-        # Inertia is positive.
+        # Inertias are positive.
         super().__init__(network, self.prior.scale().numpy(), np.where(free, -np.inf, 0.0))
 
     def raw_prior(self, values: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Return the raw parameters; see RigidUnknowns."""
+        """Return the raw parameters of the prior, as in RigidUnknowns."""
         return {'prior.raw': self.prior.raw_of(values)}
 
     def now(self) -> np.ndarray:
-        """Return the numbers that the network has, in SI units."""
+        """Return the current numbers of the network, in SI units."""
         network = self.network
         parts = [self.prior.values(), network.friction.values()]
         if self.sizes[4]:
@@ -278,45 +277,45 @@ class _Physical(RigidUnknowns):
 
 
 def _inverse_softplus(x: torch.Tensor) -> torch.Tensor:
-    """Return log(exp(x) - 1), of LEAST at the least."""
+    """Return log(exp(x) - 1), for x clamped to LEAST or more."""
     x = torch.clamp(x, min=LEAST)
-    # exp(x) of a large x is infinite.
+    # exp(x) overflows for large x.
     return x + torch.log(-torch.expm1(-x))
 
 
 def _regression(physical: _Physical, samples: Samples) -> np.ndarray:
-    """Return the parameters that explain the forces best, by the input map that there is."""
+    """Return the parameters that best explain the forces, with the current input map."""
     rows = spread(torch.arange(len(samples.q)), _SAMPLES)
     q, v, a, tau = (part[rows] for part in (samples.q, samples.v, samples.a, samples.tau))
     with torch.no_grad():
         tau = physical.network.joint_forces(tau)
-    # Each joint in units of its own force.
+    # Scale each joint by its usual force.
     scales = physical.network.scales
     unit = torch.tensor(scales.inertia * scales.a)
     matrix = (physical.network.columns(q, v, a, tau) / unit[:, None]).flatten(0, 1).numpy()
     right = (tau / unit).flatten().numpy()
-    # Columns that are the same, such as the weight of a carriage and the offset of its motor,
-    # share their force, instead of cancelling one another in enormous numbers.
+    # The ridge splits the force between equal columns, such as a carriage's weight and its motor's
+    # offset; otherwise they could cancel with huge coefficients.
     matrix = np.vstack([matrix, _RIDGE * np.diag(np.linalg.norm(matrix, axis=0))])
     right = np.append(right, np.zeros(matrix.shape[1]))
     least = (physical.least * physical.scale)[:matrix.shape[1]]
     if right.any():
         found = lsq_linear(matrix, right, (least, np.inf)).x
     else:
-        # Without forces all is known up to a common factor: the first inertia is one.
+        # Without forces, parameters are known up to a common factor: set the first inertia to one.
         found = np.append(1.0, lsq_linear(
             matrix[:, 1:], -matrix[:, 0], (least[1:], np.inf)).x)
     n = physical.sizes[0]
     values = physical.prior.possible(torch.tensor(found[:n])).numpy()
     end = n + sum(physical.sizes[1:4])
-    # Accelerations may show no friction, where windows do: it begins above its least.
+    # Regression may find no friction where windows do: start above the lower bound.
     friction = np.maximum(found[n:], 10.0 * physical.least[n:end] * physical.scale[n:end])
     return np.concatenate([values, friction, physical.now()[end:]])
 
 
 def _least_squares(physical: _Physical, start: np.ndarray,
                    errors: Callable[[Solutions], torch.Tensor]) -> tuple[np.ndarray, float]:
-    """Return the parameters of the least soft size of errors, and that size."""
+    """Return the parameters of the smallest soft loss, and that loss."""
     scale = torch.tensor(physical.scale)
     found = fit_errors(physical.network, lambda x: physical.raw(x * scale),
                        start / physical.scale, physical.least, errors, physical.most)
@@ -324,7 +323,7 @@ def _least_squares(physical: _Physical, start: np.ndarray,
 
 
 def loss_of(found: OptimizeResult | None) -> float:
-    """Return the loss after a fit, infinite where it had no place to begin."""
+    """Return the loss after a fit, inf if its initial values were invalid."""
     # The cost is half a sum; the losses of networks are means of the same terms.
     return np.inf if found is None else 2.0 * float(found.cost) / len(found.fun)
 
@@ -334,26 +333,26 @@ def fit_errors(network: MechanicalNetwork,
                least: np.ndarray, errors: Callable[[Solutions], torch.Tensor],
                most: np.ndarray | float = np.inf) -> OptimizeResult | None:
     """
-    Fit numbers by the soft size of errors.
+    Minimise the soft loss of errors over parameters.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        Whose errors they are.
+        Network that the errors depend on.
     raw : callable
-        ``raw(x)`` returns parameters of the network by name.
+        ``raw(x)`` returns the network's parameters by name.
     start, least : np.ndarray, shape (k,)
-        Numbers to begin with, and their lower bounds. What rests on its bound begins above it: a
-        step ends where it meets a bound, so that one number there would hold all the others.
+        Initial values, and lower bounds. Values on a bound are moved above it: a step ends where
+        it meets a bound, and one such number would block all others.
     errors : callable
-        Errors of the network; takes the solver of its steps, which keeps solutions.
+        Errors of the network, a function of the solver that caches its steps.
     most : np.ndarray, shape (k,), optional
         Upper bounds.
 
     Returns
     -------
     OptimizeResult or None
-        What scipy.optimize.least_squares returns; None where errors are infinite to begin with.
+        Result of scipy.optimize.least_squares; None if the initial errors are not finite.
 
     """
     module = _Errors(network, errors)
@@ -364,7 +363,7 @@ def fit_errors(network: MechanicalNetwork,
 
     def values(x: np.ndarray) -> np.ndarray:
         with torch.no_grad():
-            # Infinite where M would not be positive, and where a window is thrown far.
+            # Errors are inf if M is not positive definite, or a window diverges.
             return np.nan_to_num(residuals(torch.tensor(x), Solutions()).numpy(), nan=np.inf)
 
     def jacobian(x: np.ndarray) -> np.ndarray:
@@ -381,12 +380,12 @@ def fit_errors(network: MechanicalNetwork,
 
 
 class _Errors(torch.nn.Module):
-    """Errors of a network, as a module whose parameters can be replaced."""
+    """Error function as a module, whose parameters can be replaced."""
 
     def __init__(self, network: MechanicalNetwork, errors: Callable[[Solutions], torch.Tensor]):
         super().__init__()
         self.network, self.errors = network, errors
 
     def forward(self, solutions: Solutions) -> torch.Tensor:
-        """Return them."""
+        """Return the errors."""
         return self.errors(solutions)

@@ -1,20 +1,20 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Steps of variational methods in torch, which gradients go through; the tableaus give them.
+Differentiable steps of variational methods in torch, from the tableaus of the integrators.
 
-``step`` is of a field of (q, p). Windows of motions of machines are simulated by ``simulated``, by
-the compiled methods of the same names on the same H, with friction and commands where these add
-forces: at the methods' own nodes. There the unknowns are velocities w: with p = M(y) w and
+``step`` advances a field of (q, p). ``simulated`` advances windows of machine motions with the
+compiled methods of the same names on the same H, with friction and commands added at the methods'
+own nodes. The unknowns there are velocities w: with p = M(y) w and
 F(y, w) = (w . M w)_q / 2 - V_q - friction, every method is a chain of nodes
 
     y = x + a w,    p - b (F + force) = c;    the next x = y + g w,    c = p + e (F + force)
 
-for numbers a, b, g and e of its own. Newton's method solves many nodes at once, of all windows and
-of some steps, from velocities that were measured: the network takes all of them as one batch, and
-what is linear is passed on from node to node. It is not recorded; one step of it more from where
-the equations hold, with their derivatives by x, c and w held, is recorded and has the derivatives
-of the solution by all else (the implicit function theorem).
+with method-specific numbers a, b, g and e. Newton's method solves many nodes at once, of all
+windows and several steps, starting at measured velocities: one batch for the network, with linear
+terms passed from node to node. These iterations are not recorded by autograd. One more Newton
+step at the solution is recorded, with the derivatives by x, c and w held constant; it yields the
+derivatives of the solution by everything else (implicit function theorem).
 """
 
 from collections.abc import Callable, Sequence
@@ -28,13 +28,13 @@ from hnn_vi_ros.learning.families.choices import WindowMethod
 from hnn_vi_ros.learning.families.mechanical import MechanicalNetwork
 import torch
 
-# Numbers of the unknowns that are solved at once: of fewer, calls take the time; of more, the
-# first guesses are worse, and more memory is taken. And steps after which each is taken alone.
+# Number of unknowns solved at once: fewer waste time on calls, more need memory and have
+# worse initial guesses. Number of Newton iterations before each step is solved alone.
 _AT_ONCE, _PATIENCE = 4096, 12
-# So many steps are solved at once at most: over more, dry friction leads Newton's method astray.
+# Maximum number of steps solved at once; over more, dry friction makes Newton's method fail.
 _MOST_STEPS = 100
-# Share of the states to which equations are solved before a last step of Newton's method. Losses
-# fall to 1e-10 of the squared rates, where an error of 1e-6 in their gradients would show.
+# Relative tolerance of the equations before the last Newton step. Losses fall to 1e-10 of the
+# squared rates, where an error of 1e-6 in their gradients would be visible.
 _ENOUGH = 1e-9
 _EPS = torch.finfo(torch.float64).eps
 
@@ -42,7 +42,7 @@ Field = Callable[[torch.Tensor], torch.Tensor]
 
 
 def nodes(integrator: str) -> list[Node]:
-    """Return the stages of a method that can be solved one after another, from its tableau."""
+    """Return the nodes of a diagonally implicit method, from its tableau."""
     tableau = INTEGRATORS[integrator]().partitioned
     assert tableau is not None, 'the methods of training have one'
     return tableau.nodes()
@@ -50,27 +50,27 @@ def nodes(integrator: str) -> list[Node]:
 
 def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Tensor:
     """
-    Return the states after a step, differentiable by all that they depend on.
+    Return the states after a step, differentiable with respect to all inputs.
 
-    Each implicit equation R(Z, z, theta) = 0 of a node is solved by Newton's method. By the
-    implicit function theorem dZ = -(R_Z)^-1 (R_z dz + R_theta dtheta), which is the derivative of
-    one more step of Newton's method from the solution, its matrix held fixed.
+    Newton's method solves the implicit equation R(Z, z, theta) = 0 of each node. By the implicit
+    function theorem dZ = -(R_Z)^-1 (R_z dz + R_theta dtheta), which is the derivative of one more
+    Newton step from the solution with its matrix held fixed.
 
     Parameters
     ----------
     field : callable
-        ``field(z)`` returns (dq/dt, dp/dt), shape (N, 2 d), of states (q, p) of that shape.
+        ``field(z)`` returns (dq/dt, dp/dt) at states z = (q, p), shape (N, 2 d).
     integrator : str
-        The method.
+        Name of the integrator.
     z0 : torch.Tensor, shape (N, 2 d)
-        States.
+        Initial states.
     h : float
         Step size [s].
 
     Raises
     ------
     DataError
-        An equation has no solution that is found: the step is too large for the field.
+        Newton's method did not converge: the step is too large for the field.
 
     """
     z, d = z0, z0.shape[1] // 2
@@ -86,7 +86,7 @@ def step(field: Field, integrator: str, z0: torch.Tensor, h: float) -> torch.Ten
 
 
 def _solve(field: Field, z: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
-    """Return Z of Z = z + own field(Z), each of shape (N, 2 d)."""
+    """Solve Z = z + own field(Z) for Z, shape (N, 2 d)."""
     start = z.detach()
     unit = start.abs().amax(dim=0) + _EPS
     found, matrix = newton(lambda at: at - start - own * field(at),
@@ -97,16 +97,16 @@ def _solve(field: Field, z: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
 
 class Method(NamedTuple):
     """
-    A method as a chain of nodes, by shares of its step size h.
+    A method as a chain of nodes, in units of the step size h.
 
     Parameters
     ----------
     before : float
-        The first x is q + before h v.
+        Coefficient of the first x = q + before h v.
     nodes : list of tuple of float
-        a, b, g and e of the nodes of a step.
+        Coefficients a, b, g and e of each node of a step.
     after : float
-        A step ends at q = y + after h w and at p = c, the next ones, of its last node.
+        Coefficient of the end of a step, q = y + after h w and p = c, at the last node.
 
     """
 
@@ -116,13 +116,13 @@ class Method(NamedTuple):
 
 
 def _method(integrator: str) -> Method:
-    """Return a method by its nodes; one that begins with a known velocity takes it once."""
+    """Return the nodes of a method; an initial node with known velocity is used only once."""
     found = [(node.a, node.b, node.u - node.a, node.w - node.b) for node in nodes(integrator)]
     (a, b, before, force), *others = found
     after = found[-1][2]
     if a or b or force:
         return Method(0.0, found, after)
-    # The first node is the last one of the step before: both velocities are H_p there.
+    # The first node coincides with the last one of the previous step: both velocities are H_p.
     *inner, (a, b, g, e) = others
     return Method(before, [*inner, (a, b, g + before, e)], after)
 
@@ -133,7 +133,7 @@ METHODS: dict[WindowMethod, Method] = {
 
 
 class States(NamedTuple):
-    """Coordinates, velocities and momenta after each step, each of shape (K, N, d)."""
+    """Coordinates, velocities and momenta after each step, shape (K, N, d) each."""
 
     q: torch.Tensor
     v: torch.Tensor
@@ -142,16 +142,16 @@ class States(NamedTuple):
 
 class Chain(NamedTuple):
     """
-    Nodes, one after another, of N windows.
+    Successive nodes of N windows.
 
     Parameters
     ----------
     x, c : torch.Tensor, shape (N, d)
-        Those of the first node.
+        Values at the first node.
     forces, guess : torch.Tensor, shape (n, N, d)
-        Of each node, and about its velocity.
+        Force and initial guess of the velocity at each node.
     numbers : torch.Tensor, shape (4, n, 1, 1)
-        a, b, g and e of each.
+        Coefficients a, b, g and e of each node.
 
     """
 
@@ -162,17 +162,17 @@ class Chain(NamedTuple):
     numbers: torch.Tensor
 
     def of(self, rows: torch.Tensor) -> 'Chain':
-        """Return the chain of some of the windows, not recorded."""
+        """Return the chain of some of the windows, detached from autograd."""
         return Chain(self.x.detach()[rows], self.c.detach()[rows], self.forces.detach()[:, rows],
                      self.guess[:, rows], self.numbers)
 
     def coordinates(self, w: torch.Tensor) -> torch.Tensor:
-        """Return y of each node at velocities w, both of shape (n, N, d)."""
+        """Return y of each node for velocities w, shape (n, N, d)."""
         a, _, g, _ = self.numbers
         return self.x + ((a + g) * w).cumsum(dim=0) - g * w
 
     def residuals(self, p: torch.Tensor, rate: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return p - b (F + force) - c, and the next c, each of shape (n, N, d)."""
+        """Return p - b (F + force) - c, and the next c, shape (n, N, d) each."""
         _, b, _, e = self.numbers
         total = rate + self.forces
         after = p + e * total
@@ -181,10 +181,10 @@ class Chain(NamedTuple):
 
 class Found(NamedTuple):
     """
-    The first x, shape (N, d), velocities of nodes, (n, N, d), and the equations about these.
+    First x, shape (N, d), node velocities, (n, N, d), and the equations linearised at these.
 
-    A residual r moves a node whose x and c have moved by z = (dx, dc) by dw = back z - inverse r,
-    and the next by z' = onward z - push r.
+    For changes z = (dx, dc) at a node and a residual r, dw = back z - inverse r; the change at the
+    next node is z' = onward z - push r.
     """
 
     x: torch.Tensor
@@ -195,7 +195,7 @@ class Found(NamedTuple):
     push: torch.Tensor
 
     def moves(self, r: torch.Tensor, first: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return all z, shape (n + 1, N, 2 d), of the first, (N, 2 d), and dw, (n, N, d)."""
+        """Propagate `first`, (N, 2 d); return all z, shape (n + 1, N, 2 d), and dw, (n, N, d)."""
         pushed = -(self.push @ r[..., None])
         z = [first[:, :, None]]
         for push, onward in zip(pushed, self.onward, strict=True):
@@ -204,24 +204,24 @@ class Found(NamedTuple):
         return all_z[..., 0], (self.back @ all_z[:-1] - self.inverse @ r[..., None])[..., 0]
 
     def update(self, rows: torch.Tensor, other: 'Found') -> None:
-        """Take what another found of some of the windows."""
+        """Copy the solution of some windows from another."""
         for old, new in zip(self[1:], other[1:], strict=True):
             old[:, rows] = new
 
 
 class Solutions:
     """
-    Solver of the equations of chains, one after another; it can repeat earlier solutions.
+    Solver of the equations of successive chains; it can replay earlier solutions.
 
     Parameters
     ----------
     found : sequence of Found, optional
-        Solutions at the same parameters: derivatives in forward mode need no further iteration.
+        Solutions to replay, at the same parameters; forward-mode derivatives need no iteration.
 
     Attributes
     ----------
     alone : int
-        How often the nodes of a window had to be solved one after another, some steps at a time.
+        Number of window parts whose nodes had to be solved one after another.
 
     """
 
@@ -231,11 +231,11 @@ class Solutions:
         self.alone = 0
 
     def again(self) -> 'Solutions':
-        """Return a solver that repeats the solutions of this one."""
+        """Return a solver that replays the solutions of this one."""
         return Solutions(self._found)
 
     def solve(self, machine: MechanicalNetwork, chain: Chain) -> Found:
-        """Return the solution of a chain; NaN in windows without one."""
+        """Return the solution of a chain, NaN in windows without one."""
         if self._next is not None:
             return next(self._next)
         with torch.no_grad():
@@ -253,29 +253,29 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
               forces: torch.Tensor, h: float, guess: torch.Tensor | None = None,
               solutions: Solutions | None = None) -> States:
     """
-    Return the motion of windows, with its derivatives by parameters and forces.
+    Simulate windows, differentiable with respect to parameters and forces.
 
     Parameters
     ----------
     machine : MechanicalNetwork
-        What moves.
+        Network of the machine.
     method : str
-        Of the steps.
+        Name of the integrator.
     q, v : torch.Tensor, shape (N, d)
-        Where windows begin.
+        Initial coordinates and velocities.
     forces : torch.Tensor, shape (K, N, d)
-        On the joints, held over each step.
+        Forces on the joints, held over each step.
     h : float
         Step size [s].
     guess : torch.Tensor, shape (K, N, d), optional
-        About the mean velocity of each step, such as measured ones; default v.
+        Estimated mean velocity of each step, for example measured; default v.
     solutions : Solutions, optional
-        Of the equations, if they are to be used again.
+        Solver of the equations, if solutions are reused.
 
     Returns
     -------
     States
-        After each step; NaN in windows with a step that has no solution.
+        States after each step, NaN in windows with an unsolvable step.
 
     """
     before, nodes, after = METHODS[method]
@@ -289,7 +289,7 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
         numbers = h * torch.tensor(nodes, dtype=q.dtype).repeat(len(force), 1)
         chain = Chain(
             x, c, force.repeat_interleave(len(nodes), dim=0),
-            # What measured velocities were wrong by before, they go on to be wrong by.
+            # Extrapolate the error of the measured velocities.
             (about + missed).repeat_interleave(len(nodes), dim=0), numbers.T[:, :, None, None])
         y, w, c_after = _recorded(machine, chain, solutions.solve(machine, chain))
         last = slice(len(nodes) - 1, None, len(nodes))
@@ -302,19 +302,19 @@ def simulated(machine: MechanicalNetwork, method: WindowMethod, q: torch.Tensor,
 
 def _recorded(machine: MechanicalNetwork, chain: Chain, found: Found
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return y, w and the next c of all nodes, by a step of Newton's method that is recorded."""
+    """Return y, w and the next c of all nodes from one recorded Newton step."""
     y = chain._replace(x=found.x).coordinates(found.w)
     p, rate = (part.view_as(y) for part in machine.momenta(*(
         part.flatten(0, 1) for part in (y, found.w, chain.forces))))
     r, c_after = chain.residuals(p, rate)
-    # Where c has moved is in the first residual.
+    # The first residual already contains the change of c.
     z, dw = found.moves(r, torch.cat([chain.x - found.x, torch.zeros_like(chain.x)], dim=1))
     d = y.shape[2]
     return (y + z[:-1, :, :d] + chain.numbers[0] * dw, found.w + dw, c_after + z[1:, :, d:])
 
 
 def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tensor]:
-    """Return the solution of a chain, and the windows where Newton's method did not converge."""
+    """Return the solution of a chain, and the indices of windows that did not converge."""
     w, unit = chain.guess.clone(), torch.tensor(machine.scales.v)
     left, found = torch.arange(len(chain.x)), None
     for _ in range(_PATIENCE):
@@ -335,7 +335,7 @@ def _solved(machine: MechanicalNetwork, chain: Chain) -> tuple[Found, torch.Tens
 
 def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
                ) -> tuple[Found, torch.Tensor]:
-    """Return the equations of a chain about velocities, and their residuals, (n, N, d)."""
+    """Return the equations of a chain linearised at w, and their residuals, (n, N, d)."""
     y = chain.coordinates(w)
     p, rate, p_v, p_q, rate_q, rate_v = (
         part.unflatten(0, w.shape[:2])
@@ -345,7 +345,7 @@ def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
     d, one = w.shape[2], torch.eye(w.shape[2], dtype=w.dtype)
     by_x, c_by_x = p_q - b * rate_q, p_q + e * rate_q
     inverse = torch.linalg.inv_ex(p_v - b * rate_v + a * by_x)[0]
-    # How w moves the next x and c.
+    # Derivatives of the next x and c by w.
     follows = torch.cat([(a + g) * one.expand_as(p_v), p_v + e * rate_v + a * c_by_x], dim=2)
     back = inverse @ torch.cat([-by_x, one.expand_as(by_x)], dim=3)
     onward = follows @ back
@@ -355,7 +355,7 @@ def _equations(machine: MechanicalNetwork, chain: Chain, w: torch.Tensor
 
 
 def _one_by_one(machine: MechanicalNetwork, chain: Chain) -> torch.Tensor:
-    """Return the velocities of nodes, shape (n, N, d), each found after the one before it."""
+    """Return the node velocities, shape (n, N, d), solved one node after another."""
     scales, x, c, found = machine.scales, chain.x, chain.c, []
     unit, momentum = torch.tensor(scales.v), torch.tensor(scales.inertia * scales.v)
     w = chain.guess[0]
