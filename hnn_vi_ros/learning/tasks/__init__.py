@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Training tasks: what each group of families supplies to the one trainer."""
+"""Training tasks: the parts that each group of families supplies to the common trainer."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,23 +13,23 @@ from hnn_vi_ros.models import Box, Checkpoint, CoordinateCard, Layers, ModelCard
 from hnn_vi_ros.version import __version__
 import numpy as np
 
-# A note on the scale of energy for a model card.
+# Note on the energy scale for model cards.
 OPEN_BY_MAP = ('; an input map was learned, which leaves the scale of energy open: the mean '
                'square of its columns is 1')
 
 
 class Task(ABC):
     """
-    Data, loss, card and judgement of models of some families.
+    Base class of a task: data, loss, card and judgement of models of some families.
 
-    Its arguments are the file of a configuration, the configuration, the files that the command
-    line gives instead of the configuration's, and whether an ensemble is trained: then some data
-    are held out.
+    Arguments: the path of a configuration, the configuration, data files from the command line
+    that override the configured ones, and whether an ensemble is trained; an ensemble holds out
+    some data for calibration.
     """
 
-    # The name of the picture in the report.
+    # Name of the picture in the report.
     picture: ClassVar[str]
-    # The box of an ensemble; by default the mean of its members' boxes.
+    # Training domain of an ensemble; default: the mean of its members' boxes.
     box: Box | None = None
 
     @abstractmethod
@@ -38,11 +38,11 @@ class Task(ABC):
 
     @abstractmethod
     def arrays(self) -> Iterable[np.ndarray]:
-        """Return the data, by which an interrupted run is known again."""
+        """Return the data arrays, which identify an interrupted run."""
 
     @abstractmethod
     def problem(self, config: Any, device: str) -> TrainingProblem:
-        """Return a fresh model with its stages; of an ensemble, on data drawn by its seed."""
+        """Return a new model with its stages; for an ensemble, on data resampled by the seed."""
 
     @abstractmethod
     def describe(self, problem: Any, config: Any, name: str, command: str) -> Checkpoint:
@@ -50,12 +50,12 @@ class Task(ABC):
 
     @abstractmethod
     def judged(self, checkpoint: Checkpoint, problem: Any) -> Judged:
-        """Return the model, judged by data that it has not seen."""
+        """Return the model, judged on unseen data."""
 
 
 def described(config: Any, networks: Mapping[str, Layers], name: str, command: str,
               **entries: Any) -> Checkpoint:
-    """Return a trained model with its card; ``entries`` are those that its task alone knows."""
+    """Return a trained model with its card; ``entries`` are task-specific card entries."""
     coordinates = [CoordinateCard(name=one.name, q_unit=one.q_unit, p_unit=one.p_unit)
                    for one in config.coordinates]
     return Checkpoint(ModelCard(

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train models of bodies that turn in windows of motions, and judge them by other windows."""
+"""Train models of rotating bodies on windows of motions, and judge them on other windows."""
 
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
@@ -26,18 +26,18 @@ from hnn_vi_ros.models import Box, Checkpoint, group_of, load_checkpoint, Scheme
 import numpy as np
 import torch
 
-# Half of the range of what only rounding changes.
+# Half-range assigned to quantities that vary only by rounding.
 _LEAST = 1e-12
-# |x|^2 / 4 below which coefficients are those at it: what they are multiplied by is |x|^2.
+# Lower clamp of |x|^2 / 4 in the coefficients; harmless because |x|^2 multiplies them.
 _LEAST_ANGLE = 1e-8
-# x cross, row by row, of x along each axis.
+# Matrix of the linear map from x to its cross-product matrix, row by row.
 _CROSS = torch.tensor([[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0],
                        [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
                        [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
 
 
 class Node(NamedTuple):
-    """Places (N, k - 3), attitudes (N, 3, 3) and momenta (N, k) at one time."""
+    """Positions (N, k - 3), attitudes (N, 3, 3) and momenta (N, k) at one time."""
 
     x: torch.Tensor
     R: torch.Tensor
@@ -45,7 +45,7 @@ class Node(NamedTuple):
 
 
 def _exponential(y: torch.Tensor) -> Any:
-    """Return the coefficients of the exponential map; see Coefficients."""
+    """Return the coefficients of the exponential map, as in Coefficients."""
     y = y.clamp_min(_LEAST_ANGLE)
     half = y.sqrt()
     sine, cosine = half.sin() / half, half.cos()
@@ -55,7 +55,7 @@ def _exponential(y: torch.Tensor) -> Any:
                         0.5 * sine.square(), 0.25 * (sines + sine * cosines))
 
 
-# Coefficients at vectors of squared length 4 y, of shape (N, 1).
+# Coefficients for vectors of squared length 4 y, shape (N, 1).
 RETRACTIONS: dict[RetractionName, Callable[[torch.Tensor], Any]] = {
     'cayley': in_torch(cayley), 'exponential': _exponential}
 
@@ -76,14 +76,14 @@ def _bend(x: torch.Tensor, m: torch.Tensor, tau: Any, side: float) -> torch.Tens
 
 class LieSteps:
     """
-    Steps of a body, one after another, of one size.
+    Stepper of a body with a fixed step size.
 
     Parameters
     ----------
     body : LieGroupNetwork
-        The body that is simulated.
+        Network of the body.
     method, retraction : str
-        As a scene names them.
+        Names as in a scene.
     step_size : float
         h [s].
 
@@ -111,14 +111,14 @@ class LieSteps:
         return w - torch.linalg.solve_ex(J, residual(w)[:, :, None])[0][:, :, 0]
 
     def _inside(self, held: HeldBody, h: float, right: torch.Tensor) -> torch.Tensor:
-        """Return mu of (dtau^-1_(h xi))^* mu = right - h g^* H_g(mu)."""
+        """Solve (dtau^-1_(h xi))^* mu = right - h g^* H_g(mu) for mu."""
         def residual(mu: torch.Tensor) -> torch.Tensor:
             velocity, slope = held.rates(mu)
             x = h * velocity[:, -3:]
             bend = _bend(x, mu[:, -3:], self._tau(x), 1.0)
             return mu + h * slope - right + _only_turn(bend, mu)
 
-        # Recorded: what the held body knows from here on is used by the recorded step as well.
+        # Recorded by autograd: the recorded step reuses values that the held body caches here.
         guess = right - h * held.rates(right)[1]
         return self._solve('momenta', residual, guess, self._body.momentum_unit)
 
@@ -133,7 +133,7 @@ class LieSteps:
         return self._outside(Node(place, R, p), u, h, h * velocity)
 
     def _outside(self, node: Node, u: torch.Tensor, h: float, guess: torch.Tensor) -> Node:
-        """Return the node after half a step that is implicit in the pose."""
+        """Return the node after half a step with the position and attitude implicit."""
         def pose(change: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
             x = change[:, -3:]
             tau, turning = self._tau(x), node.p[:, -3:]
@@ -164,12 +164,12 @@ class LieSteps:
 
 
 def _only_turn(torque: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
-    """Return vectors of shape (N, 3), padded in front with zeros to the shape of p."""
+    """Pad vectors of shape (N, 3) with leading zeros to the shape of p."""
     return torch.nn.functional.pad(torque, (p.shape[1] - 3, 0))
 
 
 def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNetwork:
-    """Return the network of a configuration, with the scales of motions, or raise DataError."""
+    """Return the network of a configuration with the scales of motions, or raise DataError."""
     k = 3 if config.kind == 'rotation' else 6
     x, R, v, u = (torch.cat([part.flatten(0, 1) for part in parts]).numpy()
                   for parts in zip(*(motion[:4] for motion in motions), strict=True))
@@ -207,13 +207,13 @@ def network_of(config: BodyConfig, motions: Sequence[BodyMotions]) -> LieGroupNe
 
 
 def _sizes(values: np.ndarray) -> np.ndarray:
-    """Return the usual length of a vector of place, and of one of turning, in all its columns."""
+    """Return the RMS length of position and rotation vectors, repeated for their components."""
     squares = (values.reshape(len(values), -1, 3)**2).mean(axis=(0, 2))
     return np.repeat(np.sqrt(3.0 * squares), 3)
 
 
 def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
-    """Return attitudes and velocities, and the mean accelerations until the next instant."""
+    """Return attitudes and velocities, and the mean accelerations until the next sample."""
     states = torch.cat([motion.R[:-1].flatten(2), motion.v[:-1]], dim=2)
     rates = (motion.v[1:] - motion.v[:-1]) / motion.interval
     return states.flatten(0, 1).numpy(), rates.flatten(0, 1).numpy()
@@ -221,7 +221,7 @@ def _accelerations(motion: BodyMotions) -> tuple[np.ndarray, np.ndarray]:
 
 def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> list[tuple[
         torch.Tensor, torch.Tensor, torch.Tensor]]:
-    """Return x, R and v, each (M, ...), at every instant but the first, with the inputs held."""
+    """Return x, R and v, shape (M, ...) each, at all samples but the first; inputs are held."""
     h = windows.interval / config.substeps
     step = LieSteps(network, config.method, config.retraction, h)
     x, R = windows.x[0], windows.R[0]
@@ -237,10 +237,10 @@ def simulated(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
 
 def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
                   ) -> dict[str, torch.Tensor]:
-    """Return mean squared errors: of places, attitudes (angles), velocities, turning."""
+    """Return mean squared errors of position, attitude, linear and angular velocity."""
     x, R, v = map(torch.stack, zip(*simulated(network, config, windows), strict=True))
     true, places = windows.at(slice(1, None)), x.shape[2]
-    # |R - R'|^2 / 2, of nine entries, is the squared angle between them, but for its fourth power.
+    # |R - R'|^2 / 2 over nine entries is the squared angle up to terms of fourth order.
     errors = {'place': x - true.x, 'attitude': math.sqrt(4.5) * (R - true.R),
               'velocity': (v - true.v)[..., :places], 'turning': (v - true.v)[..., places:]}
     return {name: error.square().mean() for name, error in errors.items() if error.numel()}
@@ -248,11 +248,11 @@ def window_errors(network: LieGroupNetwork, config: BodyConfig, windows: BodyMot
 
 def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> float:
     """
-    Return the loss by which models of this kind were published, in SI units.
+    Return the published loss of models of this kind, in SI units.
 
-    It is the sum of the mean squared errors of place, velocity, angular velocity and angle, over
-    all instants of windows but the first. Of the pendulum, it was the mean over the angular
-    velocity and its one input, whose error is zero: three quarters of that of the velocity.
+    The loss is the sum of the mean squared errors of position, velocity, angular velocity and
+    angle over all samples of windows but the first. For the pendulum, the published mean also
+    includes the error of its one input, which is zero: 3/4 of the angular velocity's error.
     """
     errors = _errors(network, config, windows)
     if 'place' not in errors:
@@ -262,7 +262,7 @@ def published_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMo
 
 
 def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions) -> torch.Tensor:
-    """Return the mean squared errors in units of the usual velocities."""
+    """Return the mean squared errors relative to the usual velocities."""
     errors, unit = window_errors(network, config, windows), network.velocity_unit.square()
     total = [errors['turning'] / unit[-1], errors['attitude'] / (config.time_scale**2 * unit[-1])]
     if 'place' in errors:
@@ -271,7 +271,7 @@ def body_loss(network: LieGroupNetwork, config: BodyConfig, windows: BodyMotions
 
 
 def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
-    """Return windows of one length and interval as one."""
+    """Concatenate windows of the same length and interval."""
     first = windows[0]
     for other in windows:
         if abs(other.interval - first.interval) > 0.01 * first.interval:
@@ -284,21 +284,21 @@ def joined(windows: Sequence[BodyMotions]) -> BodyMotions:
 
 class BodyProblem(TrainingProblem):
     """
-    A network, and the stages that fit it to windows of motions: Adam on batches, L-BFGS on a part.
+    A network and the stages that fit it to windows: Adam on batches, L-BFGS on a subset.
 
     Parameters
     ----------
     network : LieGroupNetwork
-        Changed by a fit.
+        Trained in place.
     config : BodyConfig
         Windows, learning rate and seed.
     motions : sequence of BodyMotions
-        What to learn from.
+        Training motions.
 
     Raises
     ------
     DataError
-        The motions are shorter than a window.
+        All motions are shorter than a window.
 
     """
 
@@ -334,25 +334,25 @@ class BodyProblem(TrainingProblem):
                             'before, and look for outliers in the data'))
 
 
-# A model is judged by windows of so many intervals, as published.
+# Number of intervals per test window, as in the publications.
 INTERVALS = 4
 _UNITS = {'place': 'm', 'attitude': 'rad', 'velocity': 'm/s', 'turning': 'rad/s'}
 
 
 class BodyTask(Task):
     """
-    A model of a body that turns, trained on windows of its motions; see Task.
+    Training of a rotating body on windows of its motions; see Task.
 
     Parameters
     ----------
     source : Path
-        The file of the configuration.
+        Path of the configuration.
     config : BodyConfig
-        How to train.
+        Configuration of the training.
     given : sequence of str
-        A file that replaces that of the configuration.
+        File that overrides the configured one.
     ensemble : bool
-        Not for this family.
+        Not supported for this family.
 
     """
 
@@ -365,11 +365,11 @@ class BodyTask(Task):
         self._windows = _judged(test)
 
     def arrays(self) -> Iterator[np.ndarray]:
-        """Yield the arrays of the motions to learn from; see Task."""
+        """Yield the arrays of the training motions; see Task."""
         return (part.numpy() for motion in self._train for part in motion[:4])
 
     def problem(self, config: BodyConfig, device: str) -> BodyProblem:
-        """Return a fresh network with its stages; see Task."""
+        """Return a new network with its stages; see Task."""
         return BodyProblem(network_of(config, self._train), config, self._train)
 
     def describe(self, problem: TrainingProblem, config: BodyConfig, name: str, command: str
@@ -384,7 +384,7 @@ class BodyTask(Task):
                 network.momenta(*(getattr(motion, part).flatten(0, 1) for part in 'xRv'))
                 for motion in self._train])
         x = torch.cat([motion.x.flatten(0, 1) for motion in self._train])
-        # Every entry of an attitude can take any value; the last of the momenta stays zero.
+        # Entries of attitudes are unrestricted; the last momentum component stays zero.
         box = Box(q=[*_bounds(x), *[[-1.01, 1.01]] * 4], p=[*_bounds(p), [-1.0, 1.0]])
         scheme = Scheme(integrator=config.method,
                         step_size=self._train[0].interval / config.substeps)
@@ -394,13 +394,13 @@ class BodyTask(Task):
             + scale, losses=problem.losses)
 
     def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
-        """Return the model, and the errors of windows as text; see Task."""
+        """Return the model with window errors as text; see Task."""
         text = _text(problem.module, self._config, self._windows)
         return Judged(checkpoint, text, text)
 
 
 def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> float:
-    """Return the number to normalise: the RMS of the columns of B, or the mean inertia."""
+    """Return the quantity to normalise: the RMS column of B, or the mean inertia."""
     R = torch.cat([motion.R.flatten(0, 1) for motion in motions])
     x = torch.cat([motion.x.flatten(0, 1) for motion in motions])
     count = motions[0].u.shape[2] if 'input_map' in network.features else 0
@@ -417,7 +417,7 @@ def _open_scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> flo
 
 
 def _scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
-    """Return a note on the scale of energy for the model card, where inputs do not fix it."""
+    """Return a note on the energy scale for the model card, '' if inputs fix the scale."""
     if 'input_map' in network.features:
         return OPEN_BY_MAP
     if any(motion.u.any() for motion in motions):
@@ -427,14 +427,14 @@ def _scale(network: LieGroupNetwork, motions: Sequence[BodyMotions]) -> str:
 
 def _bounds(values: torch.Tensor) -> list[list[float]]:
     low, high = values.min(dim=0).values, values.max(dim=0).values
-    # What never moves still has an interval around it.
+    # A constant still gets an interval of positive length.
     least = 1e-6 * (1.0 + torch.maximum(low.abs(), high.abs()))
     found: list[list[float]] = torch.stack([low - least, high + least], dim=1).tolist()
     return found
 
 
 def evaluate(arguments: Namespace) -> None:
-    """Print the errors of a model's windows of its test data, and the loss as published."""
+    """Print a model's window errors on its test data and the published loss."""
     model = load_checkpoint(arguments.model)
     if arguments.config is None:
         raise ParameterError(f'{arguments.model}: a model of the family lie_group is evaluated on '

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train families that learn a field of (q, p), from states and their rates: losses, loop, card."""
+"""Train families that learn a field of (q, p) from states and rates: losses, loop, card."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -24,19 +24,19 @@ from hnn_vi_ros.models import (
 import numpy as np
 import torch
 
-PAIRS = 256  # of states, for the preference for a linear field
+PAIRS = 256  # number of state pairs for the penalty on nonlinearity
 
 
 class Batch(NamedTuple):
     """
-    Data as a loss takes them.
+    Training data in the form that a loss needs.
 
     Parameters
     ----------
     inputs : tuple of torch.Tensor
-        The inputs of a prediction, N rows each.
+        Inputs of a prediction, N rows each.
     target : torch.Tensor, shape (N, k)
-        The values to predict: rates of change, or accelerations.
+        Target values: rates of change or accelerations.
 
     """
 
@@ -44,13 +44,13 @@ class Batch(NamedTuple):
     target: torch.Tensor
 
     def to(self, device: str) -> 'Batch':
-        """Return the same on another device."""
+        """Return a copy on another device."""
         return Batch(tuple(part.to(device) for part in self.inputs), self.target.to(device))
 
 
 class Loss(NamedTuple):
     """
-    A loss: the mean square of prediction less target, in units of the target.
+    A loss: the mean squared error of a prediction in units of the target.
 
     Parameters
     ----------
@@ -69,27 +69,27 @@ class Loss(NamedTuple):
 
 
 def mean_square(errors: torch.Tensor, unit: torch.Tensor) -> torch.Tensor:
-    """Return the mean square of errors, shape (N, k), in units of shape (k,)."""
+    """Return the mean square of errors, shape (N, k), with units of shape (k,)."""
     return (errors / unit).square().mean()
 
 
 def nonlinearity(family: Any, z1: torch.Tensor, z2: torch.Tensor, unit: torch.Tensor
                  ) -> torch.Tensor:
     """
-    Return how far the field between pairs of states is from linear, mean squared.
+    Return the mean squared nonlinearity of the field between pairs of states.
 
-    It compares the field in the middle of each pair with the mean of the fields at its ends.
-    Added with a small weight to the loss, it makes H plain where no data says otherwise: a
-    single orbit leaves the energy inside it free.
+    Nonlinearity is the field at the midpoint of a pair minus the mean of the fields at its ends.
+    As a small penalty, it keeps H simple where the data leave it free, for example inside of a
+    single orbit.
 
     Parameters
     ----------
     family : Trainable
-        With a vector field.
+        Model with a vector field.
     z1, z2 : torch.Tensor, shape (N, 2 d)
-        The states of each pair.
+        States of each pair.
     unit : torch.Tensor, shape (2 d,)
-        What each component's error is measured in.
+        Unit of each component's error.
 
     """
     ends = 0.5 * (family.vector_field(z1) + family.vector_field(z2))
@@ -103,7 +103,7 @@ def _rates(choice: Any, dataset: Dataset) -> Batch:
 
 
 def _paths(choice: Any, dataset: Dataset) -> Batch:
-    """Return the first states, and the mean rates from there until each of the next ones."""
+    """Return the first states, and the mean rates from there to each of the next states."""
     windows = dataset.windows(choice.step_size, choice.count + 1)
     path = _joined(dataset.q[windows], dataset.p[windows])
     return Batch((path[:, 0],), torch.cat([
@@ -125,7 +125,7 @@ def _pairs(choice: Any, dataset: Dataset) -> Batch:
 
 
 def _positions(choice: Any, dataset: Dataset) -> Batch:
-    """Return three positions in a row each, and their second differences."""
+    """Return triples of consecutive positions, and their second differences."""
     windows = dataset.windows(choice.step_size, 3)
     q0, q1, q2 = torch.tensor(dataset.q[windows]).unbind(dim=1)
     return Batch((q0, q1, q2), (q2 - 2.0 * q1 + q0) / choice.step_size**2)
@@ -134,10 +134,10 @@ def _positions(choice: Any, dataset: Dataset) -> Batch:
 def _discrete_euler_lagrange(choice: Any, family: Any, q0: torch.Tensor, q1: torch.Tensor,
                              q2: torch.Tensor) -> torch.Tensor:
     """
-    Return the second difference by D_1 L_d(q1, q2) + D_2 L_d(q0, q1) = 0.
+    Solve D_1 L_d(q1, q2) + D_2 L_d(q0, q1) = 0 for the second difference.
 
-    With L = v . M v / 2 - V(q) it is -M^-1 V'(q1) by the trapezoid rule, and the mean of
-    -M^-1 V' at the two midpoints by the midpoint rule.
+    For L = v . M v / 2 - V(q), the result is -M^-1 V'(q1) with the trapezoid rule, and the mean
+    of -M^-1 V' at the two midpoints with the midpoint rule.
     """
     if choice.rule == 'trapezoid':
         return family.acceleration(q1)
@@ -169,21 +169,21 @@ LOSSES = {
 
 class FieldProblem(TrainingProblem):
     """
-    The data as tensors, a fresh model, and the loss that it is trained on.
+    Training problem of a field: the data as tensors, a new model, and its loss.
 
     Parameters
     ----------
     config : FieldConfig
-        Family, loss, widths, seed, split and preferences.
+        Family, loss, widths, seed, split and penalties.
     dataset : Dataset
-        What to learn from.
+        Training and held-out data.
     device : str
-        Where to train: 'cpu' or 'cuda'.
+        Training device, 'cpu' or 'cuda'.
 
     Raises
     ------
     DataError
-        The data lack what the family or the loss needs.
+        The data lack a channel that the family or the loss needs.
 
     """
 
@@ -195,7 +195,7 @@ class FieldProblem(TrainingProblem):
         train, validation = rest.split(config.validation_fraction, config.seed)
         scales = self._scales = Scales.of(dataset)
         self._exact = isinstance(config.data, ExactData) and config.data.noise == 0.0
-        # Adam finds a good valley, and L-BFGS descends it.
+        # Adam finds a good basin, and L-BFGS converges in it.
         super().__init__(FAMILIES[config.family.kind].trainer(
             config.family, config.hidden, scales, config.seed), [
                 Stage('Adam', self.loss, config.adam_steps, config.learning_rate,
@@ -216,7 +216,7 @@ class FieldProblem(TrainingProblem):
         self.to(device)
 
     def loss(self) -> torch.Tensor:
-        """Return the loss that training minimises, with preferences."""
+        """Return the training loss, including penalties."""
         loss = mean_square(self._errors(self._train), self._unit)
         if self._config.linearity:
             loss = loss + self._config.linearity * nonlinearity(
@@ -225,11 +225,11 @@ class FieldProblem(TrainingProblem):
         return loss if preference is None else loss + preference
 
     def validation_loss(self) -> float:
-        """Return the loss on the held-out data."""
+        """Return the loss on held-out data."""
         return float(mean_square(self._errors(self._validation), self._unit).detach())
 
     def final_losses(self) -> dict[str, float]:
-        """Return the losses, and the RMS errors on the held-out data in its own units."""
+        """Return the losses, and the RMS errors on held-out data in the data's units."""
         errors = self._errors(self._validation).detach()
         train = mean_square(self._errors(self._train), self._unit)
         values = {'train_loss': train.detach(),
@@ -244,7 +244,7 @@ class FieldProblem(TrainingProblem):
         return {name: float(value) for name, value in values.items()}
 
     def compare(self) -> Comparison:
-        """Return predictions of the model next to the held-out data."""
+        """Return the model's predictions together with the held-out data."""
         batch, parts = self._validation, self._loss.parts
         target = batch.target.cpu().numpy()
         predicted = target + self._errors(batch).detach().cpu().numpy()
@@ -269,24 +269,24 @@ class FieldProblem(TrainingProblem):
         return self._loss.predict(self._config.loss, self.module, *batch.inputs) - batch.target
 
 
-# States of the box at which the learned energy is compared with the true one.
+# Number of states in the box at which learned and true energy are compared.
 _STATES = 2000
 
 
 class FieldTask(Task):
     """
-    A model of H(q, p), or of a Lagrangian or two-form, trained on states; see Task.
+    Training of H(q, p), a Lagrangian or a two-form on states; see Task.
 
     Parameters
     ----------
     source : Path
-        The file of the configuration.
+        Path of the configuration.
     config : FieldConfig
-        How to train.
+        Configuration of the training.
     given : sequence of str
-        Files that replace those of the configuration.
+        Files that override the configured ones.
     ensemble : bool
-        Whether members are trained, each on resampled data.
+        True to train ensemble members, each on resampled data.
 
     """
 
@@ -305,7 +305,7 @@ class FieldTask(Task):
         return (part for part in vars(self._dataset).values() if isinstance(part, np.ndarray))
 
     def problem(self, config: FieldConfig, device: str) -> FieldProblem:
-        """Return a fresh model with its loss; see Task."""
+        """Return a new model with its loss; see Task."""
         return FieldProblem(config, bootstrapped(self._known, config.seed) if self._ensemble
                             else self._known, device)
 
@@ -316,7 +316,7 @@ class FieldTask(Task):
         return describe(problem, config, name, command)
 
     def judged(self, checkpoint: Checkpoint, problem: FieldProblem) -> Judged:
-        """Return the model with the error of its energy, where that is known; see Task."""
+        """Return the model with its energy error, if the energy is known; see Task."""
         config, card = self._config, checkpoint.card
         error = judge_energy(checkpoint, problem.module, config, self._known)
         checkpoint = replace(checkpoint, card=card.model_copy(update={'energy_error': error}))
@@ -349,26 +349,26 @@ def describe(problem: FieldProblem, config: FieldConfig, name: str, command: str
 def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
                  dataset: Dataset) -> EnergyError | None:
     """
-    Return the error of the learned energy, as far as the energy is known; None if it is not.
+    Return the error of the learned energy, or None if no reference is known.
 
-    For exact data the reference is the true energy, at new states of the box. For others it is the
-    energy along each motion: it changes by the work of the forces that the family has; where the
-    family has none, by the work of friction that is fitted.
+    For exact data, the reference is the true energy at new states of the box. For other data it
+    is the energy along each motion, which changes by the work of the family's forces; for families
+    without forces, by the work of fitted friction.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        The trained model.
+        Trained model.
     family : Trainable
-        The same, for the momenta of the states.
+        The same model as a trainable family, which supplies momenta of the states.
     config : FieldConfig
-        How it was trained.
+        Configuration of the training.
     dataset : Dataset
-        The training data.
+        Training data.
 
     """
     row = FAMILIES[checkpoint.card.family]
-    hamiltonian = load_member(checkpoint, None)  # refuses a Lagrangian that is singular
+    hamiltonian = load_member(checkpoint, None)  # raises for a singular Lagrangian
     if isinstance(config.data, ExactData):
         data = config.data.model_copy(update={
             'samples': _STATES, 'edge_share': 0.0, 'trajectory': None, 'noise': 0.0})
@@ -377,7 +377,7 @@ def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
         return energy_error(hamiltonian.energy(dataset.q, family.momenta(dataset)),
                             dataset.energies, config.seed)
     if dataset.t is None:
-        return None  # without times there is no motion along which anything is known
+        return None  # without times no motion, and so no energy reference, is known
     p = family.momenta(dataset)
     learned = hamiltonian.energy(dataset.q, p)
     if isinstance(family, EnergyFamily) and not row.conservative:
@@ -393,23 +393,23 @@ def judge_energy(checkpoint: Checkpoint, family: Trainable, config: FieldConfig,
 
 def model_work(family: EnergyFamily, dataset: Dataset, trajectory: np.ndarray) -> np.ndarray:
     """
-    Return the work of the forces that a model has learned, along measured motions.
+    Return the work of a model's learned forces along measured motions.
 
-    Its own rates (q', p') have the power H_q . q' + H_p . p': Hamilton's equations have none.
+    The power is H_q . q' + H_p . p' with the model's rates (q', p'); without forces it is 0.
 
     Parameters
     ----------
     family : EnergyFamily
-        The model.
+        The trained model.
     dataset : Dataset
-        States and commands, with their times.
+        States and commands with times.
     trajectory : np.ndarray of int, shape (N,)
-        Of which each state is one.
+        Trajectory number of each state.
 
     Returns
     -------
     np.ndarray, shape (N,)
-        W [J], from zero on in each trajectory, by the trapezoidal rule.
+        Work W [J] by the trapezoidal rule, zero at the start of each trajectory.
 
     """
     z = torch.tensor(np.hstack([dataset.q, dataset.p]))

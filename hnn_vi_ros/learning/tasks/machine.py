@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Train models of machines from measured motions, and judge them by others."""
+"""Train models of machines on measured motions, and judge them on other motions."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -35,27 +35,27 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 import torch
 
-# A model is judged by errors after these horizons, from starts at this distance, and by valid
-# prediction times up to this limit [s].
+# Horizons of the judged errors, distance between starts, and limit of valid prediction times
+# [s].
 _HORIZONS, _EVERY, _LONGEST = (0.1, 0.5), 0.05, 2.0
-# Delays are looked for up to so many samples, to a tenth.
+# Largest estimated delay in samples; the resolution is a tenth of a sample.
 _MOST_DELAY = 5.0
 
 
 class MachineTask(Task):
     """
-    A model of a machine with friction and motors, trained on measured motions; see Task.
+    Training of a machine with friction and motors on measured motions; see Task.
 
     Parameters
     ----------
     source : Path
-        The file of the configuration.
+        Path of the configuration.
     config : MachineConfig
-        How to train.
+        Configuration of the training.
     given : sequence of str
-        Files that replace those of the configuration.
+        Files that override the configured ones.
     ensemble : bool
-        Whether members are trained, each on resampled blocks of the motions.
+        True to train ensemble members, each on resampled blocks of the motions.
 
     """
 
@@ -76,22 +76,22 @@ class MachineTask(Task):
         self._config, self._selection = selected(config, self._train, problem_of)
         self._known, self._held = kept_and_held(self._train, config) if ensemble else (
             self._train, [])
-        # Where data come from, and by which licence, goes with the model.
+        # Source and licence of the data are stored with the model.
         self._description = f'{config.description} {description}'.lstrip() + _scale(
             self._config, self._train)
 
     def arrays(self) -> Iterator[np.ndarray]:
-        """Yield the arrays of the motions to learn from; see Task."""
+        """Yield the arrays of the training motions; see Task."""
         return (part for motion in self._train for part in vars(motion).values()
                 if isinstance(part, np.ndarray))
 
     def problem(self, config: MachineConfig, device: str) -> TrainingProblem:
-        """Return a fresh network, its prior fitted, with the stages that follow; see Task."""
+        """Return a new network with its prior fitted, and the remaining stages; see Task."""
         return problem_of(self._chosen(config), bootstrapped_blocks(self._known, config.seed)
                           if self._ensemble else self._known)
 
     def _chosen(self, config: MachineConfig) -> MachineConfig:
-        """Return a configuration of another seed with the family and loss that were chosen."""
+        """Return a configuration of another seed with the selected family and loss."""
         return config.model_copy(update={
             'family': self._config.family, 'loss': self._config.loss})
 
@@ -105,7 +105,7 @@ class MachineTask(Task):
                         name, command, self._selection, self._delay * self._train[0].spacing)
 
     def judged(self, checkpoint: Checkpoint, problem: TrainingProblem) -> Judged:
-        """Return the model with its prediction errors, and the baselines' errors; see Task."""
+        """Return the model with the prediction errors of itself and of the baselines; see Task."""
         checkpoint = with_energy_error(checkpoint, self._test)
         if self._ensemble:
             checkpoint = calibrated(checkpoint, lambda: machine_calibration(
@@ -142,15 +142,15 @@ class MachineTask(Task):
 
 def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> float:
     """
-    Return how many samples forces act after those that they stand beside, parts included.
+    Return the estimated delay of the forces in samples, not necessarily an integer.
 
-    It is the delay of the least loss of a rigid body, which is fitted anew for each one that is
-    tried: its other numbers would hide a part of a delay that they were not fitted with.
+    The delay minimises the loss of a rigid body, which is refitted for each trial delay:
+    parameters fitted with another delay would hide a part of it.
 
     Raises
     ------
     DataError
-        There are no forces, or no rigid body follows the motions.
+        There are no forces, or no rigid body can follow the motions.
 
     """
     if not any(motion.tau.any() for motion in motions):
@@ -159,7 +159,7 @@ def estimated_delay(config: MachineConfig, motions: Sequence[EvenMotion]) -> flo
         'records': False, 'windows': config.windows.windows[:1]})
     rigid = {'residual': []} if isinstance(family, RigidBodyChoice) else {
         'residual': False, 'prior': PLANAR_CHAIN if family.prior in (None, AUTO) else family.prior}
-    # A network of friction is beside a rigid body, too.
+    # A friction network is also excluded from a rigid body.
     config = config.model_copy(update={'loss': loss, 'family': family.model_copy(update=rigid | {
         'friction': family.friction.model_copy(update={'network': False})})})
     structure = config.structure()
@@ -189,12 +189,12 @@ def _check_motors(config: MachineConfig, motions: Sequence[EvenMotion]) -> None:
 def problem_of(config: MachineConfig, motions: Sequence[EvenMotion],
                rigid: TrainingProblem | None = None) -> TrainingProblem:
     """
-    Return a network, its prior fitted unless that is given, with the stages that follow.
+    Return a network with the stages that follow; fit its prior, unless one is given.
 
     Raises
     ------
     DataError
-        There are forces of motors instead of joints, or no prior follows the motions.
+        Forces belong to motors instead of joints, or no prior can follow the motions.
 
     """
     _check_motors(config, motions)
@@ -218,7 +218,7 @@ def problem_of(config: MachineConfig, motions: Sequence[EvenMotion],
 def _with_records(problem: MachineProblem, config: MachineConfig, motions: Sequence[EvenMotion],
                   penalty: Callable[[], torch.Tensor] = lambda: torch.zeros(())
                   ) -> TrainingProblem:
-    """Return a problem that ends with whole motions, where the loss asks for these."""
+    """Append the stages on whole motions if the loss requests them."""
     if config.windows.records:
         problem.stages += Records(problem.module, config.windows, motions, lambda: describe(
             problem.module, config, motions, '', {}, 'draft', ''), penalty).stages()
@@ -227,7 +227,7 @@ def _with_records(problem: MachineProblem, config: MachineConfig, motions: Seque
 
 def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMotion]
            ) -> TrainingProblem:
-    """Return a prior that was fitted, with its friction and without networks, or DataError."""
+    """Return a fitted prior with friction and without networks, or raise DataError."""
     family = config.family
     if structure.prior == PLANAR_CHAIN:
         found = best_rigid_body(config.windows, motions, structure, family.input_map == 'learned')
@@ -253,7 +253,7 @@ def _rigid(config: MachineConfig, structure: Structure, motions: Sequence[EvenMo
 
 
 def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion) -> np.ndarray:
-    """Return positions, shape (N, d), of a network from the first state of a motion."""
+    """Simulate a network from the first state of a motion; return positions, shape (N, d)."""
     hamiltonian, effects = _parts_of(describe(network, config, [motion], '', {}, 'draft', ''))
     simulation = simulation_of(hamiltonian, ImplicitMidpoint(), effects, [motion])
     found: np.ndarray = simulated(simulation, motion.spacing, np.inf, variance_of([motion]))(
@@ -263,13 +263,13 @@ def whole(network: MechanicalNetwork, config: MachineConfig, motion: EvenMotion)
 
 def learn(config: MachineConfig, motions: Sequence[EvenMotion]
           ) -> tuple[MechanicalNetwork, dict[str, float]]:
-    """Return a network that was fitted, and its losses: after its prior, if it has one."""
+    """Fit a network, after its prior if it has one; return it and its losses."""
     problem = problem_of(selected(config, motions, problem_of)[0], motions)
     return problem.module, problem.fit()
 
 
 def fix_scale(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> None:
-    """Give the first coordinate a mean inertia of 1: motions without forces leave it open."""
+    """Scale the mean inertia of the first coordinate to 1, for motions without forces."""
     q = torch.tensor(np.concatenate([motion.q_smooth for motion in motions]))
     with torch.no_grad():
         network.scale_energy(1.0 / float(network.masses(q)[:, 0, 0].mean()))
@@ -278,7 +278,7 @@ def fix_scale(network: MechanicalNetwork, motions: Sequence[EvenMotion]) -> None
 def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequence[EvenMotion],
              description: str, losses: dict[str, float], name: str, command: str,
              selection: SelectionCard | None = None, delay: float = 0.0) -> Checkpoint:
-    """Return a trained network with its card, which tells the delay of the forces [s]."""
+    """Return a trained network with its card; `delay` is the delay of the forces [s]."""
     q, v, tau = (np.concatenate([getattr(motion, key) for motion in motions])
                  for key in ('q_smooth', 'v_smooth', 'tau'))
     with torch.no_grad():
@@ -291,7 +291,7 @@ def describe(network: MechanicalNetwork, config: MachineConfig, motions: Sequenc
 
 
 def with_energy_error(checkpoint: Checkpoint, motions: Sequence[EvenMotion]) -> Checkpoint:
-    """Return a model whose card tells its energy along motions, against the work on them."""
+    """Add the energy error along motions, relative to the work on them, to a model's card."""
     hamiltonian, effects = _parts_of(checkpoint)
     balances = [balance(hamiltonian, effects, motion) for motion in motions]
     error = energy_spread(
@@ -303,20 +303,20 @@ def with_energy_error(checkpoint: Checkpoint, motions: Sequence[EvenMotion]) -> 
 
 
 def _parts_of(checkpoint: Checkpoint) -> tuple[Hamiltonian, list[Effect]]:
-    """Return H and the effects of a model; effects read it from a file, so from a draft."""
+    """Return H and the effects of a model; the effects read a draft file of it."""
     hamiltonian = load_member(checkpoint, None)
     with drafted(checkpoint) as draft:
         return hamiltonian, own_effects(draft, hamiltonian)
 
 
 def _opens_scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> bool:
-    """Return whether motions without forces leave the scale of energy open."""
+    """Return True if the motions have no forces that could fix the energy scale."""
     own_scale = config.family.prior not in (None, RIGID_BODY, *CHAINS)
     return not own_scale and not any(motion.tau.any() for motion in motions)
 
 
 def _ranges(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
-    """Return the interval of samples and the ranges of coordinates, which wrong units show."""
+    """Describe the sampling interval and coordinate ranges, which reveal wrong units."""
     q = np.concatenate([motion.q for motion in motions])
     return ', '.join([f'every {motions[0].spacing:.4g} s', *(
         f'{one.name} {low:.3g} to {high:.3g} {one.q_unit}' for one, low, high in zip(
@@ -324,7 +324,7 @@ def _ranges(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
 
 
 def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
-    """Return a note on the scale of energy for the model card, where forces do not fix it."""
+    """Return a note on the energy scale for the model card, '' if forces fix the scale."""
     text = ''
     if config.family.prior not in (None, RIGID_BODY, *CHAINS):
         text = f'; the scale of energy is that of {config.family.prior}'
@@ -337,7 +337,7 @@ def _scale(config: MachineConfig, motions: Sequence[EvenMotion]) -> str:
 
 
 def _remarks(config: MachineConfig, card: ModelCard) -> str:
-    """Return the remarks on the table of a report."""
+    """Return the remarks below the table of a report."""
     same = _of_plain_network(config) is config
     held, error = ', '.join(config.data.test_runs) or 'the last fifth of each run', \
         card.energy_error
@@ -355,14 +355,14 @@ def _remarks(config: MachineConfig, card: ModelCard) -> str:
 
 
 def _of_plain_network(config: MachineConfig) -> MachineConfig:
-    """Return how a plain network is trained: it has no masses, which some losses need."""
+    """Return the configuration of a plain network; losses that need masses are replaced."""
     return config if isinstance(config.loss, Forward | Trajectory | None) else \
         config.model_copy(update={'loss': Trajectory()})
 
 
 def _read(source: Path, config: MachineConfig, given: Sequence[str]
           ) -> tuple[list[EvenMotion], list[EvenMotion], str]:
-    """Return motions to learn from, motions to judge by, and what they are."""
+    """Return training motions, test motions, and their description."""
     motions, description = config.motions(
         source, [coordinate.name for coordinate in config.coordinates], given)
     train, test = train_and_test(motions, config.data.test_runs)

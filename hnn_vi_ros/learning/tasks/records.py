@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Last stages of a machine's networks: whole motions, by compiled steps and their adjoint."""
+"""Final training stages of machine networks: whole motions, compiled steps and their adjoint."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -20,33 +20,33 @@ from hnn_vi_ros.torch import DifferentiableSimulation
 import numpy as np
 import torch
 
-# Shares of the longest motion that windows last, one stage of L-BFGS after another.
+# Window lengths of successive L-BFGS stages, as shares of the longest motion.
 _SHARES = 0.25, 0.5, 1.0
-# Steps of each stage, and looks at whole motions without a gain after which it ends.
+# Number of steps per stage, and evaluations without improvement after which it ends.
 _STEPS, _PATIENCE = 60, 2
-# The loss where a step fails, which motions that stay in their range do not reach.
+# Loss of a failed step; motions that stay in their range are far below it.
 _FAILED = 1e6
 
 
 class Records:
     """
-    Mean square errors of positions over whole motions, in units of their spread (output error).
+    Mean squared position error over whole motions, in units of their spread (output error).
 
-    States are those of the model that will run, and gradients those of its steps, to rounding.
-    Prior, numbers of friction and input map stay as they are.
+    States and gradients agree with the steps of the deployed model up to rounding. The prior,
+    friction coefficients and input map stay fixed.
 
     Parameters
     ----------
     network : MechanicalNetwork
-        With networks.
+        Network of the machine, with residual networks.
     loss : Trajectory
-        Its step size, by which motions are thinned out, and its method.
+        Source of the integrator and of the step size, to which motions are downsampled.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
     draft : callable
-        Returns the model of the network as it is.
+        Callable that returns the current network as a model.
     penalty : callable
-        Returns what is added to the errors.
+        Callable that returns the penalty added to the errors.
 
     """
 
@@ -57,14 +57,14 @@ class Records:
         self._records, self._size = thinned(motions, loss.step_size)
 
     def stages(self) -> list[Stage]:
-        """Return stages of longer and longer windows, which end with what is best on the whole."""
+        """Return stages of increasing windows; each restores the best on whole motions."""
         longest = max(len(record.t) - 1 for record in self._records)
         return [Stage(
             f'records_{share:g}', partial(self.loss, math.ceil(share * longest)), _STEPS,
             held_out=self.whole, patience=_PATIENCE, begin=self.begin) for share in _SHARES]
 
     def begin(self) -> None:
-        """Make the simulation ready, with friction and motors as they are now."""
+        """Build the simulation with the current friction and motors."""
         checkpoint, d = self._draft(), self._network.d
         with drafted(checkpoint) as model:
             driven = {'model': model} if has_map(checkpoint) else {
@@ -77,7 +77,7 @@ class Records:
                     {'kind': 'learned_friction', 'model': model}]), [*self._network.tensors()])
 
     def loss(self, steps: int) -> torch.Tensor:
-        """Return the loss of windows of so many steps, one after another, at most the whole."""
+        """Return the loss of consecutive windows of `steps` steps, at most a whole motion."""
         weights, errors = self._network.tensors(), []
         for record in self._records:
             length = min(steps, len(record.t) - 1)
@@ -89,7 +89,7 @@ class Records:
                     q, self._network.momenta(q, v)[0], duration=length * record.spacing,
                     commands=torch.tensor(record.forces[rows - 1]), parameters=weights)
             except HnnViRosError:
-                # L-BFGS takes a shorter step.
+                # L-BFGS then shortens its step.
                 return _FAILED + 0.0 * torch.cat([part.flatten() for part in weights.values()]
                                                  ).sum()
             error = (motion.q[1:] - torch.tensor(record.q[rows])) / torch.tensor(self._size)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choose the model of a machine by motions that are held out, also those that go furthest."""
+"""Choose the model of a machine with held-out motions, including the most extreme ones."""
 
 from collections.abc import Callable, Sequence
 import math
@@ -17,22 +17,22 @@ from hnn_vi_ros.models import CandidateCard, chain_angles, Errors, PLANAR_CHAIN,
 import numpy as np
 import torch
 
-# Motions are cut into about so many pieces, of no more than this [s].
+# Number of pieces into which motions are cut, and their maximum duration [s].
 _PIECES, _LONGEST = 40, 2.0
-# Share of the time that is held out for what goes furthest in speed, in range and in force, each;
-# one in so many of the other pieces is held out as well.
+# Share of the time held out as extreme in speed, range and force, each; one in _ORDINARY of the
+# other pieces is held out too.
 _FURTHEST, _ORDINARY = 0.1, 5
-# Of so many runs or more, whole ones are held out that go furthest, half of the time at most.
+# From this number of runs on, the most extreme runs are held out whole, half of the time at most.
 _RUNS = 4
-# Candidates are trained for this share of the steps, on this share of the windows in each, and
-# judged at these horizons, from a state so often [s].
+# Shares of training steps and windows per step for candidates; horizons at which they are
+# judged, and time between starts [s].
 _SHARE, _BATCH, _HORIZONS, _EVERY = 0.5, 0.125, (0.1, 0.5), 0.05
-# On what goes furthest errors may be larger than those of the rigid body by _WORSE on the mean;
-# and networks, or more friction, must gain more than _GAIN on the mean: what gains less is
-# no better beyond the data, as far as a part of these can tell.
+# Candidates may have errors on extreme motions larger than the rigid body's by _WORSE on average.
+# Networks, or more friction, must reduce the mean error by more than _GAIN: smaller gains on
+# held-out motions do not show that a candidate is better beyond the data.
 _WORSE, _GAIN = 0.02, 0.08
-# Terms of friction that a rigid body has at first, as its configuration has them. One is left out
-# where that makes errors larger by no more than _NEEDED, on the mean.
+# Initial friction terms of a rigid body, as in its configuration. A term is dropped if that
+# increases the mean error by no more than _NEEDED.
 _TERMS = {'load': True, 'fade': True, 'stribeck': 1, 'directed': True, 'offset': True}
 _NEEDED = 0.02
 RIGID, ALONE = 'rigid body', 'networks alone'
@@ -46,23 +46,23 @@ _CANDIDATES: dict[str, dict[str, dict[str, object]]] = {
         RIGID: {'residual': []},
         'rigid body and a network of V': {'residual': ['potential']},
         'rigid body and networks': {'residual': ['potential', 'friction', 'mass']}}}
-# Returns a problem, of a rigid body that was fitted before.
+# Factory of a problem; the last argument is a previously fitted rigid body.
 Make = Callable[[MachineConfig, Sequence[EvenMotion], TrainingProblem | None], TrainingProblem]
 
 
 def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
              ) -> tuple[MachineConfig, SelectionCard | None]:
     """
-    Return a configuration that names its prior, and how that was chosen if it says auto.
+    Return a configuration with the prior chosen, and the selection record if it was auto.
 
     Parameters
     ----------
     config : MachineConfig
-        How to train. Windows that it does not name last longer where samples are rare.
+        Configuration of the training. Its default windows are longer if samples are rare.
     motions : sequence of EvenMotion
-        What to learn from.
+        Training motions.
     make : callable
-        Makes the problem of a configuration on motions.
+        Factory of the problem of a configuration on motions.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def selected(config: MachineConfig, motions: Sequence[EvenMotion], make: Make
 
 
 class _Trials(NamedTuple):
-    """Motions to try candidates on: what they learn from, and the pieces that judge them."""
+    """Training motions of candidates, and the pieces that judge them."""
 
     make: Make
     motions: Sequence[EvenMotion]
@@ -105,14 +105,14 @@ class _Trials(NamedTuple):
 
     @property
     def enough(self) -> bool:
-        """Return whether pieces of both kinds are long enough to judge by."""
+        """Return whether pieces of both kinds are long enough for judging."""
         shortest = 1.05 * slowness(self.motions) * min(_HORIZONS)
         return all(any(run.t[-1] - run.t[0] >= shortest for run in part)
                    for part in (self.furthest, self.ordinary))
 
     @property
     def text(self) -> str:
-        """Return what judged."""
+        """Describe the data that judged the candidates."""
         time, total = (sum(len(run.t) * run.spacing for run in runs)
                        for runs in ((*self.furthest, *self.ordinary), self.motions))
         return (f'{time:.3g} s of {total:.3g} s of the motions, which the candidates had not seen:'
@@ -121,7 +121,7 @@ class _Trials(NamedTuple):
 
     def tried(self, name: str, own: MachineConfig, rigid: TrainingProblem | None = None
               ) -> tuple[CandidateCard, TrainingProblem | None]:
-        """Return how a candidate did, and its problem; of a rigid body that was fitted before."""
+        """Return a candidate's result and its problem; `rigid` is a rigid body fitted before."""
         try:
             problem = self.make(_short(own, self.motions), self.kept, rigid)
             problem.fit()
@@ -136,7 +136,7 @@ class _Trials(NamedTuple):
 
 def _candidates(config: MachineConfig, trials: _Trials
                 ) -> tuple[MachineConfig, list[CandidateCard]]:
-    """Return a configuration with the angles and friction that fit, and how all candidates did."""
+    """Return a configuration with fitting angles and friction, and all candidates' results."""
     first, rigid = trials.tried(RIGID, _named(config, RIGID))
     found, kind = [first], config.family.kind
     if rigid is not None:
@@ -156,14 +156,14 @@ def _with_friction(
         config: MachineConfig, trials: _Trials, plain: CandidateCard, rigid: TrainingProblem
         ) -> tuple[MachineConfig, TrainingProblem, list[CandidateCard]]:
     """
-    Return a configuration with the friction that held-out motions need, and the rigid body of it.
+    Return a configuration with the friction that held-out motions support, its rigid body, cards.
 
-    All terms are there at first; then one after the other is left out that errors do not need.
-    Plain friction, viscous and Coulomb's, stays unless these make errors smaller by _GAIN.
+    Backward elimination: start with all terms and drop each one that errors do not need.
+    Plain viscous and Coulomb friction is kept unless the result reduces errors by _GAIN.
     """
     driven = any(motion.tau.any() for motion in trials.motions)
     motors = driven and isinstance(config.family, MechanicalChoice)
-    # The constant force on a joint that slides is a part of its rigid body already.
+    # For a sliding joint, the rigid body already contains a constant force.
     slides = any(coordinate.kind == 'prismatic' for coordinate in config.coordinates)
     may_be = {'load': driven, 'directed': True, 'stribeck': True, 'fade': motors,
               'offset': motors and not slides}
@@ -198,7 +198,7 @@ def _with_friction(
 
 
 def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfig:
-    """Return a configuration whose windows, unless it names them, have their usual steps."""
+    """Return a configuration with longer default windows if samples are rare."""
     loss = config.loss_of(motions)
     if not isinstance(loss, Trajectory) or 'windows' in loss.model_fields_set:
         return config
@@ -210,7 +210,7 @@ def _paced(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
 
 
 def _with_angles(config: MachineConfig, rigid: TrainingProblem) -> MachineConfig:
-    """Return a configuration of links with these angles, as all that follow have."""
+    """Return a configuration with the link angles of a fitted rigid body."""
     if not isinstance(config.family, MechanicalChoice):
         return config
     names = [coordinate.name for coordinate in config.coordinates]
@@ -222,10 +222,10 @@ def _with_angles(config: MachineConfig, rigid: TrainingProblem) -> MachineConfig
 def held_out(motions: Sequence[EvenMotion]
              ) -> tuple[list[EvenMotion], list[EvenMotion], list[EvenMotion]]:
     """
-    Return motions to learn from, and pieces to judge by: the furthest, and ordinary ones.
+    Return training motions, extreme pieces and ordinary pieces.
 
-    Pieces go far by the largest speed, distance from the middle or force in them, each in units
-    of the largest of all; runs, of which many are largest in one coordinate, by the norm of all.
+    Pieces are ranked by their largest speed, distance from the median and force, each relative to
+    the maximum over all motions. Runs often share one such maximum and are ranked by norms.
     """
     total = sum(len(run.t) for run in motions)
     longest = max(MIN_SAMPLES, min(round(_LONGEST / motions[0].spacing), total // _PIECES))
@@ -252,7 +252,7 @@ def held_out(motions: Sequence[EvenMotion]
 
 def _furthest(motions: Sequence[EvenMotion], pieces: Sequence[tuple[EvenMotion, np.ndarray]]
               ) -> set[int]:
-    """Return the numbers of the pieces that go furthest; see held_out."""
+    """Return the indices of the most extreme pieces; see held_out."""
     names = [run_of(run) for run, _ in pieces]
     whole, total = len(set(names)) >= _RUNS, sum(len(run.t) for run in motions)
     groups = [[k for k, one in enumerate(names) if one == name]
@@ -281,7 +281,7 @@ def _furthest(motions: Sequence[EvenMotion], pieces: Sequence[tuple[EvenMotion, 
 
 
 def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
-    """Return the errors of a network, simulated from many states of pieces; see CandidateCard."""
+    """Return prediction errors of a network from many states of pieces; see CandidateCard."""
     samples, slow = samples_of(pieces, None), slowness(pieces)
     found: Errors = {}
     apart = max(1, round(_EVERY / pieces[0].spacing))
@@ -306,10 +306,10 @@ def errors_of(network: Network, pieces: Sequence[EvenMotion]) -> Errors:
 
 def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
     """
-    Return the rigid body, or what has smaller errors on the mean by more than _GAIN.
+    Return the candidate with the least mean error if it is better than the rigid body by _GAIN.
 
-    On what goes furthest their mean may not be larger by more than _WORSE. Without a rigid body
-    it is the best on the mean.
+    Its mean error on extreme motions may not exceed the rigid body's by more than _WORSE.
+    Without a rigid body, the best candidate on average is returned.
     """
     tried = [card for card in found if not card.failed]
     rigid = next((card for card in tried if card.name == RIGID), None)
@@ -321,7 +321,7 @@ def best_of(found: Sequence[CandidateCard]) -> CandidateCard:
 
 
 def _size(card: CandidateCard, *parts: str) -> float:
-    """Return the geometric mean of the errors of a candidate; infinite where it failed."""
+    """Return the geometric mean of a candidate's errors, inf if it failed."""
     errors = [x for part in parts for errors in getattr(card, part).values() for x in errors]
     return math.exp(np.mean(np.log([math.inf if x is None else max(x, 1e-12)
                                     for x in errors]))) if errors else math.inf
@@ -332,7 +332,7 @@ def _total(card: CandidateCard) -> float:
 
 
 def _named(config: MachineConfig, name: str) -> MachineConfig:
-    """Return a configuration of a candidate."""
+    """Return the configuration of a candidate."""
     return config.model_copy(update={
         'family': config.family.model_copy(update=_CANDIDATES[config.family.kind][name])})
 
@@ -354,13 +354,13 @@ def _short(config: MachineConfig, motions: Sequence[EvenMotion]) -> MachineConfi
 
 
 def _line(errors: Errors) -> str:
-    """Return errors as text."""
+    """Format errors as text."""
     return ', '.join(f'{" ".join("inf" if x is None else f"{x:.3g}" for x in values)} after '
                      f'{horizon} s' for horizon, values in errors.items())
 
 
 def _trust(best: CandidateCard) -> str:
-    """Return a sentence."""
+    """Return advice on how far to trust the selected model."""
     beyond = 'nothing holds it there' if best.name == ALONE else \
         'outside of what was seen it goes back to the rigid body' if best.name != RIGID else \
         'it has no networks that could fail outside of what was seen'
