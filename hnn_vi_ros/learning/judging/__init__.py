@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Judge trained models: scores, baselines, calibrated ensembles, reports."""
+"""Judgement of trained models: scores, baselines, calibrated ensembles, reports."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Ensembles: resampled data, members in one model, and what their spread tells of errors."""
+"""Ensembles: resampled data, members in one model file, calibration of their spread."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,41 +24,41 @@ from hnn_vi_ros.simulation import build, simulate_many
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-# The share of measured data that no member is trained on; the spread is calibrated on it.
+# Share of measured data held out from all members for the calibration of the spread.
 HELD_OUT = 0.2
-# Blocks of time that motions of machines are cut into, and the fewest that can be resampled.
+# Number of time blocks of machine motions, and minimum number for resampling.
 _BLOCKS, _FEWEST_BLOCKS = 20, 5
-# Fewer simulations than this tell nothing of 90 %.
+# Minimum number of simulations for estimating a 90 % quantile.
 _FEWEST = 20
-# A field takes so many motions to find the factors, and as many to check them; so many samples
-# after the first one of each, and so many steps from one to the next.
+# For a field: number of motions to find the factors, and the same to check them; number of samples
+# after the first one of each; number of steps between samples.
 _MOTIONS, _SAMPLES, _STEPS = 500, 20, 2
-# Steps of the exact motions from one sample to the next, and how far out of the training domain
-# they are followed, in its half-widths: some systems have no bound.
+# Steps of the exact motions between samples, and distance from the centre of the training domain
+# at which they stop, in half-widths: some systems are unbounded.
 _FINE, _OUTMOST = 50, 1.5
-# A machine takes simulations of at most this duration and so far apart [s], with so many instants,
-# and no more than so many.
+# For a machine: maximum duration of simulations and time between starts [s], number of samples
+# per simulation, and maximum number of simulations.
 _HORIZON, _EVERY, _INSTANTS, _MOST = 0.5, 0.05, 20, 200
-# Commands hold to the end of the simulation [s].
+# Timeout of external_force; commands hold to the end of the simulation [s].
 _FOREVER = 1e9
 
 
 def check_count(count: int) -> None:
-    """Raise ParameterError if an ensemble cannot have so many members."""
+    """Raise ParameterError if an ensemble cannot have this number of members."""
     if not 2 <= count <= MOST_MEMBERS:
         raise ParameterError(f'--ensemble {count}: expected 2 to {MOST_MEMBERS} members')
 
 
 def _drawn(count: int, seed: int) -> np.ndarray:
-    """Return as many numbers of blocks, drawn with replacement: a block bootstrap."""
+    """Draw `count` block numbers with replacement, as for a block bootstrap."""
     return np.random.default_rng([seed, 1]).choice(count, count)
 
 
 def bootstrapped(dataset: Dataset, seed: int) -> Dataset:
     """
-    Return a block bootstrap of data: as many blocks, drawn with replacement.
+    Return a block bootstrap of the data: the same number of blocks, drawn with replacement.
 
-    Copies of a block stay one block, which a split keeps together, and are motions of their own.
+    Copies share one block, which a split keeps whole, but each copy is a separate motion.
     """
     blocks = np.unique(dataset.block)
     order = np.argsort(dataset.block, kind='stable')
@@ -73,12 +73,12 @@ def bootstrapped(dataset: Dataset, seed: int) -> Dataset:
 
 
 def bootstrapped_blocks(blocks: Sequence[EvenMotion], seed: int) -> list[EvenMotion]:
-    """Return a block bootstrap of motions, in their order."""
+    """Return a block bootstrap of motions, in their original order."""
     return [blocks[k] for k in sorted(_drawn(len(blocks), seed))]
 
 
 def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | None]:
-    """Return data to train on, and data to calibrate by; None where those are drawn later."""
+    """Return training data and calibration data; None if calibration data are drawn later."""
     if isinstance(config.data, ExactData) or dataset.t is None:
         return dataset, None
     return dataset.split(HELD_OUT, config.seed)
@@ -87,15 +87,15 @@ def held_out(config: FieldConfig, dataset: Dataset) -> tuple[Dataset, Dataset | 
 def kept_and_held(motions: Sequence[EvenMotion], config: MachineConfig
                   ) -> tuple[list[EvenMotion], list[EvenMotion]]:
     """
-    Return blocks of motions to train members on, and a fifth of the blocks, for calibration.
+    Split motions into training blocks for members and a fifth of the blocks for calibration.
 
-    A block is a motion, or a part of one that lasts about a twentieth of all of them, but not
-    less than 1 s or twice the longest window of the loss.
+    A block is a motion or a part of one, about a twentieth of the total duration, but not shorter
+    than 1 s or twice the longest window of the loss.
 
     Raises
     ------
     DataError
-        There are not even five blocks.
+        There are fewer than five blocks.
 
     """
     loss = config.loss_of(motions)
@@ -117,7 +117,7 @@ def kept_and_held(motions: Sequence[EvenMotion], config: MachineConfig
 
 
 def combined(members: Sequence[Checkpoint], name: str, box: Box | None = None) -> Checkpoint:
-    """Return members as one model, of means of their losses; its box is given, or their mean."""
+    """Combine members into one model with mean losses; its box is `box`, or the mean of theirs."""
     cards = [member.card for member in members]
     losses = {key: float(np.mean([card.losses[key] for card in cards if key in card.losses]))
               for key in cards[0].losses}
@@ -132,16 +132,16 @@ def combined(members: Sequence[Checkpoint], name: str, box: Box | None = None) -
 
 class Calibration(NamedTuple):
     """
-    Scores of an ensemble on motions that no member has seen.
+    Scores of an ensemble on motions that no member was trained on.
 
-    A score is abs(x - mean) / deviation of a coordinate or momentum at an instant.
+    A score is abs(x - mean) / deviation of one coordinate or momentum at one time.
 
     Parameters
     ----------
     scores, others : np.ndarray, shape (n, 2 d)
-        Those that factors are found by, and those that they are checked by.
+        Scores that determine the factors, and scores that check them.
     source : str
-        Where they come from, for the model card.
+        Source of the scores, for the model card.
 
     """
 
@@ -152,18 +152,18 @@ class Calibration(NamedTuple):
 
 def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Checkpoint:
     """
-    Return an ensemble whose card tells by what its spread is multiplied (split conformal).
+    Add conformal factors of the spread to an ensemble's card (split conformal prediction).
 
-    The factor of a coordinate or momentum is the least of its scores that the share ``level``
-    of them does not exceed; on the other scores the share is counted that the bands cover. Where
-    that cannot be done there are no factors, and the card says why.
+    The factor of a coordinate or momentum is the smallest score that the share ``level`` of its
+    scores does not exceed; the other scores give the coverage of the bands. If calibration fails,
+    the card holds the reason instead of factors.
 
     Parameters
     ----------
     checkpoint : Checkpoint
         The ensemble.
     find : callable
-        Returns the scores.
+        Callable that returns the scores.
 
     References
     ----------
@@ -179,7 +179,7 @@ def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Check
         update = {'factors': factors, 'coverage': float((found.others <= factors).mean()),
                   'calibration': found.source}
     except HnnViRosError as problem:
-        # The model is kept all the same, and its card gives the reason.
+        # The model is saved nevertheless; its card holds the reason.
         update = {'calibration': f'none: {problem}'[:1000]}
     return replace(checkpoint, card=checkpoint.card.model_copy(update={
         'ensemble': ensemble.model_copy(update=update)}))
@@ -187,12 +187,12 @@ def calibrated(checkpoint: Checkpoint, find: Callable[[], Calibration]) -> Check
 
 def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
     """
-    Return the ceil((n + 1) level)-th smallest of n scores, shape (n, 2 d), of each column.
+    Return the ceil((n + 1) level)-th smallest of n scores, shape (n, 2 d), per column.
 
     Raises
     ------
     DataError
-        There are too few, or a member comes apart from all others so often that none is finite.
+        There are too few scores, or a member diverges so often that a factor is infinite.
 
     """
     ordered = np.sort(scores, axis=0)
@@ -206,7 +206,7 @@ def conformal_factors(scores: np.ndarray, level: float) -> list[float]:
 
 
 def ensemble_text(card: ModelCard) -> str:
-    """Return one sentence on the spread of an ensemble; '' for one model."""
+    """Describe the spread of an ensemble in one sentence; return '' for a single model."""
     ensemble = card.ensemble
     if ensemble is None:
         return ''
@@ -220,7 +220,7 @@ def ensemble_text(card: ModelCard) -> str:
 
 @contextmanager
 def drafted(checkpoint: Checkpoint) -> Iterator[str]:
-    """Write a model to a temporary file, from which scenes and effects read it."""
+    """Write a model to a temporary file that scenes and effects can read."""
     with TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter('ignore', AlarmWarning)
         draft = Path(folder) / 'draft.safetensors'
@@ -229,7 +229,7 @@ def drafted(checkpoint: Checkpoint) -> Iterator[str]:
 
 
 def _scores(error: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return abs(error) / spread, infinite where that is not a number."""
+    """Return abs(error) / spread, inf where that is not a number."""
     with np.errstate(divide='ignore', invalid='ignore'):
         scores = np.abs(error) / spread
     return np.where(np.isnan(scores) | np.isinf(spread), np.inf, scores)
@@ -237,16 +237,16 @@ def _scores(error: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 class Held(NamedTuple):
     """
-    Motions of a field that training has not seen.
+    Motions of a field that were not used in training.
 
     Parameters
     ----------
     t : np.ndarray, shape (K + 1,)
-        Times from 0 on [s].
+        Times [s], starting at 0.
     q, p : np.ndarray, shape (K + 1, M, d)
-        Their states.
+        States of the motions.
     inside : np.ndarray of bool, shape (K + 1, M)
-        Up to where each stays in the training domain.
+        True up to the time at which each motion leaves the training domain.
 
     """
 
@@ -259,21 +259,21 @@ class Held(NamedTuple):
 def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset | None
                       ) -> Calibration:
     """
-    Return the scores of held-out motions of H alone, one half of them for either use.
+    Return the scores of held-out motions of H alone; one half calibrates, the other checks.
 
     Parameters
     ----------
     checkpoint : Checkpoint
         The ensemble.
     config : FieldConfig
-        How it was trained.
+        Configuration of the training.
     test : Dataset or None
-        Measured data that training has not seen; new exact data are drawn.
+        Measured data not used in training; ignored if exact data are drawn instead.
 
     Raises
     ------
     DataError
-        There are too few.
+        There are too few motions.
 
     """
     if isinstance(config.data, ExactData):
@@ -292,13 +292,13 @@ def field_calibration(checkpoint: Checkpoint, config: FieldConfig, test: Dataset
 
 
 def scores_of(checkpoint: Checkpoint, held: Held) -> np.ndarray:
-    """Return abs(x - mean) / deviation, shape (K, M, 2 d), behind the first instant."""
+    """Return abs(x - mean) / deviation, shape (K, M, 2 d), without the initial time."""
     mean, *members = simulate_held(checkpoint, held)
     return _scores(np.concatenate([held.q, held.p], axis=-1) - mean, deviation(members))[1:]
 
 
 def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:
-    """Return motions of the mean and of each member from the same states, (K + 1, M, 2 d) each."""
+    """Simulate the mean and each member from the same states, shape (K + 1, M, 2 d) each."""
     with drafted(checkpoint) as draft:
         scene = Scene.build(
             hamiltonian={'kind': 'learned', 'model': draft, 'confine': False},
@@ -311,7 +311,7 @@ def simulate_held(checkpoint: Checkpoint, held: Held) -> list[np.ndarray]:
 
 
 def horizon(dataset: Dataset) -> float:
-    """Return a time in which a motion goes about once around the box of data [s]."""
+    """Return the time for about one revolution around the box of the data [s]."""
     half = 0.5 * np.ptp(np.hstack([dataset.q, dataset.p]), axis=0)
     rates = np.sqrt(np.mean(np.hstack([dataset.dq_dt, dataset.dp_dt])**2, axis=0))
     return float(2.0 * np.pi * (half / rates).max())
@@ -319,11 +319,11 @@ def horizon(dataset: Dataset) -> float:
 
 def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: int
                ) -> Held | None:
-    """Return motions of an exact system from new states of the box; None if they are driven."""
+    """Return motions of an exact system from new states of the box; None if it is driven."""
     data = config.data
     assert isinstance(data, ExactData), 'asked of such data alone'
     if data.commands is not None or data.damping or data.velocities:
-        return None  # no motion of H alone
+        return None  # not a motion of H alone
     drawn = data.model_copy(update={
         'samples': count, 'edge_share': 0.0, 'noise': 0.0, 'trajectory': None})
     start, t = sample_exact(drawn, seed), np.linspace(
@@ -334,7 +334,7 @@ def held_exact(checkpoint: Checkpoint, config: FieldConfig, count: int, seed: in
 
 def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: Checkpoint
             ) -> np.ndarray:
-    """Return the exact motions at even times, (K + 1, M, 2 d), held where they are far outside."""
+    """Return the exact motions at even times, (K + 1, M, 2 d), frozen far outside the domain."""
     low, high = checkpoint.card.box.bounds
     h, found, d = t[1] / _FINE, [z], z.shape[1] // 2
 
@@ -344,7 +344,7 @@ def _follow(hamiltonian: Hamiltonian, z: np.ndarray, t: np.ndarray, checkpoint: 
         return np.where(outside.any(axis=1)[:, None], 0.0, np.hstack([dH_dp, -dH_dq]))
 
     for _ in t[1:]:
-        for _ in range(_FINE):  # the method of Runge and Kutta, of order 4
+        for _ in range(_FINE):  # classical Runge-Kutta method of order 4
             a = rates(z)
             b = rates(z + 0.5 * h * a)
             c = rates(z + 0.5 * h * b)
@@ -382,15 +382,15 @@ def machine_calibration(checkpoint: Checkpoint, held: Sequence[EvenMotion],
     """
     Return the scores of simulations of a machine from measured states.
 
-    Those of the second half of each count: at first, noise of the states outweighs how members
-    differ. Momenta are M(q) v of the mean.
+    Only the second half of the samples counts: at first, noise of the states is larger than the
+    difference between members. Momenta are M(q) v of the mean.
 
     Parameters
     ----------
     checkpoint : Checkpoint
         The ensemble.
     held, test : sequence of EvenMotion
-        Blocks that no member has seen, and the motions that the model is judged by.
+        Held-out blocks that no member was trained on, and the test motions.
 
     Raises
     ------
@@ -425,13 +425,13 @@ def machine_scores(checkpoint: Checkpoint, motions: Sequence[EvenMotion], most: 
     motions : sequence of EvenMotion
         The measured motions.
     most : int, optional
-        How many simulations at most; None: all.
+        Maximum number of simulations; None for all.
 
     Returns
     -------
     list of list of np.ndarray, shape (instants, 2 d)
-        For each motion, of the second half of each simulation that stays in the training domain
-        until then, up to where it leaves that.
+        Scores of each motion, from the second half of each simulation that stays so long in the
+        training domain, up to the time at which it leaves the domain.
 
     """
     spacing = motions[0].spacing
@@ -493,6 +493,6 @@ def _machine_scores(simulation: Accompanied, members: Members, box: Box, motion:
             found.append(_scores(measured[at] - np.concatenate([simulation.q, simulation.p]),
                                  members.spread))
     except StepFailure:
-        # No band covers a motion that the mean does not predict.
+        # No band covers a motion at which the simulation of the mean fails.
         found += [np.full(measured.shape[1], np.inf)] * (int(inside.sum()) - 1 - len(found))
     return np.array(found)[max(0, (len(rows) - 1) // 2 - 1):]

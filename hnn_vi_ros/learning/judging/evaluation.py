@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluation of a model: simulated freely from measured states, and compared."""
+"""Evaluation of a model: free simulations from measured states, compared with measurements."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,14 +28,14 @@ import torch
 
 class Balance(NamedTuple):
     """
-    Energy and work along one motion, each of shape (N,).
+    Energy and work along one motion, shape (N,) each.
 
     Parameters
     ----------
     energy : np.ndarray
         H(q, p(v)) [J].
     work : np.ndarray
-        Of all forces, friction included, since the first sample [J].
+        Work of all forces, including friction, since the first sample [J].
 
     """
 
@@ -44,7 +44,7 @@ class Balance(NamedTuple):
 
 
 def unaccounted(effects: Sequence[Effect]) -> list[str]:
-    """Return the classes of effects whose work measured states do not tell, as that of noise."""
+    """Return the classes of effects without work defined by measured states, such as noise."""
     return [type(effect).__name__ for effect in effects
             if not (effect.conservative or isinstance(effect, Force))]
 
@@ -53,33 +53,33 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMot
     """
     Return energy and work along a motion.
 
-        W(t) = integral of (H_q . f_q + H_p . f_p) dt,  f of friction and of the motors
+        W(t) = integral of (H_q . f_q + H_p . f_p) dt,  f from friction and motors
 
-    by the trapezoidal rule, of second order, with the smoothed states and p from H_p(q, p) = v.
-    The measured forces act as in simulations: their mean over each interval.
+    The integral uses the second-order trapezoidal rule, smoothed states, and p with H_p(q, p) = v.
+    The measured forces act as in simulations, as means over each interval.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        H, with the potentials of the effects.
+        H including the potentials of the effects.
     effects : sequence of Effect
-        Each conservative or a Force.
+        Effects, each conservative or a Force.
     motion : EvenMotion
         The measured motion.
 
     Raises
     ------
     ModelError
-        A velocity has no momentum.
+        No momentum corresponds to some velocity.
 
     """
     state = EffectState.empty(len(effects), hamiltonian.dimension)
-    # All of them: a magnetic field's gauge is in what others take.
+    # Resolve all effects: some use the gauge of a magnetic field.
     resolved = [(effect, effect.resolve(hamiltonian.coordinates, state)) for effect in effects]
     forces = [(effect, own) for effect, own in resolved if isinstance(effect, Force)]
     q = motion.q_smooth
     p = momentum(hamiltonian, q, motion.v_smooth, np.zeros_like(q))
-    # A command is the same from one end of an interval to the other, and friction may feel it.
+    # A command is constant over an interval; friction may depend on it.
     ends = [_power(hamiltonian, forces, motion.t[rows], q[rows], p[rows], motion.forces)
             for rows in (slice(None, -1), slice(1, None))]
     steps = 0.5 * motion.spacing * (ends[0] + ends[1])
@@ -88,7 +88,7 @@ def balance(hamiltonian: Hamiltonian, effects: Sequence[Effect], motion: EvenMot
 
 def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.ndarray,
            q: np.ndarray, p: np.ndarray, commands: np.ndarray) -> np.ndarray:
-    """Return the power of forces at states, shape (N,), commanded so [W]."""
+    """Return the power of forces at states under these commands, shape (N,) [W]."""
     power = np.zeros(len(q))
     if not forces:
         return power
@@ -108,33 +108,33 @@ def _power(hamiltonian: Hamiltonian, forces: Sequence[tuple[Any, Any]], t: np.nd
 def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Sequence[float]
                     ) -> dict[float, float] | None:
     """
-    Return the energy that no work accounts for, as a share of the range of H.
+    Return the energy change without matching work, relative to the range of H.
 
     Parameters
     ----------
     balances : sequence of Balance
-        Of motions, with samples at even times.
+        Energy and work of motions sampled at even times.
     spacing : float
-        From one to the next [s].
+        Sampling interval [s].
     horizons : sequence of float
-        Over which energies are compared, of at most the longest motion [s].
+        Times over which energies are compared, at most the longest motion [s].
 
     Returns
     -------
     dict of float to float, or None
-        For each horizon the root mean square, over all samples, of what H less the work changes
-        by in that time, over max H - min H of all motions; None where H does not change.
+        For each horizon, the RMS over all samples of the change of (H - work) in that time,
+        divided by max H - min H over all motions; None if H is constant.
 
     """
     energies = np.concatenate([found.energy for found in balances])
     size = float(np.ptp(energies))
-    # Round-off of H is no range.
+    # A range at rounding level counts as constant.
     if size <= 1e3 * np.finfo(np.float64).eps * np.abs(energies).max():
         return None
     shares = {}
     for horizon in horizons:
         k = round(horizon / spacing)
-        # A true model holds H less the work constant.
+        # For a true model, H minus the work is constant.
         changes = np.concatenate([
             rest[k:] - rest[:max(0, len(rest) - k)]
             for rest in (found.energy - found.work for found in balances)])
@@ -145,25 +145,25 @@ def energy_mismatch(balances: Sequence[Balance], spacing: float, horizons: Seque
 def friction_work(learned: np.ndarray, trajectory: np.ndarray, t: np.ndarray, v: np.ndarray
                   ) -> tuple[np.ndarray, float]:
     """
-    Fit the work of friction to energies along motions, by least squares.
+    Fit the work of friction to energies along motions by least squares.
 
         W(t) = -sum_i integral of (b_i v_i^2 + c_i abs(v_i)) dt,  b_i, c_i >= 0
 
     Parameters
     ----------
     learned : np.ndarray, shape (n,)
-        Energies [J], in the order of time within each trajectory.
+        Energies [J], ordered by time within each trajectory.
     trajectory : np.ndarray of int, shape (n,)
-        Of which each state is one.
+        Trajectory number of each state.
     t : np.ndarray, shape (n,)
-        When [s].
+        Times [s].
     v : np.ndarray, shape (n, d)
         Velocities.
 
     Returns
     -------
     np.ndarray of shape (n,), and float
-        W [J], from zero on in each trajectory, and the mean power that friction takes [W].
+        Work W [J], zero at the start of each trajectory, and mean power of friction loss [W].
 
     """
     columns = integrated(np.hstack([v**2, np.abs(v)]), trajectory, t)
@@ -172,7 +172,7 @@ def friction_work(learned: np.ndarray, trajectory: np.ndarray, t: np.ndarray, v:
         centred[rows] -= columns[rows].mean(axis=0)
         energies[rows] -= energies[rows].mean()
         duration += t[rows[-1]] - t[rows[0]]
-    # In units of their own: nnls judges by absolute sizes.
+    # Normalise the columns, because nnls uses absolute tolerances.
     units = np.sqrt(np.mean(centred**2, axis=0))
     units[units == 0.0] = 1.0
     coefficients = nnls(centred / units, -energies)[0] / units
@@ -182,7 +182,7 @@ def friction_work(learned: np.ndarray, trajectory: np.ndarray, t: np.ndarray, v:
 
 
 def integrated(rates: np.ndarray, trajectory: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return integrals over time, shape (n, k), from zero on in each trajectory (trapezoids)."""
+    """Integrate (trapezoidal rule) over time, from zero in each trajectory, shape (n, k)."""
     integral = np.zeros_like(rates)
     for rows in rows_of_each(trajectory):
         steps = 0.5 * np.diff(t[rows])[:, None] * (rates[rows[1:]] + rates[rows[:-1]])
@@ -190,11 +190,11 @@ def integrated(rates: np.ndarray, trajectory: np.ndarray, t: np.ndarray) -> np.n
     return integral
 
 
-# Commands hold to the end of the simulation [s].
+# Timeout of external_force; commands hold to the end of the simulation [s].
 _FOREVER = 1e9
 
-# ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at samples from each
-# start on: not a number from where a simulation fails, infinite from where one is given up.
+# ``predict(motion, starts, count)`` returns q, shape (starts, count + 1, d), at the samples from
+# each start on; NaN after a failure of the simulation, inf after an early stop.
 Predict = Callable[[EvenMotion, np.ndarray, int], np.ndarray]
 
 
@@ -205,11 +205,11 @@ class Fan(NamedTuple):
     Parameters
     ----------
     motion : EvenMotion
-        The measured motions.
+        The measured motion.
     starts : np.ndarray of int, shape (n,)
-        Samples from which they begin.
+        Indices of the initial samples.
     q : np.ndarray, shape (n, count + 1, d)
-        Coordinates at the samples from there on; see Predict.
+        Predicted coordinates at the samples from there on; see Predict.
 
     """
 
@@ -226,17 +226,17 @@ class Scores:
     Parameters
     ----------
     horizons : dict of float to np.ndarray, shape (d,)
-        Root mean square of the error of each coordinate at the end of each horizon [s].
+        RMS error of each coordinate at the end of each horizon [s].
     starts : dict of float to int
-        How many simulations each is of.
+        Number of simulations per horizon.
     valid_prediction_time : float
-        Median over the starts [s].
+        Median over all starts [s].
     censored : float
-        Share of the starts whose prediction was still valid when it, or its run, ended.
+        Share of predictions that were still valid at their end or the end of their run.
     failed : int
-        Simulations that failed; their errors are infinite.
+        Number of failed simulations; their errors are infinite.
     energy_mismatch : dict of float to float, optional
-        Of a model, over each horizon; see energy_mismatch.
+        Energy mismatch of a model over each horizon; see energy_mismatch.
 
     """
 
@@ -251,20 +251,20 @@ class Scores:
 def simulated(simulation: Simulation, spacing: float, least: float, variance: np.ndarray
               ) -> Predict:
     """
-    Return the predictions of a simulation, with the measured forces as its commands.
+    Return a predictor that simulates with the measured forces as commands.
 
     Parameters
     ----------
     simulation : Simulation
-        Whose step size is a whole part of the samples' interval. It takes commands, one for each
-        coordinate, if the motions have forces.
+        Simulation whose step size divides the sampling interval. It accepts one command per
+        coordinate if the motions have forces.
     spacing : float
-        The samples' interval [s].
+        Sampling interval [s].
     least : float
-        How long each prediction lasts at least, the longest horizon [s]; it is given up as soon
-        as it is no longer valid.
+        Minimum duration of each prediction, the longest horizon [s]; afterwards it stops when
+        the prediction is no longer valid.
     variance : np.ndarray, shape (d,)
-        The unit in which errors are judged for that.
+        Variance of the coordinates, the unit of the validity check.
 
     """
     steps = round(spacing / simulation.step_size)
@@ -292,7 +292,7 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
                     error = row[k + 1] - motion.q[start + k + 1]
                     valid = valid and bool((error**2 / variance).sum() < VALID)
             except StepFailure:
-                continue  # the row stays no number from here on, which the scores count
+                continue  # the row stays NaN from here on and counts as a failure
             except ValueError as problem:
                 raise DataError(f'{motion.name}: the state at {motion.t[start]:.6g} s cannot be '
                                 f'simulated: {problem}') from problem
@@ -301,13 +301,13 @@ def simulated(simulation: Simulation, spacing: float, least: float, variance: np
 
 
 def constant_velocity(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
-    """Return motions without any force, as predictions."""
+    """Predict motions with constant velocity, without any force."""
     t = motion.spacing * np.arange(count + 1)
     return motion.q_smooth[starts][:, None] + t[:, None] * motion.v_smooth[starts][:, None]
 
 
 def linear_model(motions: Sequence[EvenMotion]) -> Predict:
-    """Return predictions of x_(k+1) = A x_k + B tau_k + c, x = (q, v), by least squares."""
+    """Return a predictor x_(k+1) = A x_k + B tau_k + c, x = (q, v), fitted by least squares."""
     inputs, targets = [], []
     for motion in motions:
         x = np.hstack([motion.q_smooth, motion.v_smooth])
@@ -323,7 +323,7 @@ def linear_model(motions: Sequence[EvenMotion]) -> Predict:
         x = np.hstack([motion.q_smooth, motion.v_smooth])[starts]
         tau = motion.forces
         q = [x[:, :d]]
-        # A matrix may well let motions grow until they are no numbers, which the scores count.
+        # A may be unstable; overflow is scored as a failure.
         with np.errstate(over='ignore', invalid='ignore'):
             for k in range(count):
                 row = np.minimum(starts + k, len(tau) - 1)
@@ -334,14 +334,14 @@ def linear_model(motions: Sequence[EvenMotion]) -> Predict:
 
 
 def predicted_by(network: Network) -> Predict:
-    """Return the predictions of a network, by the Runge-Kutta method of order 4."""
+    """Return a predictor that integrates a network with the classical RK4 method."""
     def predict(motion: EvenMotion, starts: np.ndarray, count: int) -> np.ndarray:
         tau = torch.tensor(motion.forces)
         q, v = (torch.tensor(values[starts]) for values in (motion.q_smooth, motion.v_smooth))
         rows, found = torch.tensor(starts), [q]
         with torch.no_grad():
             for k in range(count):
-                # Beyond the end of the motion nothing is judged.
+                # Predictions beyond the end of the motion are not judged.
                 held = tau[torch.clamp(rows + k, max=len(tau) - 1)]
                 q, v = runge_kutta(network.accelerations, q, v, held, motion.spacing)
                 found.append(q)
@@ -353,12 +353,12 @@ def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
     """
     Return the variance of each coordinate over motions, shape (d,).
 
-    It is infinite, so that no error counts in its units, for a coordinate that never moves.
+    For a constant coordinate it is inf, so that its errors do not count.
 
     Raises
     ------
     DataError
-        None moves.
+        All coordinates are constant.
 
     """
     q = np.concatenate([motion.q for motion in motions])
@@ -370,13 +370,13 @@ def variance_of(motions: Sequence[EvenMotion]) -> np.ndarray:
 
 
 def samples_in(time: float, motion: EvenMotion) -> int:
-    """Return the samples of a motion in a time [s], at most all of them."""
+    """Return the number of samples in a time [s], at most all samples of the motion."""
     return round(min(time / motion.spacing, len(motion.t)))
 
 
 def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float],
             every: float, longest: float) -> list[Fan]:
-    """Return predictions from many measured states, for as long as ``score`` asks for them."""
+    """Predict from many measured states, for the durations that ``score`` needs."""
     for horizon in horizons:
         if all(samples_in(horizon, motion) >= len(motion.t) for motion in motions):
             raise DataError(f'no motion lasts {horizon:g} s, a horizon; give shorter --horizons')
@@ -397,25 +397,25 @@ def fans_of(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[
 def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[float], every: float,
           longest: float) -> Scores:
     """
-    Predict from many measured states, and compare.
+    Predict from many measured states, and compare with the measurements.
 
     Parameters
     ----------
     predict : callable
-        The predictions that are judged.
+        Predictor to judge.
     motions : sequence of EvenMotion
         The measured motions.
     horizons : sequence of float
-        After which errors are taken [s].
+        Times at which errors are evaluated [s].
     every : float
-        Time from one start to the next [s].
+        Time between starts [s].
     longest : float
-        How long predictions last for the valid prediction time, at least the longest horizon [s].
+        Prediction time limit for the valid prediction time, at least the longest horizon [s].
 
     Raises
     ------
     DataError
-        No motion lasts as long as a horizon, or samples are further apart.
+        No motion is as long as a horizon, or samples are further apart than a horizon.
 
     """
     fans = fans_of(predict, motions, horizons, every, longest)
@@ -423,7 +423,7 @@ def score(predict: Predict, motions: Sequence[EvenMotion], horizons: Sequence[fl
 
 
 def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndarray) -> Scores:
-    """Compare predictions with the measured motions, of this variance, shape (d,); see score."""
+    """Score predictions against measured motions of this variance, shape (d,); see score."""
     errors: dict[float, list[np.ndarray]] = {horizon: [] for horizon in horizons}
     times, ended, failed = [], [], 0
     for motion, starts, q in fans:
@@ -439,7 +439,7 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
             if k <= count:
                 errors[horizon].append(error[room >= k, k])
         with np.errstate(over='ignore', invalid='ignore'):
-            # Not a number: an infinite error of a coordinate that has no variance.
+            # The quotient is NaN for an infinite error of a coordinate with infinite variance.
             beyond = within & ~((error**2 / variance).sum(axis=2) < VALID)
         found = beyond.any(axis=1)
         times.append(np.where(found, beyond.argmax(axis=1), np.minimum(count, room)) * spacing)
@@ -454,16 +454,16 @@ def score_fans(fans: Sequence[Fan], horizons: Sequence[float], variance: np.ndar
 
 def whole_records(predict: Predict, motions: Sequence[EvenMotion], first: int) -> list[np.ndarray]:
     """
-    Return the root mean square error over each whole run, each of shape (d,).
+    Return the RMS error over each whole run, shape (d,) each.
 
     Parameters
     ----------
     predict : callable
-        The predictions that are judged.
+        Predictor to judge.
     motions : sequence of EvenMotion
         The measured motions.
     first : int
-        The sample of each from whose smoothed state the one prediction begins.
+        Sample of each run whose smoothed state starts the only prediction.
 
     Raises
     ------
@@ -482,7 +482,7 @@ def whole_records(predict: Predict, motions: Sequence[EvenMotion], first: int) -
 
 
 def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
-    """Return the scores of several predictions as a Markdown table."""
+    """Return the scores of several predictors as a Markdown table."""
     first = next(iter(scores.values()))
     head = [f'{horizon:g} s: {", ".join(names)}' for horizon in first.horizons]
     lines = [f'| prediction | {" | ".join(head)} | valid for [s] | energy mismatch | failed |',
@@ -498,7 +498,7 @@ def table(scores: dict[str, Scores], names: Sequence[str]) -> str:
 
 
 def verdict(scores: dict[str, Scores]) -> str:
-    """Return one plain sentence."""
+    """Summarise the scores in one sentence."""
     said = [f'{"at least " if found.censored >= 0.5 else ""}{found.valid_prediction_time:.2g} s'
             for found in scores.values()]
     others = ', '.join(f'{name} {text}' for name, text in zip(
@@ -507,18 +507,18 @@ def verdict(scores: dict[str, Scores]) -> str:
 
 
 def as_json(scores: dict[str, Scores]) -> dict[str, Any]:
-    """Return the content of ``--json``: the model's numbers, and its baselines' numbers."""
+    """Return the content of ``--json``: scores of the model and of its baselines."""
     model, *others = (numbers(found) for found in scores.values())
     return model | {'baselines': dict(zip([*scores][1:], others, strict=True))}
 
 
 def finite(values: Iterable[float]) -> list[float | None]:
-    """Return numbers for JSON, which has no infinity: None for one that is not finite."""
+    """Return numbers for JSON, with None in place of non-finite values."""
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
 def numbers(scores: Scores) -> dict[str, Any]:
-    """Return scores for JSON, which has no infinity: None for an error that has no bound."""
+    """Return scores for JSON, with None in place of infinite errors."""
     return {'horizons': {f'{horizon:.15g}': finite(rms)
                          for horizon, rms in scores.horizons.items()},
             'valid_prediction_time': scores.valid_prediction_time,
@@ -530,17 +530,17 @@ def numbers(scores: Scores) -> dict[str, Any]:
 
 class Outside(NamedTuple):
     """
-    Motions and predictions outside of what a model has seen, in q, v or forces.
+    Motions and predictions outside of a model's training domain, in q, v or forces.
 
     Parameters
     ----------
     share : float
-        Of the samples that are outside.
+        Share of the samples that are outside.
     beyond : list of str
-        What goes beyond, the furthest first.
+        Quantities that exceed the domain, the largest excess first.
     errors : dict of str to dict of float to np.ndarray, shape (d,)
-        Root mean square of the errors at the end of each horizon, of predictions along which the
-        machine stayed ``inside``, and of all others, ``outside``; without those that are none.
+        RMS errors at the end of each horizon, separately for predictions along which the machine
+        stayed ``inside`` and for all others, ``outside``; empty groups are omitted.
 
     """
 
@@ -550,7 +550,7 @@ class Outside(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Return all of it, as plain sentences."""
+        """Summarise the result in plain sentences."""
         if not self.share:
             return 'All samples are inside of what the model has seen.'
         errors = '; '.join(f'{where} ' + ', '.join(
@@ -561,14 +561,14 @@ class Outside(NamedTuple):
 
     @property
     def numbers(self) -> dict[str, Any]:
-        """Return all of it for JSON."""
+        """Return the result for JSON."""
         return {'share': self.share, 'beyond': self.beyond, 'errors': {
             where: {f'{horizon:.15g}': finite(rms) for horizon, rms in found.items()}
             for where, found in self.errors.items()}}
 
 
 def outside(domain: Domain, fans: Sequence[Fan], horizons: Sequence[float]) -> Outside:
-    """Compare motions, and predictions of them, with what a model has seen."""
+    """Compare motions, and predictions of them, with a model's training domain."""
     motions = [fan.motion for fan in fans]
     parts = [np.concatenate([getattr(motion, name) for motion in motions])
              for name in ('q_smooth', 'v_smooth', 'tau')]
@@ -593,7 +593,7 @@ def outside(domain: Domain, fans: Sequence[Fan], horizons: Sequence[float]) -> O
 
 
 def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Effect]]:
-    """Return H, method, step size (None: that of the data) and effects of a model or scene."""
+    """Return H, integrator, step size (None: the data's) and effects of a model or scene."""
     if model.endswith('.safetensors'):
         hamiltonian = load_learned(Path(model), confine=False)
         if not hamiltonian.canonical:
@@ -610,7 +610,7 @@ def parts_of(model: str) -> tuple[Hamiltonian, Integrator, float | None, list[Ef
                     raise DataError(f'{model}: its model has learned what the motors do to the '
                                     'joints, and external_force acts on the joints themselves; '
                                     'give it the model in place of coordinates')
-                # Each coordinate has a measured force, in the order of H.
+                # All coordinates have a measured force, in the order of H.
                 effect.names = tuple(names_of(hamiltonian))
     return hamiltonian, integrator, scene.step_size, effects
 
@@ -621,7 +621,7 @@ def names_of(hamiltonian: Hamiltonian) -> list[str]:
 
 
 def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
-    """Return the effects that a model has learned in addition to H, and its external force."""
+    """Return the learned effects of a model besides H, and its external force."""
     checkpoint = load_checkpoint(model, ensembles=True)
     card = checkpoint.card
     effects: list[Effect] = [
@@ -639,9 +639,9 @@ def own_effects(model: str, hamiltonian: Hamiltonian) -> list[Effect]:
 def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Sequence[Effect],
                   motions: Sequence[EvenMotion], step_size: float | None = None) -> Simulation:
     """
-    Return the simulation that predicts motions, which share one interval.
+    Return the simulation that predicts motions, which must share one interval.
 
-    Steps are the data's interval, or the largest whole part of it that is about ``step_size`` or
+    The step is the data's interval, or its largest integer fraction of about ``step_size`` or
     less.
     """
     spacing = motions[0].spacing
@@ -653,7 +653,7 @@ def simulation_of(hamiltonian: Hamiltonian, integrator: Integrator, effects: Seq
 def judge(simulation: Simulation, effects: Sequence[Effect], motions: Sequence[EvenMotion],
           horizons: Sequence[float], every: float, longest: float,
           others: Mapping[str, Predict]) -> tuple[dict[str, Scores], list[Fan]]:
-    """Return the scores of a model, of constant velocity for scale, and others; and its fans."""
+    """Return the scores of a model, of constant velocity and of `others`; and the model's fans."""
     variance = variance_of(motions)
     predict = simulated(simulation, motions[0].spacing, max(horizons), variance)
     fans = fans_of(predict, motions, horizons, every, longest)

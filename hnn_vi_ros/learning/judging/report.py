@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of training and of evaluation: a page, pictures, and recordings for rerun."""
+"""Reports of training and evaluation: a Markdown page, pictures, and recordings for rerun."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -18,23 +18,23 @@ from matplotlib.figure import Figure
 import numpy as np
 import torch
 
-# The picture of the field: most rows of coordinates, arrows and points.
+# Limits of the field picture: rows of coordinates, arrows, points.
 _MOST_ROWS, _MOST_ARROWS, _MOST_POINTS = 4, 150, 2000
-# The files of an evaluation.
+# File names of an evaluation.
 REPORT, PICTURE, RECORDING = 'report.md', 'predictions.png', 'predictions.rrd'
-# Predictions begin four times while one lasts: denser ones hide one another.
+# Number of predictions that start during one prediction; more would hide one another.
 _OVERLAP = 4
-# Those of a run in a recording, and how many times as long as one the picture is.
+# Maximum number of predictions per run in a recording; width of the picture in predictions.
 _MOST, _WINDOW = 80, 12.0
-# Colours that people who see no red or no green can distinguish as well (Okabe, Ito).
+# Colours distinguishable with colour blindness (Okabe, Ito).
 _COLORS = '#d55e00', '#0072b2', '#009e73', '#cc79a7'
 _INK = '#333333'
-# Room above and below what was measured, in its range; predictions may leave it.
+# Margin above and below the measured range, as a share of it; predictions may leave it.
 _ROOM = 0.25
 
 
 class Outputs(NamedTuple):
-    """The files of a training run, in the folder of the model."""
+    """Paths of the files of a training run, in the folder of the model."""
 
     model: Path
     losses: Path
@@ -44,7 +44,7 @@ class Outputs(NamedTuple):
 
     @classmethod
     def beside(cls, model: Path, picture: str) -> 'Outputs':
-        """Return the files of a model, whose picture is of this name."""
+        """Return the output paths of a model, with this name of the picture."""
         return cls(model, *(model.with_suffix(suffix) for suffix in (
             '.loss.png', '.loss.rrd', f'.{picture}.png', '.report.md')))
 
@@ -56,11 +56,11 @@ class Judged(NamedTuple):
     Parameters
     ----------
     checkpoint : Checkpoint
-        The model, with the result on its card.
+        The model with the result on its card.
     text : str
-        The result as it is printed.
+        Printed result.
     page : str
-        The same for the report: Markdown.
+        Result for the report, in Markdown.
     draw : callable, optional
         ``draw(path)`` writes the picture.
 
@@ -73,29 +73,29 @@ class Judged(NamedTuple):
 
 
 def page(title: str, *parts: str) -> str:
-    """Return a page of Markdown, of the parts that are not empty."""
+    """Join the non-empty parts to a Markdown page."""
     return '\n\n'.join([f'# {title}', *filter(None, parts)]) + '\n'
 
 
 def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, history: LossHistory,
                  seconds: float, device: str) -> None:
     """
-    Write the pictures, the curves and the page of a training run.
+    Write the pictures, the loss curves and the page of a training run.
 
     Parameters
     ----------
     outputs : Outputs
-        Where to.
+        Paths of the files.
     config : TrainingConfig
-        How the model was trained.
+        Configuration of the training.
     judged : Judged
-        What came of it.
+        Result of judging the model.
     history : LossHistory
-        How the losses fell.
+        Losses during the training.
     seconds : float
         Wall time of the training.
     device : str
-        Where it ran.
+        Device of the training.
 
     """
     card, pictures = judged.checkpoint.card, list[str]()
@@ -131,7 +131,7 @@ def write_report(outputs: Outputs, config: TrainingConfig, judged: Judged, histo
 
 
 def plot_history(history: LossHistory, name: str, path: Path) -> None:
-    """Write the loss curves as a PNG, with a line where each stage begins."""
+    """Write the loss curves as a PNG, with a line at the start of each stage."""
     figure = Figure(figsize=(7.0, 4.5), layout='constrained')
     axes = figure.add_subplot()
     axes.semilogy(history.train_step, history.train, label='training, with every term')
@@ -149,20 +149,20 @@ def plot_history(history: LossHistory, name: str, path: Path) -> None:
 
 class Comparison(NamedTuple):
     """
-    Predictions of a model for held-out data, next to the data.
+    Predictions of a model for held-out data, with the data.
 
     Parameters
     ----------
     states : np.ndarray, shape (M, 2 d), or None
-        Where, in the loss's first rows; None where a prediction is not made from a state.
+        States of the first rows of the loss; None if predictions are not made from states.
     target, predicted : np.ndarray, shape (N, k)
-        Rates of change, or accelerations.
+        Rates of change or accelerations.
     units : np.ndarray, shape (k,)
         Root mean square of the target.
     parts : tuple of str
         Names of the equal parts of a row.
     exact : bool
-        Whether the target is the field of an exact system.
+        True if the target is the field of an exact system.
 
     """
 
@@ -175,7 +175,7 @@ class Comparison(NamedTuple):
 
 
 def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
-    """Write a picture of the learned against the true field, or of its residuals on data."""
+    """Plot the learned and the true field, or the residuals on data."""
     rows = min(len(card.coordinates), _MOST_ROWS)
     columns = 2 if comparison.states is not None else 1
     figure = Figure(figsize=(6.0 * columns, 4.0 * rows), layout='constrained')
@@ -191,12 +191,12 @@ def plot_field(comparison: Comparison, card: ModelCard, path: Path) -> None:
 
 def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> None:
     d, coordinate = len(card.coordinates), card.coordinates[i]
-    # A loss over several steps has the first of them first.
+    # A loss over several steps stores the first step first.
     assert comparison.states is not None, 'drawn where there are some'
     states = comparison.states[:_MOST_ARROWS]
     x, y = states[:, i], states[:, d + i]
     box = np.array([card.box.q[i], card.box.p[i]])
-    # Arrows keep their direction in the picture: both axes in units of the box.
+    # Scaling both axes by the box keeps the arrows' directions in the picture.
     size = np.ptp(box, axis=1)
     for values, color, width, label in (
             (comparison.target, '0.7', 0.008, 'true' if comparison.exact else 'data'),
@@ -204,7 +204,7 @@ def _draw_arrows(axes: Any, comparison: Comparison, card: ModelCard, i: int) -> 
         u, v = values[:len(states), i] / size[0], values[:len(states), d + i] / size[1]
         axes.quiver(x, y, u, v, angles='uv', color=color, width=width, label=label,
                     scale=20.0 * np.sqrt(np.mean(comparison.target[:, i]**2)) / size[0])
-    limits = box + 0.15 * size[:, None] * [-1.0, 1.0]  # arrows stick out
+    limits = box + 0.15 * size[:, None] * [-1.0, 1.0]  # room for the arrows
     axes.set(xlim=limits[0], ylim=limits[1], xlabel=f'{coordinate.name} [{coordinate.q_unit}]',
              ylabel=f'its momentum [{coordinate.p_unit}]',
              title='field at held-out states' + (', projected' if d > 1 else ''))
@@ -234,17 +234,17 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
     Parameters
     ----------
     folder : Path
-        An empty one.
+        Empty folder for the files.
     name : str
-        Of what was judged.
+        Name of the judged model or scene.
     text : str
-        The result: Markdown.
+        Result in Markdown.
     fans : sequence of Fan
-        Its predictions.
+        Predictions of the model.
     horizon : float
-        How much of each is shown [s].
+        Displayed duration of each prediction [s].
     coordinates : sequence of Coordinate
-        d of them.
+        The d coordinates.
 
     """
     runs = shown(fans, horizon)
@@ -256,17 +256,17 @@ def write_evaluation(folder: Path, name: str, text: str, fans: Sequence[Fan], ho
 
 
 def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
-    """Return as many predictions, of one horizon [s] each, as can be told apart."""
+    """Select distinguishable predictions, each cut to one horizon [s]."""
     runs = []
     for motion, starts, q in fans:
         last = round(horizon / motion.spacing)
-        # A long run shows only some of them, evenly spread.
+        # A long run shows an evenly spaced selection.
         apart = max(last / _OVERLAP, len(motion.t) / _MOST)
         keep = np.unique(np.searchsorted(starts, np.arange(0.0, starts[-1] + 1.0, apart)))
         predicted = []
         for row in keep[keep < len(starts)]:
             t, path = motion.t[starts[row]:][:last + 1], q[row, :last + 1]
-            # A simulation that failed, or that left all bounds, is drawn for as long as it ran.
+            # Draw a failed or stopped simulation up to its last finite value.
             end = min(len(t), int(np.isfinite(path).all(axis=1).cumprod().sum()))
             predicted.append((t[:end], path[:end]))
         runs.append(PredictedRun(motion.name, motion.t, motion.q, predicted))
@@ -275,7 +275,7 @@ def shown(fans: Sequence[Fan], horizon: float) -> list[PredictedRun]:
 
 def draw_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
                      runs: Sequence[PredictedRun]) -> None:
-    """Write a picture of the predictions over the middle of the longest run."""
+    """Draw the predictions over the middle of the longest run."""
     run = max(runs, key=lambda candidate: candidate.t[-1] - candidate.t[0])
     length = max((t[-1] - t[0] for t, _ in run.predicted), default=0.0)
     middle, half = 0.5 * (run.t[0] + run.t[-1]), 0.5 * _WINDOW * length
