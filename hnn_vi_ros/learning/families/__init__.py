@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Model families in training: torch modules that give their networks to a file."""
+"""Model families as trainable torch modules that export their networks to a model file."""

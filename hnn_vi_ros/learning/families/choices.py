@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choices of a training configuration that families share: machines, losses, features of q."""
+"""Configuration models shared by families: machines, losses, features of q."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,16 +28,16 @@ class MotionScales:
     Parameters
     ----------
     q_centre, q_half : np.ndarray
-        Middle and half of the range of the coordinates.
+        Centre and half-range of the coordinates.
     v, a : np.ndarray
         Root mean square of velocities and accelerations.
     inertia : np.ndarray
-        Force per acceleration.
+        Forces divided by accelerations.
     command : np.ndarray, shape (m,)
-        Usual size of what each motor is commanded.
+        Usual size of the commands of each motor.
     input_map : np.ndarray, shape (d, m), or None
-        About what forces on the joints the motors make of it, to learn that from; None where
-        each joint has a motor of its own.
+        Initial map from commands to joint forces, if the map is learned; None if each joint has
+        its own motor.
 
     """
 
@@ -52,17 +52,17 @@ class MotionScales:
 
 class Features(torch.nn.Module):
     """
-    The inputs G q, or sin(G q) and cos(G q) for rows that turn; one input 0 without any row.
+    Network inputs G q, or sin(G q) and cos(G q) for periodic rows; one zero input without rows.
 
-    Each input depends on one row of G alone: ``rows`` holds it for each input, ``features`` all
-    of them once, and ``of_feature`` which inputs depend on which.
+    Each input depends on a single row of G: ``rows`` holds that row for each input, ``features``
+    the distinct rows, and ``of_feature`` the mask of inputs that depend on each row.
 
     Parameters
     ----------
     kinds : sequence of str
-        Of the coordinates.
+        Kinds of the coordinates.
     features : sequence of sequence of float
-        The rows of G.
+        Rows of G.
 
     """
 
@@ -72,13 +72,13 @@ class Features(torch.nn.Module):
         periodic = np.array([is_periodic(kinds, row) for row in rows])
         self._turn = bool(periodic.all())
         number = np.repeat(np.arange(len(rows)), 1 + periodic)
-        # The cosine is a sine that is a quarter of a turn ahead.
+        # The cosine is a sine with phase pi / 2.
         phase = 0.5 * math.pi * (np.diff(number, prepend=-1) == 0)
         keep(self, rows=rows[number], phase=phase, periodic=periodic[number], features=rows,
              of_feature=(np.arange(len(rows))[:, None] == number).astype(np.float64))
 
     def units(self, scales: MotionScales) -> tuple[np.ndarray, np.ndarray]:
-        """Return centre and scale of the inputs, each of shape (n,)."""
+        """Return centre and scale of the inputs, shape (n,) each."""
         rows, periodic = self.rows.numpy(), self.periodic.numpy()
         centre = np.where(periodic, 0.0, rows @ scales.q_centre)
         half = np.where(periodic, 1.0, np.abs(rows) @ scales.q_half)
@@ -93,21 +93,21 @@ class Features(torch.nn.Module):
                 torch.where(self.periodic, torch.cos(y), 1.0))
 
 
-# Steps of windows of machines.
+# Integrators of simulated windows of machines.
 WindowMethod = Literal['implicit_midpoint', 'variational_euler', 'generalized_leapfrog', 'rk4']
 ON_THE_CPU = {'device': 'is trained on the CPU, in minutes'}
-# A prior that is chosen by held-out motions.
+# Prior that is selected with held-out motions.
 AUTO = 'auto'
-# A term of a linear combination: sign, number, name.
+# Term of a linear combination: sign, number, name.
 _TERM = re.compile(r'\s*([+-]?)\s*(?:(\d+\.?\d*(?:e[+-]?\d+)?)\s*\*\s*)?([^\W\d]\w*)\s*')
 
 
 class FamilyChoice(StrictModel):
     """
-    A family of models.
+    Configuration of a family of models.
 
-    ``losses`` are those that train it; ``refuses`` has the options of train that do not hold for
-    it, each with the reason.
+    ``losses`` can train it; ``refuses`` maps train options that it does not support to the
+    reasons.
     """
 
     kind: str
@@ -116,22 +116,22 @@ class FamilyChoice(StrictModel):
 
 
 class VectorField(StrictModel):
-    """The rates of change against (H_p, -H_q), and what a family adds to it."""
+    """Loss of the rates of change, (H_p, -H_q) plus terms of the family; for dense data."""
 
     kind: Literal['vector_field'] = 'vector_field'
-    # The one-step map that is trained through.
+    # One-step map used in training, if any.
     scheme: ClassVar[None] = None
 
 
 class EulerLagrange(StrictModel):
-    """Accelerations against the Euler-Lagrange equation."""
+    """Loss of accelerations from the Euler-Lagrange equation, for the family lagrangian."""
 
     kind: Literal['euler_lagrange']
     scheme: ClassVar[None] = None
 
 
 class Steps(StrictModel):
-    """States some steps on against those that a variational integrator gives."""
+    """Loss of states computed by an integrator; the model fits only this method and step."""
 
     kind: Literal['steps']
     integrator: Literal['variational_euler', 'symplectic_euler', 'symplectic_euler_adjoint',
@@ -141,24 +141,24 @@ class Steps(StrictModel):
 
     @property
     def scheme(self) -> Scheme:
-        """Return the one-step map that is trained through."""
+        """Return the one-step map used in training."""
         return Scheme(integrator=self.integrator, step_size=self.step_size)
 
 
 class DiscreteGradient(StrictModel):
-    """Differences of states against the discrete gradient of H between them."""
+    """Loss of the discrete gradient of H between states; for large even time steps or noise."""
 
     kind: Literal['discrete_gradient']
     step_size: float = Field(gt=0.0, description='h [s]')
 
     @property
     def scheme(self) -> Scheme:
-        """Return the one-step map that is trained through."""
+        """Return the one-step map used in training."""
         return Scheme(integrator='discrete_gradient', step_size=self.step_size)
 
 
 class DiscreteLagrangian(StrictModel):
-    """Three positions in a row against the discrete Euler-Lagrange equation."""
+    """Loss of the discrete Euler-Lagrange equation at three successive positions, without v."""
 
     kind: Literal['discrete_lagrangian']
     rule: Literal['trapezoid', 'midpoint'] = Field('trapezoid', description=(
@@ -167,13 +167,13 @@ class DiscreteLagrangian(StrictModel):
 
     @property
     def scheme(self) -> Scheme:
-        """Return the one-step map that is trained through."""
+        """Return the one-step map used in training."""
         method = 'stormer_verlet' if self.rule == 'trapezoid' else 'implicit_midpoint'
         return Scheme(integrator=method, step_size=self.step_size)
 
 
 class FrictionChoice(StrictModel):
-    """Friction of a machine; all that is named adds up."""
+    """Friction of a machine; all enabled terms are added."""
 
     viscous: bool = Field(True, description='-b v')
     coulomb: int = Field(2, ge=0, le=8, description='how many terms -c tanh(v / w)')
@@ -197,34 +197,34 @@ class FrictionChoice(StrictModel):
 @dataclass(frozen=True)
 class Structure:
     """
-    Structure of the networks: what they see, and what friction there is.
+    Structure of the networks: inputs and friction terms.
 
     Parameters
     ----------
     kinds : list of str
-        Of each coordinate.
+        Kind of each coordinate.
     features : list of list of float
-        Rows of the linear combinations that V sees.
+        Rows of the linear combinations that are inputs of V.
     mass_features : list of list of float
-        The same that M sees; none for a constant M.
+        The same for M; empty for a constant M.
     diagonal_mass : bool
-        Whether M is diagonal.
+        True if M is diagonal.
     friction : FrictionChoice
-        In the joints.
+        Friction in the joints.
     prior : str, optional
-        The parametric system to whose M and V the networks are added.
+        Parametric system whose M and V are added to the networks.
     residual : bool
-        Whether there are networks in addition to it.
+        True if there are networks in addition to the prior.
     friction_features : list of list of float, optional
-        The inputs of the network D of friction -D(q) v, in the same way; None for no network.
+        Inputs of the network D of friction -D(q) v, as rows; None for no network.
     tree : TreeCard, optional
-        The bodies of a prior that is a robot.
+        Bodies of a prior that is a robot.
     values : np.ndarray, shape (d, 12), optional
-        Their parameters to begin with.
+        Initial parameters of the bodies.
     left_out : tuple of str
-        Which of the networks, ``mass`` and ``potential``, add nothing.
+        Disabled networks among ``mass`` and ``potential``.
     angles : list of list of float, optional
-        Of the links of a prior that is a chain, from the vertical; None: those that fit best.
+        Angles of a chain's links from the vertical; None selects the best fit.
 
     """
 
@@ -243,7 +243,7 @@ class Structure:
 
 
 class MechanicalChoice(FamilyChoice):
-    """Networks M(q) and V(q), and friction."""
+    """Networks M(q) and V(q) with friction; for machines without a URDF, else see rigid_body."""
 
     kind: Literal['mechanical']
     losses: ClassVar[tuple[str, ...]] = ('trajectory', 'forward', 'inverse', 'discrete')
@@ -284,7 +284,7 @@ class MechanicalChoice(FamilyChoice):
         return None if value == 'none' else value
 
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
-        """Return the structure of the networks; ValueError for a name of no coordinate."""
+        """Return the structure of the networks; ValueError for an unknown coordinate name."""
         seen = names if self.mass_depends_on is None else self.mass_depends_on
         if self.mass == 'constant':
             if self.mass_depends_on:
@@ -319,7 +319,7 @@ class MechanicalChoice(FamilyChoice):
 
     def _angles(self, names: Sequence[str], kinds: list[Kind], texts: Sequence[str]
                 ) -> list[list[float]]:
-        """Return the angles of a chain's links, and zeros for its carts."""
+        """Return the angles of a chain's links, with zeros for its carts."""
         found = iter([combination(text, names, 'angles') for text in texts])
         turning = [kind != 'prismatic' for kind in kinds]
         if len(texts) != sum(turning):
@@ -350,7 +350,7 @@ class MechanicalChoice(FamilyChoice):
 
 
 class RigidBodyChoice(FamilyChoice):
-    """A robot that a URDF describes, whose inertias and friction are identified."""
+    """A robot with a URDF, whose inertias and friction are identified; else see mechanical."""
 
     kind: Literal['rigid_body']
     losses: ClassVar[tuple[str, ...]] = ('trajectory', 'inverse')
@@ -376,7 +376,7 @@ class RigidBodyChoice(FamilyChoice):
         'of the size of those networks, at states like those of the data, in the loss'))
     fade_weight: float = Field(0.1, ge=0.0, description=(
         'the same at all other states, where networks fade'))
-    # It is a prior of the family mechanical, whose joints have a force each.
+    # The prior in terms of the family mechanical; each joint has a force of its own.
     prior: ClassVar[str] = RIGID_BODY
     input_map: ClassVar[str] = 'identity'
 
@@ -396,13 +396,13 @@ class RigidBodyChoice(FamilyChoice):
         return self
 
     def robot(self, joints: Sequence[str]) -> RigidBodyTree:
-        """Return the robot of the file, of these joints, or of all that move; or raise."""
+        """Return the robot with these joints, or all movable ones; raise if that fails."""
         rotors = {} if isinstance(self.rotor_inertia, str) else self.rotor_inertia
         return RigidBodyTree(self.file, [*joints] or None, self.locked, self.gravity, self.base,
                              rotors)
 
     def structure(self, names: Sequence[str], kinds: list[Kind]) -> Structure:
-        """Return the structure of robot and networks, whose inputs are the coordinates."""
+        """Return the structure of the robot and its networks; their inputs are the coordinates."""
         robot, rows = self.robot(names), np.eye(len(names)).tolist()
         residual = [] if self.residual == AUTO else self.residual
         tree = tree_card(robot.bodies, dict(enumerate(robot.joints)), robot.robot.name[:200])
@@ -427,7 +427,7 @@ def combination(text: str, names: Sequence[str], key: str) -> list[float]:
 
 
 class WindowStage(StrictModel):
-    """Some steps of Adam on windows of one length."""
+    """A number of Adam steps on windows of one length."""
 
     duration: float = Field(gt=0.0, description='of each window [s]')
     steps: int = Field(ge=1, le=1_000_000)
@@ -436,7 +436,7 @@ class WindowStage(StrictModel):
 
 
 class Regression(StrictModel):
-    """A fit at single samples: Adam, then L-BFGS."""
+    """A fit on single samples with Adam, then L-BFGS."""
 
     kind: str
     steps: int = Field(400, ge=1, le=1_000_000, description='of Adam')
@@ -447,19 +447,19 @@ class Regression(StrictModel):
 
 
 class Forward(Regression):
-    """The accelerations at each sample: best where they were measured, or are exact."""
+    """Loss of accelerations at single samples; best if they were measured or are exact."""
 
     kind: Literal['forward']
 
 
 class Inverse(Regression):
-    """The forces of the motors at each sample, from its acceleration."""
+    """Loss of the motor forces at single samples, computed from accelerations."""
 
     kind: Literal['inverse']
 
 
 class Discrete(Regression):
-    """The forced discrete Euler-Lagrange equations of the midpoint rule, from positions alone."""
+    """Loss of the forced discrete Euler-Lagrange equations (midpoint rule) from positions."""
 
     kind: Literal['discrete']
     step_size: float | None = Field(None, gt=0.0, description=(
@@ -468,7 +468,7 @@ class Discrete(Regression):
 
 
 class Trajectory(StrictModel):
-    """Accelerations first; then windows that are simulated from their smoothed first state."""
+    """Loss of accelerations, then of windows simulated from their smoothed first states."""
 
     kind: Literal['trajectory'] = 'trajectory'
     forward_steps: int = Field(400, ge=1, description='of Adam on accelerations')

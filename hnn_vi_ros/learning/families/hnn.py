@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hamiltonian neural networks: H(q, p), with friction, dissipation or commands."""
+"""Hamiltonian neural networks H(q, p), some with friction, dissipation or commands."""
 
 from typing import Any, ClassVar, Literal
 
@@ -14,7 +14,7 @@ import torch
 
 
 class _OneNetwork(EnergyFamily):
-    """Base of families whose H(q, p) is one network of all of the state."""
+    """Base class of families with H(q, p) as one network of the whole state."""
 
     def __init__(self, choice: FamilyChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__()
@@ -22,34 +22,34 @@ class _OneNetwork(EnergyFamily):
             hidden, scales.centre, scales.half, np.array([scales.energy]), seed)
 
     def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
+        """Return H, shape (N,), at states z = (q, p), shape (N, 2 d)."""
         return self.network(z)[:, 0]
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return the network; see Trainable."""
+        """Return the network of H; see Trainable."""
         return {'energy': self.network.layers(z0, energy0)}
 
 
 class HNNChoice(FamilyChoice):
-    """One network H(q, p)."""
+    """Configuration of one network H(q, p), for conservative systems; see HNN."""
 
     kind: Literal['hnn']
 
 
 class HNN(_OneNetwork):
     """
-    One network H(q, p).
+    One network H(q, p) for conservative systems; if H = T(p) + V(q), SeparableHNN is better.
 
     Parameters
     ----------
     choice : HNNChoice
-        Of the family; it has no settings.
+        Configuration of the family; it has no settings.
     hidden : list of int
         Widths of the hidden layers.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -59,25 +59,25 @@ class HNN(_OneNetwork):
 
 
 class SeparableHNNChoice(FamilyChoice):
-    """Networks T(p) and V(q), for explicit methods."""
+    """Configuration of networks T(p) and V(q), for explicit methods; see SeparableHNN."""
 
     kind: Literal['separable_hnn']
 
 
 class SeparableHNN(EnergyFamily):
     """
-    H(q, p) = T(p) + V(q), a network each, for explicit methods like stormer_verlet.
+    H(q, p) = T(p) + V(q), one network each, for explicit methods like stormer_verlet; else HNN.
 
     Parameters
     ----------
     choice : SeparableHNNChoice
-        Of the family; it has no settings.
+        Configuration of the family; it has no settings.
     hidden : list of int
-        Widths of the hidden layers of each.
+        Widths of the hidden layers of each network.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -95,12 +95,12 @@ class SeparableHNN(EnergyFamily):
             np.array([np.mean(scales.p_rate * scales.q_half)]), seed + 1)
 
     def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
+        """Return H, shape (N,), at states z = (q, p), shape (N, 2 d)."""
         q, p = z.chunk(2, dim=1)
         return self.kinetic(p)[:, 0] + self.potential(q)[:, 0]
 
     def networks(self, z0: np.ndarray, energy0: float) -> dict[str, Layers]:
-        """Return T, zero at the momenta of z0, and V; see Trainable."""
+        """Return T with value zero at the momenta of z0, and V; see Trainable."""
         q0, p0 = np.split(z0, 2)
         return {'kinetic': self.kinetic.layers(p0, 0.0),
                 'potential': self.potential.layers(q0, energy0)}
@@ -110,28 +110,28 @@ _WEIGHT = 1e-3
 
 
 class DissipativeHNNChoice(FamilyChoice):
-    """Networks H(q, p) and D(q, p): q' = H_p + D_q, p' = -H_q + D_p."""
+    """Configuration of H and D with q' = H_p + D_q, p' = -H_q + D_p; see DissipativeHNN."""
 
     kind: Literal['dissipative_hnn']
 
 
 class DissipativeHNN(_OneNetwork):
     """
-    Networks H(q, p) and D(q, p), with q' = H_p + D_q and p' = -H_q + D_p.
+    Networks H and D for nonlinear friction, q' = H_p + D_q, p' = -H_q + D_p; if linear, DGNet.
 
-    The field leaves them open up to a pair of conjugate harmonic functions. What rubs changes
-    momenta: a small weight on D_q, and on the mean of D_p, makes H the energy where it can.
+    The field determines H and D up to a pair of conjugate harmonic functions. Friction changes
+    only momenta: a small penalty on D_q and on the mean of D_p makes H the energy where possible.
 
     Parameters
     ----------
     choice : DissipativeHNNChoice
-        Of the family; it has no settings.
+        Configuration of the family; it has no settings.
     hidden : list of int
-        Widths of the hidden layers of each.
+        Widths of the hidden layers of each network.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -143,7 +143,7 @@ class DissipativeHNN(_OneNetwork):
     def __init__(self, choice: DissipativeHNNChoice, hidden: list[int], scales: Scales,
                  seed: int):
         super().__init__(choice, hidden, scales, seed)
-        # D_p is of the order of dp/dt.
+        # D_p has the order of magnitude of dp/dt.
         power = np.mean(np.concatenate(
             [scales.q_rate * scales.q_half, scales.p_rate * scales.p_half]))
         self.dissipation = Perceptron(
@@ -152,11 +152,11 @@ class DissipativeHNN(_OneNetwork):
 
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
-        """Return (H_p + D_q, -H_q + D_p); see EnergyFamily."""
+        """Return (H_p + D_q, -H_q + D_p), as in EnergyFamily."""
         return super().vector_field(z) + gradient(self.dissipation, z)
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor:
-        """Return a small weight on D_q and on the mean of D_p, in units of the rates."""
+        """Return a small penalty on D_q and on the mean of D_p, in units of the rates."""
         D_q, D_p = (gradient(self.dissipation, z) / self.rates).chunk(2, dim=1)
         return _WEIGHT * (D_q.square().mean() + D_p.mean(dim=0).square().mean())
 
@@ -166,7 +166,7 @@ class DissipativeHNN(_OneNetwork):
 
 
 class DGNetChoice(FamilyChoice):
-    """One network H(q, p), and linear friction."""
+    """Configuration of one network H(q, p) with linear friction; see DGNet."""
 
     kind: Literal['dgnet']
     friction: bool = Field(True, description='whether dp/dt = -H_q - gamma p, or gamma = 0')
@@ -175,18 +175,18 @@ class DGNetChoice(FamilyChoice):
 
 class DGNet(_OneNetwork):
     """
-    One network H(q, p), and friction: q' = H_p, p' = -H_q - gamma p.
+    H(q, p) with q' = H_p, p' = -H_q - gamma p, for large time steps or noise; otherwise HNN.
 
     Parameters
     ----------
     choice : DGNetChoice
-        Whether there is friction.
+        Configuration of the family, with or without friction.
     hidden : list of int
         Widths of the hidden layers.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -197,7 +197,7 @@ class DGNet(_OneNetwork):
 
     def __init__(self, choice: DGNetChoice, hidden: list[int], scales: Scales, seed: int):
         super().__init__(choice, hidden, scales, seed)
-        # Squared, for it is never negative; it begins at a tenth of the data's fastest rates.
+        # The square keeps gamma nonnegative; it starts at a tenth of the data's fastest rates.
         keep(self, unit=scales.p_rate / scales.p_half)
         self.root = torch.nn.Parameter(
             torch.full_like(self.unit, 0.1**0.5 if choice.friction else 0.0),
@@ -210,20 +210,20 @@ class DGNet(_OneNetwork):
 
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
-        """Return (H_p, -H_q - gamma p); see EnergyFamily."""
+        """Return (H_p, -H_q - gamma p), as in EnergyFamily."""
         q, p = z.chunk(2, dim=1)
         return super().vector_field(z) - torch.cat([torch.zeros_like(q), self.friction * p], dim=1)
 
     def discrete_field(self, z0: torch.Tensor, z1: torch.Tensor) -> torch.Tensor:
         """
-        Return (D_p, -D_q - gamma (p0 + p1) / 2), which (z1 - z0) / h must equal, shape (N, 2 d).
+        Return (D_p, -D_q - gamma (p0 + p1) / 2), shape (N, 2 d); the loss equates (z1 - z0) / h.
 
-        D is the discrete gradient of H between the states; see the integrator DiscreteGradient.
+        (D_q, D_p) is the discrete gradient of H between the states, as in DiscreteGradient.
         """
         middle, change = 0.5 * (z0 + z1), z1 - z0
         slope = self.gradient(middle)
         rest = self.energy(z1) - self.energy(z0) - (slope * change).sum(dim=1)
-        # States that do not differ have no direction to correct along.
+        # Avoid division by zero for equal states.
         square = change.square().sum(dim=1).clamp_min(torch.finfo(change.dtype).tiny)
         D_q, D_p = (slope + (rest / square)[:, None] * change).chunk(2, dim=1)
         return torch.cat([D_p, -D_q - self.friction * middle.chunk(2, dim=1)[1]], dim=1)
@@ -234,7 +234,7 @@ class DGNet(_OneNetwork):
 
 
 class ControlAffineChoice(FamilyChoice):
-    """Networks for the mass matrix, the potential and the input map of commands."""
+    """Configuration of mass matrix, potential and input map; see ControlAffine."""
 
     kind: Literal['control_affine']
     losses: ClassVar[tuple[str, ...]] = ('vector_field',)
@@ -244,24 +244,24 @@ class ControlAffine(EnergyFamily):
     """
     H(q, p) = p . M^-1(q) p / 2 + V(q), driven by commands u: q' = H_p, p' = -H_q + g(q) u.
 
-    M^-1 = A A^T with a lower triangular A(q); networks give its entries, row by row, V, and the
-    entries of the input map g, of shape (d, m), row by row.
+    M^-1 = A A^T with a lower triangular A(q). Networks return the entries of A by rows, V, and the
+    entries of the input map g, shape (d, m), by rows. Use it for an unknown map g; otherwise HNN.
 
     Parameters
     ----------
     choice : ControlAffineChoice
-        Of the family; it has no settings.
+        Configuration of the family; it has no settings.
     hidden : list of int
-        Widths of the hidden layers of each.
+        Widths of the hidden layers of each network.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     Raises
     ------
     DataError
-        The data hold no commands.
+        The data contain no commands.
 
     References
     ----------
@@ -279,7 +279,7 @@ class ControlAffine(EnergyFamily):
         where = scales.q_centre, scales.q_half
         self.rows, self.columns = np.tril_indices(d)
         root = np.sqrt(scales.v_half / scales.p_half)
-        # At first A is about diagonal.
+        # A is initially almost diagonal.
         self.root = Perceptron(hidden, *where, root[self.rows], seed,
                                torch.tensor(self.rows == self.columns))
         self.potential = Perceptron(
@@ -289,7 +289,7 @@ class ControlAffine(EnergyFamily):
         self.shape = d, m
 
     def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H, shape (N,), of states z = (q, p), shape (N, 2 d)."""
+        """Return H, shape (N,), at states z = (q, p), shape (N, 2 d)."""
         q, p = z.chunk(2, dim=1)
         root = torch.zeros(len(q), *2 * self.shape[:1], dtype=q.dtype, device=q.device)
         root[:, self.rows, self.columns] = self.root(q)
@@ -298,7 +298,7 @@ class ControlAffine(EnergyFamily):
 
     def vector_field(self, z: torch.Tensor, commands: torch.Tensor | None = None
                      ) -> torch.Tensor:
-        """Return (H_p, -H_q + g(q) u); see EnergyFamily."""
+        """Return (H_p, -H_q + g(q) u), as in EnergyFamily."""
         field = super().vector_field(z)
         if commands is None:
             return field

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Families that learn from other than canonical momenta: Lagrangians and a symplectic form."""
+"""Families for data without canonical momenta: Lagrangians and a symplectic form."""
 
 from typing import Any, ClassVar, Literal
 
@@ -20,7 +20,7 @@ _WEIGHT = 1e-2
 
 
 class LagrangianChoice(FamilyChoice):
-    """A Lagrangian L(q, v): a network added to a constant mass."""
+    """Configuration of L(q, v): a network plus a constant mass; see LagrangianNetwork."""
 
     kind: Literal['lagrangian']
     mass: float = Field(1.0, gt=0.0, description=(
@@ -31,24 +31,24 @@ class LagrangianChoice(FamilyChoice):
 
 class LagrangianNetwork(Trainable):
     """
-    L(q, v) = v . M v / 2 + N(q, v): a constant diagonal M, and a network for all the rest.
+    L(q, v) = v . M v / 2 + N(q, v): a constant diagonal M and a network; needs accelerations.
 
-    M keeps the Hessian L_vv regular while the network learns. Motions tell L up to a factor,
-    which is another unit of energy, and up to the rate of change of a function of q, which
-    changes the momenta p = L_v. The factor is set by the mean of the first coordinate's mass,
-    (L_vv)_11, which the configuration gives; a small weight on the momenta at rest chooses the
-    rest.
+    M keeps the Hessian L_vv regular during training. Motions determine L up to a factor, the unit
+    of energy, and up to the time derivative of a function of q, which changes the momenta p = L_v.
+    The configured mean mass of the first coordinate, (L_vv)_11, fixes the factor; a small penalty
+    on the momenta at rest fixes the function. If only positions are known, use VIN; for other
+    noncanonical coordinates, SymplecticForm.
 
     Parameters
     ----------
     choice : LagrangianChoice
-        The mass of the first coordinate.
+        Configuration with the mass of the first coordinate.
     hidden : list of int
         Widths of the hidden layers.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -67,9 +67,9 @@ class LagrangianNetwork(Trainable):
         self.network = Perceptron(
             hidden, centre, half, np.array([np.mean(mass * acceleration * scales.q_half)]), seed)
         with torch.no_grad():
-            # An untrained network must not make L_vv singular.
+            # Small weights, so that L_vv is regular initially.
             self.network.linears[-1].weight.mul_(0.1)
-        # The inner half of the box: its corners may be far from any data.
+        # Sample the inner half of the box: its corners may be far from all data.
         box = np.random.default_rng(0).uniform(-0.5, 0.5, (_SAMPLES, len(centre)))
         keep(self, mass=mass, samples=centre + half * box)
 
@@ -90,8 +90,8 @@ class LagrangianNetwork(Trainable):
         """
         Return L_vv^-1 (L_q - L_vq v), shape (N, d), at points x = (q, v), shape (N, 2 d).
 
-        That is the Euler-Lagrange equation L_vv a + L_vq v = L_q, solved for a: a residual of
-        the equation itself would be smallest for L = 0.
+        This solves the Euler-Lagrange equation L_vv a + L_vq v = L_q for a: the residual of the
+        equation itself would be minimal for L = 0.
         """
         slope, rows = self.derivatives(x)
         mixed, mass = rows.chunk(2, dim=2)
@@ -99,7 +99,7 @@ class LagrangianNetwork(Trainable):
         return torch.linalg.solve(mass, force[:, :, None])[:, :, 0]
 
     def preference(self, x: torch.Tensor) -> torch.Tensor:
-        """Return a small weight on the momenta at rest, L_v(q, 0), in units of M v."""
+        """Return a small penalty on the momenta at rest, L_v(q, 0), in units of M v."""
         q, v = x.chunk(2, dim=1)
         slope = gradient(self.lagrangian, torch.cat([q, torch.zeros_like(v)], dim=1))
         unit = self.mass * self.network.scale.chunk(2)[1]
@@ -107,7 +107,7 @@ class LagrangianNetwork(Trainable):
 
     @property
     def factor(self) -> float:
-        """Return the factor of L that gives the mean of (L_vv)_11 its value."""
+        """Return the factor of L that scales the mean of (L_vv)_11 to the configured mass."""
         d = len(self.mass)
         return self.first_mass / float(self.derivatives(self.samples)[1][:, 0, d].mean().detach())
 
@@ -120,12 +120,12 @@ class LagrangianNetwork(Trainable):
             mass, missing = rows[0].chunk(2, dim=1)[1], p0 / factor - slope[0].chunk(2)[1]
             v0 = (v0 + torch.linalg.solve(mass, missing)).detach()
         x0 = torch.cat([q0, v0])
-        # H = p . v - L there; the constant of N supplies the rest.
+        # H = p . v - L at z0; the constant of N adjusts it to energy0.
         value = float(p0 @ v0 - 0.5 * factor * (self.mass * v0) @ v0) - energy0
         return {'lagrangian': self.network.layers(x0.numpy(), value, factor)}
 
     def constants(self) -> dict[str, Any]:
-        """Return M, and the velocities in which L was learned."""
+        """Return M and the range of velocities in the training data."""
         bounds = torch.stack([self.network.centre - self.network.scale,
                               self.network.centre + self.network.scale], dim=1)
         return {'mass': torch.diag(self.factor * self.mass).tolist(),
@@ -138,7 +138,7 @@ class LagrangianNetwork(Trainable):
 
 
 class VINChoice(FamilyChoice):
-    """A constant mass matrix and a network V(q), learned from positions."""
+    """Configuration of a constant mass matrix and a network V(q), from positions; see VIN."""
 
     kind: Literal['vin']
     mass: float = Field(1.0, gt=0.0, description=(
@@ -148,21 +148,21 @@ class VINChoice(FamilyChoice):
 
 class VIN(EnergyFamily):
     """
-    A constant mass matrix M and a network V(q): L(q, v) = v . M v / 2 - V(q).
+    A constant mass matrix M and a network V(q), from positions only: L = v . M v / 2 - V(q).
 
-    Positions tell M^-1 V' alone: what multiplies both by a number is another unit of energy. It is
-    set by the mass of the first coordinate, M_11, which the configuration gives.
+    Positions determine only M^-1 V': a common factor is the unit of energy, fixed by the
+    configured mass M_11 of the first coordinate. With known accelerations, use LagrangianNetwork.
 
     Parameters
     ----------
     choice : VINChoice
-        The mass of the first coordinate.
+        Configuration with the mass of the first coordinate.
     hidden : list of int
         Widths of the hidden layers.
     scales : Scales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -186,12 +186,12 @@ class VIN(EnergyFamily):
     def mass(self) -> torch.Tensor:
         """Return M, shape (d, d)."""
         factor = torch.tril(self.factor)
-        # The first entry of F is one, which fixes M_11.
+        # Dividing by the first entry of F fixes M_11.
         factor = self.unit[:, None] * factor / factor[0, 0]
         return factor @ factor.T
 
     def energy(self, z: torch.Tensor) -> torch.Tensor:
-        """Return H = p . M^-1 p / 2 + V(q), shape (N,), of states z = (q, p), (N, 2 d)."""
+        """Return H = p . M^-1 p / 2 + V(q), shape (N,), at states z = (q, p), (N, 2 d)."""
         q, p = z.chunk(2, dim=1)
         v = torch.linalg.solve(self.mass, p.T).T
         return 0.5 * (p * v).sum(dim=1) + self.potential(q)[:, 0]
@@ -220,7 +220,7 @@ _EVENNESS = 1e-5
 
 
 class SymplecticFormChoice(FamilyChoice):
-    """A one-form theta(u) and an energy H(u) in any coordinates u, such as (q, dq/dt)."""
+    """Configuration of theta(u) and H(u), u for example (q, dq/dt); see SymplecticForm."""
 
     kind: Literal['symplectic_form']
     mass: float = Field(1.0, gt=0.0, description=(
@@ -231,29 +231,28 @@ class SymplecticFormChoice(FamilyChoice):
 
 class SymplecticForm(Trainable):
     """
-    theta(u) = (M p, 0) + N(u) and H(u), u = (q, p): a constant diagonal M, and two networks.
+    theta(u) = (M p, 0) + N(u) and H(u), u = (q, p): a constant diagonal M and two networks.
 
-    The variation of the integral of theta(u) . u' - H(u) is zero where W(u) u' = H'(u), with
-    W_ij = d_i theta_j - d_j theta_i; see SymplecticFormHamiltonian. The loss compares
-    u' = W^-1 H', not the residual of the equation, which is smallest for theta = 0, H = 0. M
-    keeps W regular while N learns.
+    The variation of the integral of theta(u) . u' - H(u) vanishes if W(u) u' = H'(u) with W_ij =
+    d_i theta_j - d_j theta_i; see SymplecticFormHamiltonian. The loss compares u' with W^-1 H',
+    because the residual of the equation is minimal for theta = 0, H = 0. M keeps W regular during
+    training. Use it for noncanonical coordinates; otherwise HNN.
 
-    Motions tell theta and H up to a common factor, which is another unit of energy, and theta up
-    to the gradient of a function, which has no effect on anything. The factor is set by the mean
-    of the first coordinate's mass, W_ij with i its p and j its q, which the configuration gives.
-    In one degree of freedom any function f(H) will do as well, with f'(H) W; a small weight on
-    the variation of W chooses among them.
+    Motions determine theta and H up to a common factor, the unit of energy, and theta up to a
+    gradient, which has no effect. The configured mean mass of the first coordinate, W_ij with i
+    its p and j its q, fixes the factor. In one degree of freedom, any f(H) with f'(H) W is
+    equivalent; a small penalty on the variation of W selects one.
 
     Parameters
     ----------
     choice : SymplecticFormChoice
-        The mass of the first coordinate.
+        Configuration with the mass of the first coordinate.
     hidden : list of int
         Widths of the hidden layers of both networks.
     scales : Scales
-        Of the data, with the second half of the coordinates for p.
+        Scales of the data; p is the second half of the coordinates.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -265,7 +264,7 @@ class SymplecticForm(Trainable):
     def __init__(self, choice: SymplecticFormChoice, hidden: list[int], scales: Scales,
                  seed: int):
         super().__init__()
-        # Such that each pair of coordinates has as large an action.
+        # Masses for which all pairs of coordinates have equal actions.
         mass = choice.mass * (scales.p_half[0] * scales.q_half[0]
                               / (scales.p_half * scales.q_half))
         self.first_mass = choice.mass
@@ -275,7 +274,7 @@ class SymplecticForm(Trainable):
         self.energy = Perceptron(
             hidden, scales.centre, scales.half, np.array([action * rate]), seed + 1)
         with torch.no_grad():
-            # An untrained network must not make W singular.
+            # Small weights, so that W is regular initially.
             self.one_form.linears[-1].weight.mul_(0.1)
         box = np.random.default_rng(0).uniform(-1.0, 1.0, (_BOX, len(scales.centre)))
         keep(self, mass=mass, samples=scales.centre + scales.half * box)
@@ -297,7 +296,7 @@ class SymplecticForm(Trainable):
             self.two_form(z), gradient(self.energy, z)[:, :, None])[:, :, 0]
 
     def preference(self, z: torch.Tensor, *others: torch.Tensor) -> torch.Tensor | None:
-        """Return a small weight on the variation of W in one degree of freedom; see Trainable."""
+        """Return a small penalty on the variation of W in one degree of freedom; see Trainable."""
         if len(self.mass) > 1:
             return None
         weight = self.two_form(z)[:, 1, 0]
@@ -306,12 +305,12 @@ class SymplecticForm(Trainable):
     @property
     def factor(self) -> float:
         """
-        Return the factor of theta and H that gives the mean mass its value.
+        Return the factor of theta and H that scales the mean mass to the configured one.
 
         Raises
         ------
         DataError
-            W is singular somewhere in the box of the data.
+            W is singular at some point of the data's box.
 
         """
         two_forms, d = self.two_form(self.samples).detach(), len(self.mass)

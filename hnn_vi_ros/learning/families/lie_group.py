@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Lie group network: mass, potential, dissipation and input map of a body that turns."""
+"""Lie group network: mass, potential, dissipation and input map of a rotating body."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ import numpy as np
 from pydantic import Field, model_validator
 import torch
 
-# The diagonal of the roots of D and, where log(1 + exp(0.54)) is 1, of M at first.
+# Initial diagonals of the root of D, and of M, for which log(1 + exp(0.54)) is 1.
 _FIRST, _UNIT_ROOT = 0.1, 0.54
-# Least eigenvalue of S^-1 M^-1 S^-1 of a body that turns.
+# Smallest eigenvalue of S^-1 M^-1 S^-1 of a rotating body.
 _FLOOR = 1e-3
 LieMethod = Literal['lie_leapfrog', 'lie_variational_euler']
 RetractionName = Literal['cayley', 'exponential']
 
 
 class LieGroupChoice(FamilyChoice):
-    """Networks of M(q)^-1 and V(q), or one of H(q, p); dissipation and input map."""
+    """Networks of a rotating body: M(q)^-1 and V(q), or H(q, p); dissipation and input map."""
 
     kind: Literal['lie_group']
     losses: ClassVar[tuple[str, ...]] = ()
@@ -50,7 +50,7 @@ class LieGroupChoice(FamilyChoice):
         return self
 
     def card(self, kind: str, mass_scale: list[float], driven: bool) -> LieGroupCard:
-        """Return the inputs of the networks; ValueError for one that this body has not."""
+        """Return the network inputs; raise ValueError for one that this body does not have."""
         potential: list[str] = [*self.potential_depends_on]
         if not self.structured:
             potential.append('momentum')
@@ -64,7 +64,7 @@ class LieGroupChoice(FamilyChoice):
 
 
 class BodyStage(StrictModel):
-    """Some steps on windows of so many intervals of the data."""
+    """A number of steps on windows of a number of data intervals."""
 
     intervals: int = Field(ge=1, description='of each window')
     adam_steps: int = Field(0, ge=0, le=1_000_000)
@@ -80,12 +80,12 @@ class BodyScales:
     Parameters
     ----------
     centre, half : np.ndarray, shape (k + 6,)
-        Middle and half of the range of its places and of the entries of R; half is 0 for what
-        never changes.
+        Centre and half-range of the positions and of the entries of R; the half-range is 0 for
+        constants.
     velocity, momentum, force : np.ndarray, shape (k,)
-        Usual sizes, in the frame of the body.
+        Usual sizes in the body frame.
     input_map : np.ndarray, shape (k, m), optional
-        What one unit of each input does, at first.
+        Initial effect of one unit of each input.
     input_size : np.ndarray, shape (m,), optional
         Usual sizes of the inputs.
 
@@ -109,13 +109,13 @@ class LieGroupNetwork(torch.nn.Module):
     Parameters
     ----------
     card : LieGroupCard
-        What its networks see.
+        Card with the inputs of the networks.
     hidden : sequence of int
-        Widths of the hidden layers of each that sees something.
+        Widths of the hidden layers of each network with inputs.
     scales : BodyScales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     """
 
@@ -147,10 +147,10 @@ class LieGroupNetwork(torch.nn.Module):
                                  first.get(name))
             self.add_module(name, network)
             if at:
-                # The data say nothing of inputs that never change, so these get no weight.
+                # Zero weights for constant inputs, whose effect the data do not determine.
                 network.linears[0].weight.data[:, still[at]] = 0.0
             else:
-                # What sees nothing is its last bias.
+                # A network without inputs is only its last bias.
                 network.linears[0].requires_grad_(False)
                 network.linears[-1].weight.requires_grad_(False).zero_()
 
@@ -175,28 +175,28 @@ class LieGroupNetwork(torch.nn.Module):
         return network
 
     def outputs(self, name: str, z: torch.Tensor) -> torch.Tensor:
-        """Return the outputs of a network at (x, R, pi), a row for each; one row if constant."""
+        """Return the outputs of a network at (x, R, pi), a row per state, or one if constant."""
         at = self.features[name]
         return getattr(self, name)(z[:, at] if at else z.new_zeros((1, 1)))
 
     def slope(self, name: str, z: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
-        """Return the derivative of the sum of weights times outputs by z, of its shape."""
+        """Return the derivative by z of the weighted sum of outputs, with the shape of z."""
         at = self.features[name]
         return torch.zeros_like(z).index_copy(
             1, torch.tensor(at), getattr(self, name).gradient(z[:, at], weights))
 
     def roots(self, name: str, z: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return outputs, (N, e), and the lower triangular matrix, (N, k, k), that they make."""
+        """Return outputs, (N, e), and their lower triangular matrix, (N, k, k)."""
         y = self.outputs(name, z)
         entries = y
         if name == 'mass' and self.card.diagonal == 'softplus':
-            # By default torch cuts off what is below 2e-9.
+            # The default threshold of torch would cut off values below 2e-9.
             entries = torch.where(
                 self.on_diagonal, torch.nn.functional.softplus(y, threshold=40.0), y)
         return y, (entries @ self.place).reshape(-1, self.k, self.k)
 
     def momenta(self, x: torch.Tensor, R: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return p, shape (N, k), of velocities in the frame of the body: the solution of H_p."""
+        """Solve H_p(p) = v for p, shape (N, k); the velocities v are in the body frame."""
         held = HeldBody(self, x, R, v.new_zeros((len(v), 0)))
         pi = torch.linalg.solve_ex(held.inverse.expand(len(v), -1, -1), v[:, :, None])[0][:, :, 0]
         if 'momentum' in self.card.potential_depends_on:
@@ -207,7 +207,7 @@ class LieGroupNetwork(torch.nn.Module):
         return held.in_space(pi)
 
     def inputs(self, x: torch.Tensor, R: torch.Tensor, u: torch.Tensor) -> torch.Tensor | None:
-        """Return the force B u in the frame of the body, shape (N, k), or None without inputs."""
+        """Return the force B u in the body frame, shape (N, k), or None without inputs."""
         if not u.shape[1]:
             return None
         if 'input_map' not in self.features:
@@ -221,7 +221,7 @@ class LieGroupNetwork(torch.nn.Module):
         return {name: getattr(self, name).layers() for name in self.features}
 
     def multiply(self, factor: float) -> 'LieGroupCard':
-        """Multiply masses, V, D and B by a number, which changes no motion; return the card."""
+        """Scale M, V, D and B by a factor, which leaves motions unchanged; return the card."""
         with torch.no_grad():
             self.scale.mul_(factor**-0.5)
             self.potential.output_scale.mul_(factor)
@@ -234,14 +234,14 @@ class LieGroupNetwork(torch.nn.Module):
 
 class HeldBody:
     """
-    A body at a held pose, under a held input.
+    A body at a constant pose and input.
 
     Parameters
     ----------
     network : LieGroupNetwork
         The network of the body.
     x, R, u : torch.Tensor, shapes (N, k - 3), (N, 3, 3), (N, m)
-        Its place, attitude and input.
+        Position, attitude and input of the body.
 
     """
 
@@ -258,7 +258,7 @@ class HeldBody:
         self._known: tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None] | None = None
 
     def in_space(self, body: torch.Tensor) -> torch.Tensor:
-        """Return vectors of the body, shape (N, k), with the first three turned to space."""
+        """Rotate the first three components of vectors, shape (N, k), from the body to space."""
         if not self._x.shape[1]:
             return body
         return torch.cat([(self._R @ body[:, :3, None])[:, :, 0], body[:, 3:]], dim=1)
@@ -274,11 +274,11 @@ class HeldBody:
         return self.in_space(self.of_body(p))
 
     def of_body(self, p: torch.Tensor) -> torch.Tensor:
-        """Return the velocities in the frame of the body, shape (N, k), at momenta (N, k)."""
+        """Return the velocities in the body frame at momenta p, shape (N, k) each."""
         return self.body_rates(self._in_body(p))[0]
 
     def body_rates(self, pi: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Return velocities of the body, and of an H that is one network its slope."""
+        """Return body velocities and, if H is one network, its derivative by the pose."""
         v = (pi[:, None, :] @ self.inverse)[:, 0]
         if 'momentum' not in self._network.card.potential_depends_on:
             return v, None
@@ -287,7 +287,7 @@ class HeldBody:
         return v + c[:, self._z.shape[1]:], c[:, :self._z.shape[1]]
 
     def rates(self, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return H_p, and g^* H_g less all forces, both of shape (N, k)."""
+        """Return H_p, and g^* H_g minus all forces, shape (N, k) each."""
         network, pi = self._network, self._in_body(p)
         v, c = self.body_rates(pi)
         own, B_u, D = self._at_pose()
@@ -309,7 +309,7 @@ class HeldBody:
         return self.in_space(v), slope
 
     def _at_pose(self) -> tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]:
-        """Return the slope of V, the force of the input and D, which no momentum changes."""
+        """Return the cached V slope, input force and D, which do not depend on the momentum."""
         if self._known is None:
             network, z = self._network, self._z
             structured = 'momentum' not in network.card.potential_depends_on
@@ -322,7 +322,7 @@ class HeldBody:
         return self._known
 
     def _trivialised(self, c: torch.Tensor, pi: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return g^* of a derivative by (x, R), and of what R does to (R^T p) . v."""
+        """Return g^* of a derivative by (x, R) plus the derivative of (R^T p) . v by R."""
         places = self._x.shape[1]
         A = self._R.transpose(1, 2) @ c[:, places:].reshape(-1, 3, 3)
         turn = torch.stack([A[:, 2, 1] - A[:, 1, 2], A[:, 0, 2] - A[:, 2, 0],

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Networks of machines, learned from (q, v, tau): mass, potential, friction; and a plain one."""
+"""Networks of machines, trained on (q, v, tau): mass, potential, friction; and a plain one."""
 
 from collections.abc import Callable, Mapping, Sequence
 import math
@@ -15,9 +15,9 @@ from hnn_vi_ros.models import (
 import numpy as np
 import torch
 
-# Widths of friction lie between these shares of the usual speed: freed, they leave all bounds.
+# Bounds of friction widths relative to the usual speed; without bounds they diverge.
 _NARROWEST, _WIDEST = 0.003, 1.0
-# The diagonal of B at first, in units of its own: D = B B^T is as small as other friction.
+# Initial diagonal of B in its own units: D = B B^T is initially as small as other friction.
 _FIRST_ROOT = 0.2
 
 
@@ -25,22 +25,22 @@ class JointFriction(torch.nn.Module):
     """
     b v + sum_k c_k tanh(v / w_k) [exp(-(v / s_k)^2)] + k abs(tau) tanh(v / s) + D(q) v, D = B B^T.
 
-    The entries of the lower triangular B are outputs of ``network``, so that D is positive
-    semidefinite for any outputs, and all friction dissipates energy. Directed friction has two of
-    each b and of each c of the first terms, and the offset of a motor is a friction that does not
-    depend on v. The force tau of a joint's motor is a load on its gear. Numbers of that friction
-    are its size at a usual force, which fits take for one more c.
+    ``network`` returns the entries of the lower triangular B, so that D is positive semidefinite
+    for any outputs, and all friction dissipates energy. Directed friction has two values of each b
+    and of each Coulomb c, by the sign of v. The offset of a motor is a friction independent of v.
+    The force tau of a joint's motor loads its gear: the parameter of load friction is its size at
+    a usual force, which fits treat as one more c.
 
     Parameters
     ----------
     structure : Structure
-        What friction there is, and what D sees.
+        Friction terms, and inputs of D.
     hidden : sequence of int
         Widths of the hidden layers of D.
     scales : MotionScales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     """
 
@@ -51,7 +51,7 @@ class JointFriction(torch.nn.Module):
         d, sides = len(structure.kinds), 1 + self.choice.directed
         force = scales.inertia * scales.a
         keep(self, viscous_unit=force / scales.v, force_unit=force, speed_unit=scales.v)
-        # log(1 + exp(-3)) is 0.05: little friction at first.
+        # log(1 + exp(-3)) is 0.05: the initial friction is small.
         self.raw_viscous = torch.nn.Parameter(
             torch.full((sides, d), -3.0, dtype=torch.float64))
         self.raw_force = torch.nn.Parameter(
@@ -59,7 +59,7 @@ class JointFriction(torch.nn.Module):
                        -3.0, dtype=torch.float64))
         self.raw_offset = torch.nn.Parameter(
             torch.zeros((int(self.choice.offset), d), dtype=torch.float64))
-        # Widths at first spread over their bounds.
+        # The initial widths are spread over the range between their bounds.
         spread = torch.cat([
             torch.linspace(-1.0, 1.0, count + 2, dtype=torch.float64)[1:-1, None]
             for count in (self.choice.coulomb, self.choice.stribeck)])
@@ -84,9 +84,9 @@ class JointFriction(torch.nn.Module):
         """
         Return b, c, w, s and k.
 
-        b is of shape (n, d) for n signs of v; c has a row for each of them of each Coulomb term,
-        then one for each Stribeck term; w (k, d) is of all terms and s (l, d) of the last l; k is
-        of shape (1, d), or (0, d) without friction that grows with the load.
+        b has shape (n, d) for n signs of v. c has n rows per Coulomb term, then one row per
+        Stribeck term. w (k, d) belongs to all terms, s (l, d) to the last l. k has shape (1, d),
+        or (0, d) without load-dependent friction.
         """
         positive = torch.nn.functional.softplus
         span = math.log(_WIDEST / _NARROWEST)
@@ -99,28 +99,28 @@ class JointFriction(torch.nn.Module):
 
     @property
     def switch(self) -> torch.Tensor:
-        """Return the speeds of load friction, and of one direction into the other, shape (d,)."""
+        """Return the width of the sign change of load and directed friction, shape (d,)."""
         return self.speed_unit * math.sqrt(_NARROWEST * _WIDEST)
 
     def shares(self, v: torch.Tensor) -> torch.Tensor:
-        """Return how much the numbers of each sign count at v, shape (N, n, d)."""
+        """Return the weight of the parameters of each sign at v, shape (N, n, d)."""
         if not self.choice.directed:
             return torch.ones_like(v)[:, None]
         ahead = torch.sigmoid(2.0 * v / self.switch)
         return torch.stack([ahead, 1.0 - ahead], dim=1)
 
     def offset(self) -> torch.Tensor:
-        """Return the constant force, shape (1, d), or (0, d) without one."""
+        """Return the constant force, shape (1, d), or (0, d) if disabled."""
         return self.force_unit * self.raw_offset
 
     def roots(self, q: torch.Tensor) -> torch.Tensor:
-        """Return B, shape (N, d, d), of D = B B^T, at q of shape (N, d)."""
+        """Return B in D = B B^T, shape (N, d, d), at q of shape (N, d)."""
         d = q.shape[1]
         return (self.network(self.features(q)[0]) @ self.place).reshape(-1, d, d)
 
     def forward(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None = None
                 ) -> torch.Tensor:
-        """Return the friction that is taken from tau, by default 0, all of shape (N, d)."""
+        """Return the friction to subtract from tau (default 0), all of shape (N, d)."""
         b, c, w, s, load = self.coefficients()
         shares = self.shares(v)
         total = (shares * b).sum(dim=1) * v - self.offset().sum(dim=0)
@@ -148,7 +148,7 @@ class JointFriction(torch.nn.Module):
                           (self.force_unit * load).flatten(), self.offset().flatten()])
 
     def columns(self, v: torch.Tensor, tau: torch.Tensor) -> torch.Tensor:
-        """Return the friction of each of ``values`` where it alone is one, (N, d, k)."""
+        """Return the friction per unit of each of ``values``, shape (N, d, k)."""
         _, _, widths, speeds, _ = (part.detach() for part in self.coefficients())
         n = self.choice.coulomb
         sided = [*[v] * self.choice.viscous, *(torch.tanh(v / w) for w in widths[:n])]
@@ -162,7 +162,7 @@ class JointFriction(torch.nn.Module):
             if found else v[:, :, None][:, :, :0]
 
     def scale(self, factor: float) -> None:
-        """Multiply all of it by a factor."""
+        """Multiply the friction by a factor."""
         for unit in (self.viscous_unit, self.force_unit):
             unit *= factor
         if self.structure.friction_features is not None:
@@ -186,14 +186,14 @@ class JointFriction(torch.nn.Module):
 
 class Linearised(NamedTuple):
     """
-    p = M(q) v and F = dp/dt less tau, with their derivatives.
+    Result p = M(q) v and F = dp/dt - tau, with derivatives.
 
     Parameters
     ----------
     p, rate : torch.Tensor, shape (N, d)
-        p and F.
+        Values of p and F.
     p_v, p_q, rate_q, rate_v : torch.Tensor, shape (N, d, d)
-        M, p_q, F_q and F_v.
+        Derivatives M, p_q, F_q and F_v.
 
     """
 
@@ -207,13 +207,13 @@ class Linearised(NamedTuple):
 
 def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor
               ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return friction, (N, d), and its derivatives by q and v, (N, d, d)."""
+    """Return friction, (N, d), and its derivatives by q and v, (N, d, d) each."""
     if friction.structure.friction_features is not None:
         return _differentiated(lambda q, v: friction(q, v, tau), q, v)
     with torch.enable_grad():
         at = v.detach().requires_grad_()
         value = friction(q, at, tau)
-        # That of a joint depends on its own velocity alone.
+        # A joint's friction depends on its own velocity only.
         (slope,) = torch.autograd.grad(value.sum(), at)
     found = torch.diag_embed(slope)
     return value.detach(), torch.zeros_like(found), found
@@ -221,10 +221,10 @@ def _friction(friction: JointFriction, q: torch.Tensor, v: torch.Tensor, tau: to
 
 def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: torch.Tensor
                     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return a function, (N, d), and its derivatives by q and v, by one backward pass."""
+    """Return a function, (N, d), and its derivatives by q and v, from one backward pass."""
     with torch.enable_grad():
         at = q.detach().requires_grad_(), v.detach().requires_grad_()
-        # Rates of a system without forces are constants, which have no derivatives.
+        # Adding zero keeps the graph for systems whose rates are constant.
         value = function(*at) + torch.zeros_like(at[0]) * at[0]
         units = torch.eye(q.shape[1], dtype=q.dtype)[:, None, :].expand(-1, len(q), -1)
         rows = torch.autograd.grad(value, at, units, is_grads_batched=True, allow_unused=True)
@@ -235,14 +235,14 @@ def _differentiated(function: Callable[..., torch.Tensor], q: torch.Tensor, v: t
 
 def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     """
-    Return p and F of the networks' M and V, without friction.
+    Return p and F of the networks' M and V without friction.
 
-    The kinetic energy T(q, v) = |L^T S v|^2 / 2 has p = T_v and F = T_q - V_q, so that F_v is
-    the transpose of p_q.
+    The kinetic energy T(q, v) = |L^T S v|^2 / 2 gives p = T_v and F = T_q - V_q, so F_v is the
+    transpose of p_q.
 
     With a = tanh(z) in each layer, the second derivatives of a network f(x) by the features i and
-    j of its inputs x are f_ij = sum over the layers of f_a tanh''(z) z_i z_j + f_x x_ij: one pass
-    forward, with the derivatives z_i, and one backward, for f_a, find them all.
+    j of its inputs x are f_ij = sum over the layers of f_a tanh''(z) z_i z_j + f_x x_ij. One
+    forward pass yields the derivatives z_i, and one backward pass yields f_a.
     """
     S, on_diagonal = network.root_inertia, network.on_diagonal
     inputs, layers = _layers(network.mass, network.mass_features, q)
@@ -251,7 +251,7 @@ def _of_networks(network: Any, q: torch.Tensor, v: torch.Tensor) -> Linearised:
     rise = torch.where(on_diagonal, share, 1.0)
     L, u = network.matrix(network.positive(y)), (S * v)[:, :, None]
     w = L.transpose(1, 2) @ u
-    # The derivatives of T by the entries of L.
+    # Derivatives of T by the entries of L.
     by_entries = (u * w.transpose(1, 2)).flatten(1) @ network.place.T
     T_f, T_ff = _curvature(network.mass, network.mass_features, inputs, layers, by_entries * rise)
     L_rates = ((rise * y_rates) @ network.place).unflatten(2, L.shape[1:])
@@ -287,13 +287,13 @@ def _curvature(network: Perceptron, features: Features, inputs: tuple[torch.Tens
         back = back @ linear.weight
     back, (x, slope) = back / network.scale, inputs
     own = features.of_feature.T.to(x.dtype)
-    # The second derivative of a sine is its negative.
+    # The second derivative of a sine is the negative sine.
     return (back * slope) @ own, curved + torch.diag_embed(
         (torch.where(features.periodic, -x, 0.0) * back) @ own)
 
 
 def _products(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Return the products, shape (N, m, m), of m vectors of shape (N, n) each with m others."""
+    """Return pairwise products, shape (N, m, m), of m vectors of shape (N, n) with m others."""
     return (a[:, None] * b).sum(dim=-1).permute(2, 0, 1)
 
 
@@ -301,18 +301,18 @@ class PlainNetwork(torch.nn.Module):
     """
     dv/dt = N(q, v, tau), a perceptron in float64: a neural ordinary differential equation.
 
-    The inputs are the sine and cosine of coordinates that turn over.
+    The inputs include the sine and cosine of continuous coordinates. It serves as a baseline.
 
     Parameters
     ----------
     kinds : sequence of str
-        Of the coordinates.
+        Kinds of the coordinates.
     hidden : sequence of int
         Widths of the hidden layers.
     scales : MotionScales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     References
     ----------
@@ -344,34 +344,34 @@ class PlainNetwork(torch.nn.Module):
 
 
 _NETWORKS = ('mass', 'potential')
-# Least eigenvalue of S^-1 M S^-1.
+# Smallest eigenvalue of S^-1 M S^-1.
 _FLOOR = 1e-3
-# What is added to M of a prior begins at a small share of this one of its inertias, and networks
-# beside a prior count as large at this share of its inertias, and of the forces they make.
+# Initial scale of the network added to a prior's M, relative to the prior's inertias; share of
+# these inertias, and of the forces they cause, that the fading penalty regards as large.
 _ADDED, _LARGE = 0.1, 0.05
 
-# Maps the entries of a symmetric 2 x 2 matrix, one after another, to its adjugate's entries.
+# Maps the flattened entries of a symmetric 2 x 2 matrix to the entries of its adjugate.
 _ADJUGATE = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0],
                       [1.0, 0.0, 0.0, 0.0]])
 
 
 class MechanicalNetwork(torch.nn.Module):
     """
-    M(q) v' + (M v)' at held v' - (v . M v)_q / 2 + V_q + friction = A tau, in float64.
+    M(q) v' + (M v)' at constant v' - (v . M v)_q / 2 + V_q + friction = A tau, in float64.
 
-    M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction``
-    are as in MechanicalHamiltonian and LearnedFriction; with a prior, its M and V are added.
+    M = S (L L^T + floor) S, the networks ``mass`` (L) and ``potential`` (V), and ``friction`` are
+    as in MechanicalHamiltonian and LearnedFriction; M and V of a prior are added.
 
     Parameters
     ----------
     structure : Structure
-        The structure of the networks.
+        Structure of the networks.
     hidden : sequence of int
-        Widths of the hidden layers of each.
+        Widths of the hidden layers of each network.
     scales : MotionScales
-        Of the data.
+        Scales of the data.
     seed : int
-        Of the initial weights.
+        Seed of the initial weights.
 
     """
 
@@ -388,7 +388,7 @@ class MechanicalNetwork(torch.nn.Module):
         if structure.friction.fade:
             keep(self, command_unit=scales.command)
             self.raw_fade = torch.nn.Parameter(torch.full_like(self.command_unit, -3.0))
-        # M of a prior is positive definite by itself.
+        # M of a prior is positive definite without the floor.
         self.floor = _FLOOR if structure.prior is None else 0.0
         self.prior = _prior(structure, float(scales.inertia.mean()))
         keep(self, identity=np.eye(d))
@@ -399,7 +399,7 @@ class MechanicalNetwork(torch.nn.Module):
         self.potential_features = Features(structure.kinds, structure.features)
         hidden = hidden if structure.residual else [1]
         mass_hidden = hidden if structure.mass_features else [1]
-        # At first M is about S^2: log(1 + exp(0.54)) is 1.
+        # M is initially about S^2: log(1 + exp(0.54)) is 1.
         self.mass = Perceptron(
             mass_hidden, *self.mass_features.units(scales), np.ones(len(rows)), seed,
             0.54 * self.on_diagonal)
@@ -429,17 +429,17 @@ class MechanicalNetwork(torch.nn.Module):
                 network.linears[-1].bias.zero_()
                 network.requires_grad_(False)
             if 'mass' in names:
-                # log(1 + exp(-80)) is below what rounding keeps of any other inertia.
+                # log(1 + exp(-80)) is below the rounding error of any other inertia.
                 self.mass.linears[-1].bias.copy_(-80.0 * self.on_diagonal)
 
     def begin_with(self, rigid: 'MechanicalNetwork') -> None:
-        """Take prior and friction of a network without residual, which stay; begin small."""
+        """Copy and freeze the prior and friction of a fitted rigid body; shrink the networks."""
         assert self.prior is not None and rigid.prior is not None
         with torch.no_grad():
             known = dict(rigid.named_parameters())
             for name, parameter in self.named_parameters():
                 if name.startswith(('prior.', 'friction.raw_', 'raw_map', 'raw_fade')):
-                    # What is left where networks fade is what least squares have found.
+                    # Far from the data, where networks fade, the least-squares result remains.
                     parameter.copy_(known[name]).requires_grad_(False)
             states = self.random_states(256, torch.Generator().manual_seed(0))
             inertia = self.prior.mass(states, self.prior.values()).mean(dim=0)
@@ -451,14 +451,14 @@ class MechanicalNetwork(torch.nn.Module):
 
     def random_states(self, count: int, generator: torch.Generator, reach: float = 1.0
                       ) -> torch.Tensor:
-        """Return coordinates, (count, d), of all turns, or so many times the data's range."""
+        """Draw coordinates, (count, d): all turns, or `reach` times the range of the data."""
         turns = torch.tensor([kind == 'continuous' for kind in self.structure.kinds])
         centre, half = torch.tensor(self.scales.q_centre), torch.tensor(self.scales.q_half)
         share = 2.0 * torch.rand(count, self.d, generator=generator, dtype=torch.float64) - 1.0
         return torch.where(turns, math.pi * share, centre + reach * half * share)
 
     def residual_sizes(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the square of the networks' parts of M, V_q and D, shape (N,), at q (N, d)."""
+        """Return the mean squared network parts of M, V_q and D, shape (N,), at q (N, d)."""
         L = self._factor(q)
         inertia = self.root_inertia.square() / _ADDED
         force = self._potential_slope(q)
@@ -471,24 +471,24 @@ class MechanicalNetwork(torch.nn.Module):
         return size + (B @ B.transpose(1, 2) / _LARGE).square().mean(dim=(1, 2))
 
     def speed_sizes(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return the square of the networks' forces that grow with v^2, shape (N,)."""
+        """Return the mean squared network forces that grow with v^2, shape (N,)."""
         L, slopes, u, w, inertial = self._kinetic(q, v)
         forces = self.root_inertia * self._turned(L, slopes, u, w, v) - inertial
         unit = _LARGE * self.root_inertia.square() / _ADDED * torch.tensor(self.scales.a)
         return (forces / unit).square().mean(dim=1)
 
     def positive(self, y: torch.Tensor) -> torch.Tensor:
-        """Return the entries of L, of outputs of the network: log(1 + exp(y)) on the diagonal."""
-        # By default torch cuts off what is below 2e-9.
+        """Return the entries of L from network outputs: log(1 + exp(y)) on the diagonal."""
+        # The default threshold of torch would cut off values below 2e-9.
         return torch.where(self.on_diagonal, torch.nn.functional.softplus(y, threshold=40.0), y)
 
     def _potential_slope(self, q: torch.Tensor) -> torch.Tensor:
-        """Return the derivatives by q of the network's part of V, both of shape (N, d)."""
+        """Return the derivatives by q of the network's part of V, shape (N, d) each."""
         x, slope = self.potential_features(q)
         return (slope * self.potential.gradient(x)) @ self.potential_features.rows
 
     def lagrangian(self, q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        """Return v . M v / 2 - V without a prior, shape (N,)."""
+        """Return v . M v / 2 - V without the prior, shape (N,)."""
         kinetic = 0.5 * (v * (self.masses(q) @ v[:, :, None])[:, :, 0]).sum(dim=1)
         return kinetic - self.potential(self.potential_features(q)[0])[:, 0]
 
@@ -502,26 +502,26 @@ class MechanicalNetwork(torch.nn.Module):
         return self.matrix(self.positive(self.mass(self.mass_features(q)[0])))
 
     def matrix(self, entries: torch.Tensor) -> torch.Tensor:
-        """Return lower triangular matrices, shape (N, d, d), of entries (N, k)."""
+        """Return lower triangular matrices, shape (N, d, d), from entries (N, k)."""
         return (entries @ self.place).reshape(-1, self.d, self.d)
 
     def input_map(self) -> torch.Tensor | None:
         """
-        Return A, shape (d, m), of the forces A u that m motors make of their commands u.
+        Return A, shape (d, m), of the forces A u that m motors exert for commands u.
 
-        The mean square of its columns is 1: A, M, V and friction times any factor are the same
-        motions.
+        The mean square of its columns is 1, because a common factor of A, M, V and friction does
+        not change motions.
         """
         if self.scales.input_map is None:
             return None
         return self.raw_map * (math.sqrt(self.raw_map.shape[1]) / self.raw_map.norm())
 
     def fade(self) -> torch.Tensor:
-        """Return g, shape (m,), of motors that make u / (1 + g abs(u)) of a command u."""
+        """Return g, shape (m,), of motors whose output is u / (1 + g abs(u)) for a command u."""
         return torch.nn.functional.softplus(self.raw_fade) / self.command_unit
 
     def joint_forces(self, tau: torch.Tensor) -> torch.Tensor:
-        """Return the forces on the joints, shape (N, d), of commands of shape (N, m)."""
+        """Return the joint forces, shape (N, d), for commands of shape (N, m)."""
         input_map = self.input_map()
         if self.structure.friction.fade:
             tau = tau / (1.0 + self.fade() * tau.abs())
@@ -539,14 +539,14 @@ class MechanicalNetwork(torch.nn.Module):
 
     def forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor,
                tau: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the forces that give accelerations a, with friction under tau, (N, d) each."""
+        """Return the forces that cause accelerations a, with friction at tau, (N, d) each."""
         gram, needed = self._equations(q, v, tau)
         S = self.root_inertia
         return S * (needed + (gram @ (S * a)[:, :, None])[:, :, 0])
 
     def added_forces(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, tau: torch.Tensor
                      ) -> torch.Tensor:
-        """Return the part of networks in those forces, in addition to a prior, of shape (N, d)."""
+        """Return the networks' part of `forces`, in addition to the prior, shape (N, d)."""
         assert self.prior is not None
         rubbing = self.friction.columns(v, tau) @ self.friction.values()
         needed = self.prior.needed(q, v, a, self.prior.values())
@@ -554,13 +554,13 @@ class MechanicalNetwork(torch.nn.Module):
 
     def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, tau: torch.Tensor
                 ) -> torch.Tensor:
-        """Return the forces of each parameter of prior and friction if it is one, (N, d, k)."""
+        """Return the forces per unit of each parameter of prior and friction, (N, d, k)."""
         assert self.prior is not None
         return torch.cat([self.prior.columns(q, v, a), self.friction.columns(v, tau)], dim=2)
 
     def momenta(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None = None
                 ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return p = M v and dp/dt less tau, by default 0, all of shape (N, d)."""
+        """Return p = M v and dp/dt - tau (default 0), all of shape (N, d)."""
         p, rate = torch.zeros_like(v), -self.friction(q, v, tau)
         if self.prior is None or self.structure.residual:
             L, _, u, w, inertial = self._kinetic(q, v)
@@ -573,7 +573,7 @@ class MechanicalNetwork(torch.nn.Module):
         return p, rate
 
     def linearised(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor) -> Linearised:
-        """Return the result of ``momenta`` with its derivatives, not recorded."""
+        """Return the result of ``momenta`` with its derivatives, detached from autograd."""
         found, prior = [], self.prior
         with torch.no_grad():
             if prior is None or self.structure.residual:
@@ -583,7 +583,7 @@ class MechanicalNetwork(torch.nn.Module):
                 rate, rate_q, rate_v = _differentiated(
                     lambda q, v: prior.slopes(q, v, values)[1], q, v)
                 M = prior.mass(q, values)
-                # p = T_v and F = T_q - V_q of the same energy.
+                # p = T_v and F = T_q - V_q follow from the same energy.
                 found.append(Linearised((M @ v[:, :, None])[:, :, 0], rate, M,
                                         rate_v.transpose(1, 2), rate_q, rate_v))
             both = found[0] if len(found) == 1 else Linearised(*map(torch.add, *found))
@@ -592,7 +592,7 @@ class MechanicalNetwork(torch.nn.Module):
                                  rate_v=both.rate_v - by_v)
 
     def velocities(self, q: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
-        """Return M^-1 p, all of shape (N, d)."""
+        """Return M^-1 p, shape (N, d)."""
         if self.prior is not None and not self.structure.residual:
             return self._solve(self.prior.mass(q, self.prior.values()), p)
         S = self.root_inertia
@@ -600,7 +600,7 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _equations(self, q: torch.Tensor, v: torch.Tensor, tau: torch.Tensor | None
                    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau where a is zero, shape (N, d)."""
+        """Return S^-1 M S^-1, shape (N, d, d), and S^-1 tau at zero acceleration, (N, d)."""
         L, slopes, u, w, inertial = self._kinetic(q, v)
         rest = inertial - self._potential_slope(q) - self.friction(q, v, tau)
         needed, values = self._turned(L, slopes, u, w, v) - rest / self.root_inertia, None
@@ -611,7 +611,7 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _gram(self, q: torch.Tensor, L: torch.Tensor, values: torch.Tensor | None = None
               ) -> torch.Tensor:
-        """Return S^-1 M S^-1, shape (N, d, d); the parameters of a prior may be known."""
+        """Return S^-1 M S^-1, shape (N, d, d); `values` are known parameters of the prior."""
         S, gram = self.root_inertia, L @ L.transpose(1, 2) + self.floor * self.identity
         if self.prior is None:
             return gram
@@ -620,37 +620,37 @@ class MechanicalNetwork(torch.nn.Module):
 
     def _turned(self, L: torch.Tensor, slopes: torch.Tensor, u: torch.Tensor, w: torch.Tensor,
                 v: torch.Tensor) -> torch.Tensor:
-        """Return S^-1 (M v)' at held v, of the networks' M, shape (N, d)."""
+        """Return S^-1 (M v)' at constant v for the networks' M, shape (N, d)."""
         by_time = ((v @ self.mass_features.features.T)[:, :, None] * slopes).sum(dim=1)
         L_dot = self.matrix(by_time)
         return (L_dot @ w + L @ (L_dot.transpose(1, 2) @ u))[:, :, 0]
 
     def _kinetic(self, q: torch.Tensor, v: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return L, its entries' slopes, S v, L^T S v, and (v . M v)_q / 2, of the networks' M."""
+        """Return L, its entries' slopes, S v, L^T S v and (v . M v)_q / 2 for the networks' M."""
         y, rates = self.mass.outputs(_layers(self.mass, self.mass_features, q)[1])
         rises = torch.where(self.on_diagonal, torch.sigmoid(y), 1.0)
         slopes = rises[:, None, :] * rates.transpose(0, 1)
         L, u = self.matrix(self.positive(y)), (self.root_inertia * v)[:, :, None]
         w = L.transpose(1, 2) @ u
-        # The derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
+        # Derivatives of |L^T S v|^2 / 2 by the entries of L, and then by q.
         by_entries = (u * w.transpose(1, 2)).flatten(1) @ self.place.T
         inertial = (slopes * by_entries[:, None, :]).sum(dim=2) @ self.mass_features.features
         return L, slopes, u, w, inertial
 
     def _solve(self, matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-        """Solve with positive definite matrices (N, d, d) for (N, d); small ones written out."""
+        """Solve positive definite systems (N, d, d) for (N, d), in closed form if small."""
         if self.d > 2:
             return torch.linalg.solve(matrix, right)
         if self.d == 1:
             return right / matrix[:, 0]
         entries = matrix.flatten(1)
         adjugate = entries @ self.adjugate
-        # The sum of their products is twice the determinant.
+        # The sum of the products is twice the determinant.
         determinant = 0.5 * (entries * adjugate).sum(dim=1, keepdim=True)
         return (adjugate.view_as(matrix) @ right[:, :, None])[:, :, 0] / determinant
 
     def scale_energy(self, factor: float) -> None:
-        """Multiply M, V and the friction by a factor, which changes no motion without tau."""
+        """Multiply M, V and friction by a factor, which leaves motions without tau unchanged."""
         self.root_inertia *= math.sqrt(factor)
         self.friction.scale(factor)
         self.potential.output_scale *= factor
@@ -664,14 +664,14 @@ class MechanicalNetwork(torch.nn.Module):
             own | {'friction': self.friction.network}
 
     def networks(self) -> dict[str, Layers]:
-        """Return the networks for the model file; V is zero in the middle of the data."""
+        """Return the networks for the model file, with V = 0 at the centre of the data."""
         centre = torch.tensor(self.scales.q_centre)[None]
         x0 = self.potential_features(centre)[0][0].numpy()
         return {name: network.layers(x0) if name == 'potential' else network.layers()
                 for name, network in self._perceptrons.items()}
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the weights of the networks that are trained, as a simulation names them."""
+        """Return the trained weights of the networks, named as in a simulation."""
         return {f'hamiltonian.{name}.linear{k}.{kind}': part
                 for name, network in self._perceptrons.items()
                 if any(one.requires_grad for one in network.parameters())
@@ -679,7 +679,7 @@ class MechanicalNetwork(torch.nn.Module):
                 for k, part in enumerate(parts, 1)}
 
     def card(self, p_unit: str = 'N m s') -> MechanicalCard:
-        """Return the entry of the model card, for momenta in this unit."""
+        """Return the model card entry for momenta in this unit."""
         structure, input_map = self.structure, self.input_map()
         if input_map is None and structure.friction.fade:
             input_map = self.identity

@@ -14,25 +14,25 @@ from hnn_vi_ros.models import (
 import numpy as np
 import torch
 
-# The units of inertia and of torque, by the unit of momenta.
+# Units of inertia and torque for each unit of momenta.
 _UNITS = {'N m s': ('kg m2', 'N m'), 'kg m2/s': ('kg m2', 'N m')}
-# A fit of links begins with at least this inertia, in units of that of the data, and with at most
-# this share of the largest possible coupling.
+# Smallest initial inertia of links, relative to that of the data, and largest initial coupling as
+# a share of the largest possible one.
 _LEAST, _MOST = 1e-3, 0.9
-# Parameters of exact systems begin at their defaults, and stay above this share of them.
+# Lower bound of exact systems' parameters, relative to their defaults.
 _LEAST_SHARE = 1e-6
 
 
 class Prior(torch.nn.Module):
     """
-    M and V of a system whose parameters are fitted.
+    Base class of M and V of a system with fitted parameters.
 
-    ``names`` are its parameters; ``linear`` is whether M and V are linear in them.
+    ``names`` are its parameters; ``linear`` is True if M and V are linear in them.
     """
 
     names: list[str]
     linear = False
-    # What data tell of a robot, once it was identified.
+    # Identification result of a robot, once available.
     identification: Identification | None = None
 
     def mass(self, q: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
@@ -41,38 +41,38 @@ class Prior(torch.nn.Module):
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
+        """Return (M v)' at constant v, and (v . M v)_q / 2 - V_q, shape (N, d) each."""
         raise NotImplementedError
 
     def forces(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-        """Return (M v)' at held v - (v . M v)_q / 2 + V_q, shape (N, d)."""
+        """Return (M v)' at constant v - (v . M v)_q / 2 + V_q, shape (N, d)."""
         turned, slope = self.slopes(q, v, values)
         return turned - slope
 
     def needed(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor, values: torch.Tensor
                ) -> torch.Tensor:
-        """Return the forces that give accelerations a, all of shape (N, d)."""
+        """Return the forces that cause accelerations a, shape (N, d)."""
         return (self.mass(q, values) @ a[:, :, None])[:, :, 0] + self.forces(q, v, values)
 
     def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the forces of each parameter where it alone is one, shape (N, d, k)."""
+        """Return the forces per unit of each parameter, shape (N, d, k)."""
         return torch.stack([self.needed(q, v, a, unit) for unit in torch.eye(
             len(self.names), dtype=torch.float64)], dim=-1)
 
 
 class PlanarChain(Prior):
     """
-    The parameters of models/planar_chain.py, by unknowns for which M is always positive definite.
+    Parameters of models/planar_chain.py, mapped from unknowns that keep M positive definite.
 
     The matrix K of inertias and couplings is u L L^T, with exp(x) on the diagonal of the lower
-    triangular L; gravities are u x, inertias of motors u exp(x); with the unit u.
+    triangular L; gravities are u x, and motor inertias u exp(x), with the unit u.
 
     Parameters
     ----------
     angles : sequence of sequence of float
         Rows of the angles of the links from the vertical.
     inertia : float
-        The unit of inertias, and of gravities.
+        Unit u of inertias and gravities.
 
     """
 
@@ -82,7 +82,7 @@ class PlanarChain(Prior):
         super().__init__()
         self.names, self.angles = parameter_names(angles), [[*row] for row in angles]
         d = len(self.angles)
-        # The numbers of inertias, couplings, gravities and inertias of motors.
+        # Counts of inertias, couplings, gravities and motor inertias.
         self._sizes = [sum(name.startswith(kind) for name in self.names)
                        for kind in ('inertia', 'coupling', 'gravity', 'motor_inertia')]
         units = unit_terms(angles)
@@ -103,7 +103,7 @@ class PlanarChain(Prior):
 
     def _matrix(self, diagonal: torch.Tensor, below: torch.Tensor, mirrored: float
                 ) -> torch.Tensor:
-        """Return a matrix of its diagonal and what is below, and a share of that above."""
+        """Return a matrix from its diagonal and lower part; `mirrored` scales the upper part."""
         zero = torch.zeros((len(diagonal), len(diagonal)), dtype=diagonal.dtype)
         lower = zero.index_put((self.lower[0], self.lower[1]), below)
         return torch.diag(diagonal) + lower + mirrored * lower.T
@@ -113,14 +113,14 @@ class PlanarChain(Prior):
         return self.unit.expand(len(self.names))
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
-        """Return the parameters with their units, for momenta in this one and angles in rad."""
+        """Return the parameters with units, for momenta in `p_unit` and angles in rad."""
         inertia, gravity = _UNITS.get(p_unit, (f'{p_unit} s', f'{p_unit}/s'))
         return {name: Quantity(
             value=value, unit=gravity if name.startswith('gravity') else inertia)
             for name, value in zip(self.names, self.values().tolist(), strict=True)}
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the raw parameters of values; not a number where M would not be positive."""
+        """Return the raw parameters of values; NaN if M would not be positive definite."""
         inertias, couplings, gravities, motors = (values / self.unit).split(self._sizes)
         L, failed = torch.linalg.cholesky_ex(self._matrix(inertias, couplings, 1.0))
         found = torch.cat([torch.log(torch.diagonal(L)), L[self.lower[0], self.lower[1]],
@@ -128,12 +128,12 @@ class PlanarChain(Prior):
         return torch.where(failed > 0, torch.nan, found)
 
     def possible(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the next values with a positive definite M, by some margin."""
+        """Return nearby values for which M is positive definite with a margin."""
         inertias, couplings, gravities, motors = values.split(self._sizes)
         least = _LEAST * float(self.unit)
         inertias = inertias.clamp(min=least)
         root = inertias.sqrt()
-        # Couplings are shrunk until the correlations they make are those of a matrix K > 0.
+        # Shrink the couplings until their correlations belong to a matrix K > 0.
         shares = couplings / (root[self.lower[0]] * root[self.lower[1]])
         depth = -torch.linalg.eigvalsh(self._matrix(torch.zeros_like(root), shares, 1.0))[0]
         couplings = couplings * min(1.0, _MOST / max(float(depth), _MOST))
@@ -147,7 +147,7 @@ class PlanarChain(Prior):
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
+        """Return (M v)' at constant v, and (v . M v)_q / 2 - V_q, shape (N, d) each."""
         d = q.shape[1]
         rows = (values @ self.matrices.flatten(1)).reshape(-1, d)
         slope = -torch.sin(q @ self.mass_rows.T)
@@ -164,12 +164,12 @@ class ExactPrior(Prior):
     """
     M and V of an exact system; see models/exact_prior.py.
 
-    Its parameters are their defaults times exp(x).
+    The parameters are their defaults times exp(x).
 
     Parameters
     ----------
     kind : str
-        Its name in scenes.
+        Name of the system in scenes.
 
     """
 
@@ -188,7 +188,7 @@ class ExactPrior(Prior):
         return self.defaults * torch.exp(self.raw)
 
     def raw_of(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the raw parameters of values."""
+        """Return the raw parameters of given values."""
         return torch.log(torch.clamp(values / self.defaults, min=_LEAST_SHARE))
 
     def scale(self) -> torch.Tensor:
@@ -196,7 +196,7 @@ class ExactPrior(Prior):
         return self.defaults
 
     def quantities(self, p_unit: str) -> dict[str, Quantity]:
-        """Return the parameters, in the units of the system."""
+        """Return the parameters in the units of the system."""
         return {name: Quantity(value=value, unit=f'that of {self.system.kind}')
                 for name, value in zip(self.names, self.values().tolist(), strict=True)}
 
@@ -207,7 +207,7 @@ class ExactPrior(Prior):
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
+        """Return (M v)' at constant v, and (v . M v)_q / 2 - V_q, shape (N, d) each."""
         mass = self.mass(q, values)
         momentum = (mass @ v[:, :, None])[:, :, 0]
         at_q, at_p = (_Columns([None] * q.shape[1]) for _ in range(2))
@@ -218,7 +218,7 @@ class ExactPrior(Prior):
 
     def _slopes(self, q: torch.Tensor, p: torch.Tensor, values: torch.Tensor
                 ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return H_q and H_p, both of shape (N, d)."""
+        """Return H_q and H_p, shape (N, d) each."""
         dH_dq, dH_dp = (_Columns([None] * q.shape[1]) for _ in range(2))
         self._gradient(self._parameters_of(values), columns(q), columns(p), dH_dq, dH_dp)
         return stacked(dH_dq, q), stacked(dH_dp, q)
@@ -231,7 +231,7 @@ class ExactPrior(Prior):
 
 
 class _Columns(list[Any]):
-    """The columns of all states at once, in place of the array (d,) of one state."""
+    """Columns of all states at once, a substitute for the array (d,) of one state."""
 
     @property
     def size(self) -> int:
@@ -239,24 +239,24 @@ class _Columns(list[Any]):
         return len(self)
 
     def __getitem__(self, place: Any) -> Any:
-        """Return one, or some of them."""
+        """Return one column, or a slice of columns."""
         found = super().__getitem__(place)
         return _Columns(found) if isinstance(place, slice) else found
 
 
 def columns(x: torch.Tensor) -> _Columns:
-    """Return the columns of states (N, d)."""
+    """Return the columns of states, shape (N, d)."""
     return _Columns(x.unbind(dim=1))
 
 
 def stacked(found: Sequence[Any], like: torch.Tensor) -> torch.Tensor:
-    """Return columns as a tensor; some of them may be one number."""
+    """Return columns as one tensor; a column may be a single number."""
     zero = torch.zeros_like(like[:, 0])
     return torch.stack([zero + column for column in found], dim=1)
 
 
 def in_torch(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of a kernel that takes tensors for numbers: ``np`` is torch in it."""
+    """Return a kernel function that accepts tensors: ``np`` is replaced by torch in it."""
     assert isinstance(function, FunctionType)
     names = {name: in_torch(value) if isinstance(value, FunctionType) else value
              for name, value in function.__globals__.items()
@@ -265,25 +265,25 @@ def in_torch(function: Callable[..., Any]) -> Callable[..., Any]:
     return FunctionType(function.__code__, function.__globals__ | names, function.__name__)
 
 
-# Bodies that weigh nothing have no logarithm: least mass, as a share of all, and least radius of
-# gyration [m], of what a fit begins with.
+# Smallest initial mass as a share of the total, and smallest initial radius of gyration [m]:
+# logarithms need positive values.
 _LEAST_MASS, _LEAST_RADIUS = 1e-4, 0.01
-# The indices of the moments about the origin, xx, xy, yy, xz, yz, zz.
+# Indices of the moments about the origin: xx, xy, yy, xz, yz, zz.
 _ROWS, _COLUMNS = np.tril_indices(3)
 
 
 class Swept(NamedTuple):
     """
-    Motions of a tree in N states, each body i in its own frame: (angular, linear).
+    Motions of a tree in N states, each body i in its own frame, as (angular, linear).
 
     Parameters
     ----------
     jacobian : torch.Tensor, shape (N, d, 6, d)
-        J_i of the velocities V_i = J_i v.
+        Jacobians J_i of the body velocities V_i = J_i v.
     rate : torch.Tensor, shape (N, d, 6, d)
-        dJ_i/dt.
+        Time derivatives dJ_i/dt.
     pull : torch.Tensor, shape (N, d, 6)
-        The acceleration that a body at rest feels, that of free fall turned about.
+        Apparent acceleration of a body at rest: the reversed gravitational acceleration.
 
     """
 
@@ -294,14 +294,14 @@ class Swept(NamedTuple):
 
 class RigidTree(Prior):
     """
-    M and V of a tree of bodies, by unknowns for which all inertias are physically consistent.
+    M and V of a tree of bodies, with unknowns that keep all inertias physically consistent.
 
-    The pseudo-inertia of each is U0 U(x) U(x)^T U0^T, that of the URDF being U0 U0^T and
+    The pseudo-inertia of a body is U0 U(x) U(x)^T U0^T, with U0 U0^T that of the URDF and
 
         U(x) = exp(x0) [[exp(x1), x4, x6, x7], [0, exp(x2), x5, x8], [0, 0, exp(x3), x9],
                         [0, 0, 0, 1]]
 
-    its log-Cholesky parameters, so that x = 0 is the URDF and x does not depend on axes and units.
+    with the log-Cholesky parameters x; x = 0 is the URDF, and x is independent of axes and units.
     With the velocities V_i = J_i v of the bodies and their inertias I_i,
 
         M = sum_i J_i^T I_i J_i
@@ -310,9 +310,9 @@ class RigidTree(Prior):
     Parameters
     ----------
     tree : TreeCard
-        Its bodies.
+        Bodies of the tree.
     values : np.ndarray, shape (d, 12)
-        Their parameters in the URDF.
+        Parameters of the bodies in the URDF.
 
     References
     ----------
@@ -346,7 +346,7 @@ class RigidTree(Prior):
                          dim=1).flatten()
 
     def inertial(self, x: torch.Tensor) -> torch.Tensor:
-        """Return (m, h, I) of bodies, shape (d, 10), of log-Cholesky parameters of that shape."""
+        """Return (m, h, I) of the bodies from log-Cholesky parameters x, shape (d, 10) each."""
         zero, one = torch.zeros_like(x[:, 0]), torch.ones_like(x[:, 0])
         a, b, c = torch.exp(x[:, 1:4]).unbind(dim=1)
         rows = ((a, x[:, 4], x[:, 6], x[:, 7]), (zero, b, x[:, 5], x[:, 8]),
@@ -366,7 +366,7 @@ class RigidTree(Prior):
             self.tree.units.items(), self.values().tolist(), strict=True)}
 
     def sweep(self, q: torch.Tensor, v: torch.Tensor) -> Swept:
-        """Return where states (N, d) take the bodies, from the base outward."""
+        """Return the motions of all bodies in states (N, d), from the base outward."""
         n, d = q.shape
         none = torch.zeros((n, 6, d), dtype=q.dtype)
         at_base = none, none, -self.gravity.expand(n, 3)
@@ -387,7 +387,7 @@ class RigidTree(Prior):
                      torch.cat([torch.zeros_like(pull), pull], dim=2))
 
     def _joint(self, i: int, value: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return rotation (N, 3, 3) and origin (N, 3) of a link in the frame of its parent."""
+        """Return rotation (N, 3, 3) and origin (N, 3) of a link in its parent's frame."""
         turn, origin = self.turns[i].expand(len(value), 3, 3), self.origins[i]
         if self.tree.bodies[i].prismatic:
             return turn, origin + value[:, None] * (self.turns[i] @ self.axes[i, 3:])
@@ -397,11 +397,11 @@ class RigidTree(Prior):
         return turn @ about, origin.expand(len(value), 3)
 
     def _inertias(self, values: torch.Tensor) -> torch.Tensor:
-        """Return I_i, shape (d, 6, 6), of all parameters."""
+        """Return the inertias I_i of all bodies, shape (d, 6, 6), from all parameters."""
         return (values.reshape(-1, EACH)[:, :INERTIAL] @ self.units.flatten(1)).reshape(-1, 6, 6)
 
     def _by_joint(self, values: torch.Tensor, column: int) -> torch.Tensor:
-        """Return a parameter of joints, shape (d,), in the order of the coordinates."""
+        """Return one parameter of the joints, shape (d,), in the order of the coordinates."""
         order = torch.argsort(torch.tensor([body.coordinate for body in self.tree.bodies]))
         return values.reshape(-1, EACH)[order, INERTIAL + column]
 
@@ -413,7 +413,7 @@ class RigidTree(Prior):
 
     def slopes(self, q: torch.Tensor, v: torch.Tensor, values: torch.Tensor
                ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return (M v)' at held v, and (v . M v)_q / 2 - V_q, both of shape (N, d)."""
+        """Return (M v)' at constant v, and (v . M v)_q / 2 - V_q, shape (N, d) each."""
         swept, inertias = self.sweep(q, v), self._inertias(values)
         motion = swept.jacobian @ v[:, None, :, None]
         momentum = inertias @ motion
@@ -427,7 +427,7 @@ class RigidTree(Prior):
         return turned, slope - self._by_joint(values, 1)
 
     def columns(self, q: torch.Tensor, v: torch.Tensor, a: torch.Tensor) -> torch.Tensor:
-        """Return the forces of each parameter where it alone is one, shape (N, d, 12 d)."""
+        """Return the forces per unit of each parameter, shape (N, d, 12 d)."""
         swept = self.sweep(q, v)
         motion = (swept.jacobian @ v[:, None, :, None])[..., 0]
         change = (swept.jacobian @ a[:, None, :, None]
@@ -446,7 +446,7 @@ class RigidTree(Prior):
 
 
 def _root(moments: np.ndarray, least: float) -> np.ndarray:
-    """Return the upper triangular U0 of U0 U0^T, about a pseudo-inertia."""
+    """Return the upper triangular U0 with U0 U0^T a pseudo-inertia, bounded from below."""
     scale = np.sqrt(np.array([*3 * (_LEAST_RADIUS**2 * least,), least]))
     values, vectors = np.linalg.eigh(moments / scale / scale[:, None])
     if values[0] < 1.0:
@@ -455,7 +455,7 @@ def _root(moments: np.ndarray, least: float) -> np.ndarray:
 
 
 def _units() -> np.ndarray:
-    """Return the inertias of parameters that are one, shape (10, 6, 6)."""
+    """Return the inertias per unit of each parameter, shape (10, 6, 6)."""
     found = np.zeros((INERTIAL, 6, 6))
     found[0, 3:, 3:] = np.eye(3)
     for k, axis in enumerate(np.eye(3)):
@@ -466,13 +466,13 @@ def _units() -> np.ndarray:
 
 
 def _across(a: np.ndarray) -> np.ndarray:
-    """Return the matrix of a x b."""
+    """Return the matrix of the cross product with a."""
     x, y, z = a
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _seen_from(turn: torch.Tensor, origin: torch.Tensor, motions: torch.Tensor) -> torch.Tensor:
-    """Return motions of a parent, shape (N, 6, d), in a frame that is fixed to it."""
+    """Return motions of the parent, shape (N, 6, d), expressed in the link frame."""
     angular, linear = motions[:, :3], motions[:, 3:]
     moved = linear + torch.linalg.cross(angular, origin[:, :, None].expand_as(angular), dim=1)
     back = turn.transpose(1, 2)
@@ -480,13 +480,13 @@ def _seen_from(turn: torch.Tensor, origin: torch.Tensor, motions: torch.Tensor) 
 
 
 def _cross_motion(axis: np.ndarray) -> np.ndarray:
-    """Return the matrix of the change of a motion as a part of what moves by an axis."""
+    """Return the 6 x 6 motion cross-product matrix of an axis."""
     angular, linear = _across(axis[:3]), _across(axis[3:])
     return np.block([[angular, np.zeros((3, 3))], [linear, angular]])
 
 
 def _cross_force(motion: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-    """Return the change of forces (..., 6) as parts of what moves so."""
+    """Return the spatial cross products of motions with forces, shape (..., 6)."""
     turn, slide, moment, push = motion[..., :3], motion[..., 3:], force[..., :3], force[..., 3:]
     return torch.cat([torch.linalg.cross(turn, moment) + torch.linalg.cross(slide, push),
                       torch.linalg.cross(turn, push)], dim=-1)
