@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Training: measured data, families of networks in torch, fits, evaluation, model files.
+Training: measured data, model families in torch, fits, evaluation, model files.
 
-``data`` reads logs and bags, ``families`` holds the networks, ``fit`` the losses and loops,
-``tasks`` joins them for ``hnn train``. Fitting the numbers of a scene is in ``identify``; compiled
-networks are in ``models``.
+``data`` reads logs and bags, ``families`` contains the networks, ``fit`` the losses and loops, and
+``tasks`` combines them for ``hnn train``. Fitting parameters of a scene is in ``identify``;
+compiled networks are in ``models``.
 """
 
 from typing import TYPE_CHECKING

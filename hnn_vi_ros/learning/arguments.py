@@ -1,16 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of training, identification and import; import nothing of their work."""
+"""Parsers of training, evaluation and import commands; imports none of their implementations."""
 
 from pathlib import Path
 
 from hnn_vi_ros.files import complete_by, Parser
 
-# Which outputs of an imported network are H, and the order of its inputs.
+# Layouts of the outputs of an imported network, and orders of its inputs.
 LAYOUTS, ORDERS = ('hnn', 'sum_second_half', 'so3', 'se3'), ('qp', 'pq')
-# Ways of measured forces between samples, as in learning/data/motions.py.
+# Behaviour of measured forces between samples, as in learning/data/motions.py.
 INPUTS = ('held', 'interpolated')
-# As in hamiltonians/activations.py, which takes the compiler to import.
+# Same as in hamiltonians/activations.py, whose import requires the compiler.
 ACTIVATIONS = ('tanh', 'sine', 'relu', 'softplus')
 _IMPORTED = """\
 The original HNN code and its forks save the state_dict of a torch module,

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Judge a model or a scene by measured motions: ``ros2 run hnn_vi_ros evaluate``."""
+"""Judge a model or a scene with measured motions: ``ros2 run hnn_vi_ros evaluate``."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ _NO_FORCES = ('with --keys t,q,dq of arrays, or in the data of --config: forces:
 
 
 def main(argv: Sequence[str]) -> None:
-    """Judge what the command line names."""
+    """Judge the model or scene on the command line."""
     arguments = command_lines.evaluate().parse_args(argv)
     _check_options(arguments)
     if arguments.model.endswith('.safetensors') and (
@@ -58,7 +58,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 class _Judged(NamedTuple):
-    """A table with what goes with it, the same as numbers, and predictions to draw."""
+    """A table with remarks, the same as numbers, and predictions to draw."""
 
     text: str
     numbers: dict[str, Any]
@@ -67,7 +67,7 @@ class _Judged(NamedTuple):
 
 
 def _judged(arguments: Namespace) -> _Judged:
-    """Judge a model or scene that has scalar coordinates."""
+    """Judge a model or scene with scalar coordinates."""
     hamiltonian, integrator, step_size, effects = parts_of(arguments.model)
     names = names_of(hamiltonian)
     motions, description, data = _motions(arguments, arguments.data, names)
@@ -108,32 +108,32 @@ def _judged(arguments: Namespace) -> _Judged:
 
 def _effects_for(model: str, effects: list[Effect], motions: Sequence[EvenMotion],
                  description: str) -> list[Effect]:
-    """Return the effects that motions need, driven or not; DataError if one lacks."""
+    """Return the effects needed for motions; DataError if external_force is missing."""
     driven = any(motion.tau.any() for motion in motions)
     if driven and not any(isinstance(effect, ExternalForce) for effect in effects):
         raise DataError(f'{description}: the motions were driven, but {model} has no effect '
                         'external_force; add it with all coordinates, or leave the forces out, '
                         f'{_NO_FORCES}')
-    # An input map would want its own number of forces.
+    # An external_force with an input map would require its own number of forces.
     return [effect for effect in effects
             if driven or not isinstance(effect, ExternalForce) or effect.names]
 
 
 def _baselines(arguments: Namespace, hamiltonian: Hamiltonian) -> dict[str, Predict]:
-    """Return the predictions to compare with, fitted to other motions."""
+    """Return the baseline predictors, fitted to other motions."""
     if arguments.baselines is None:
         return {}
     known, _, _ = _motions(arguments, arguments.baselines, names_of(hamiltonian))
     others = {'linear model': linear_model(known)}
     if all(coordinate.q_unit == 'rad' for coordinate in hamiltonian.coordinates):
-        # Fitted by the default windows of training.
+        # Fitted on the default windows of training.
         rigid = best_rigid_body(Trajectory(), known)
         others |= {} if rigid is None else {'rigid body': predicted_by(rigid[0])}
     return others
 
 
 def _check_options(arguments: Namespace) -> None:
-    """Refuse, before the work, options that are no good and files that cannot be written."""
+    """Check, before the work starts, the options and that the output files can be written."""
     for name in ('horizons', 'every', 'longest', 'smoothing'):
         value = getattr(arguments, name)
         values = value if isinstance(value, list) else [value]
@@ -169,13 +169,13 @@ def _whole(errors: Sequence[np.ndarray], motions: Sequence[EvenMotion], names: S
 
 
 def _write(arguments: Namespace, found: _Judged, text: str) -> None:
-    """Write the files that the command line asks for."""
+    """Write the files requested on the command line."""
     if arguments.json is not None:
         write_text(arguments.json, json.dumps(found.numbers, indent=2, allow_nan=False) + '\n')
     if arguments.out is not None:
-        # Imported here: numbers alone need no libraries that draw.
+        # Imported lazily: numbers alone need no plotting libraries.
         from hnn_vi_ros.learning.judging.report import write_evaluation
-        # It may hold the numbers by now: --json may name a file in it.
+        # The folder may exist by now: --json may have written a file in it.
         arguments.out.mkdir(parents=True, exist_ok=True)
         write_evaluation(arguments.out, Path(arguments.model).stem, text, found.fans,
                          max(arguments.horizons), found.coordinates)
@@ -201,14 +201,14 @@ def _simulation(model: str, hamiltonian: Hamiltonian, integrator: Integrator,
 
 
 def _left_out(effects: Sequence[Effect]) -> str:
-    """Return why there is no energy mismatch, empty if there is one."""
+    """Return the reason for a missing energy mismatch, '' if there is one."""
     kinds = unaccounted(effects)
     return f'\n(not judged: states do not give the work of {", ".join(kinds)})' if kinds else ''
 
 
 def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
              ) -> tuple[list[EvenMotion], str, MotionData]:
-    """Return measured motions, read as the options or a configuration say; what these say."""
+    """Read measured motions from the options or a configuration; return also their description."""
     changes: dict[str, object] = {} if arguments.smoothing is None else {
         'smoothing': arguments.smoothing}
     if arguments.config is None:
@@ -232,10 +232,10 @@ def _motions(arguments: Namespace, given: Sequence[str], names: Sequence[str]
 def _read(arguments: Namespace, source: Path, data: MotionSource, given: Sequence[str],
           names: Sequence[str], changes: dict[str, object]
           ) -> tuple[list[EvenMotion], str, MotionData]:
-    """Return motions that are read as options say that change those of their format."""
+    """Read motions with a format that the options modify."""
     _check_format(arguments, data)
     if arguments.keys is not None:
-        # A key that is left empty, or out at the end, is of an array that is not there.
+        # An empty key, or one omitted at the end, means that the array is missing.
         t, q, *others = arguments.keys.split(',')
         v, tau = (key or None for key in (*others, '', '')[:2])
         changes |= {'time': t, 'q': q, 'v': v, 'tau': tau}
@@ -245,7 +245,7 @@ def _read(arguments: Namespace, source: Path, data: MotionSource, given: Sequenc
 
 
 def _check_format(arguments: Namespace, data: object) -> None:
-    """Refuse options that another format of data has."""
+    """Raise ParameterError for options that belong to another data format."""
     if arguments.keys is not None and (len(arguments.keys.split(',')) not in (2, 3, 4)
                                        or not isinstance(data, ArraysData)):
         raise ParameterError(f'--keys {arguments.keys}: expected those of {", ".join(_KEYS)} in '

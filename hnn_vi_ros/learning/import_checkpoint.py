@@ -1,27 +1,27 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Turn a network of the original HNN code or of its forks into a model of ours.
+Convert a network of the original HNN code or of its forks to a model of this package.
 
-They save the state_dict of a torch module, ``differentiable_model.linear1.weight``, ..., the last
-layer without bias, of several outputs F:
+These programs save the state_dict of a torch module, ``differentiable_model.linear1.weight``, ...;
+the last layer has no bias, and there are several outputs F:
 
     hnn              2 outputs, H = F_2 (F_1 is the conservative part, which has no H)
     sum_second_half  2 d outputs, H = F_(d+1) + ... + F_(2 d)
 
-Nothing of the file but its tensors is unpickled. H is that of the source network: its unit, its
-zero and its box are what its authors say they are.
+Only tensors are unpickled from the file. Unit, zero and domain of H are the ones that the authors
+of the source network state.
 
-The public Lie-group Hamiltonian code saves one state_dict of several networks of layers linear1,
-linear2, ..., of tanh between them, for the family lie_group:
+The public Lie-group Hamiltonian code saves one state_dict with several tanh networks of layers
+linear1, linear2, ..., for the family lie_group:
 
     so3    M_net, V_net, g_net, and Dw_net with friction; the inputs of all are R row by row
-    se3    M_net1 and Dv_net, which see x; M_net2 and Dw_net, which see R; V_net and g_net of both
+    se3    M_net1 and Dv_net with input x; M_net2 and Dw_net with input R; V_net and g_net: both
 
-Those of matrices give a lower triangular L, the diagonal first, then what is below it by rows:
-M^-1 = (L + sqrt(epsilon)) (L + sqrt(epsilon))^T + floor, and D = L L^T. The family's networks have
-the same form, with entries in another order; two networks that see different things become one
-whose layers are blocks.
+Networks of matrices return a lower triangular L, the diagonal first and then the entries below it
+by rows, with M^-1 = (L + sqrt(epsilon)) (L + sqrt(epsilon))^T + floor, and D = L L^T. The family's
+networks have the same form with entries in another order; two networks with different inputs
+become one network with block-diagonal layers.
 
 References
 ----------
@@ -53,7 +53,7 @@ from pydantic import ValidationError
 from scipy.linalg import block_diag
 import torch
 
-# The limit of the file, of its unpacked content, and of all its tensors in double precision.
+# Maximum size of the file, of its unpacked content, and of all tensors in double precision.
 MAX_BYTES = 64 << 20
 _TYPES = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 _NAME = re.compile(r'(.*\.)?linear([1-9]\d?)\.(weight|bias)')
@@ -63,12 +63,12 @@ _SHAPES = ('expected the state_dict of a network whose layers are named linear1,
 
 def read_layers(path: Path) -> Layers:
     """
-    Read the layers of one network from a state_dict that torch.save wrote; see read_networks.
+    Read the layers of one network from a state_dict saved by torch.save; see read_networks.
 
     Raises
     ------
     ModelError
-        As read_networks, and where the file holds several networks.
+        As for read_networks, or the file contains several networks.
 
     """
     networks = read_networks(path)
@@ -82,24 +82,24 @@ def read_layers(path: Path) -> Layers:
 
 def read_networks(path: Path) -> dict[str, Layers]:
     """
-    Read the layers of all networks from a state_dict that torch.save wrote.
+    Read the layers of all networks from a state_dict saved by torch.save.
 
     Parameters
     ----------
     path : Path
-        A file of at most 64 MiB, compressed or not, as are its tensors in double precision.
+        File of at most 64 MiB, also unpacked, as are its tensors in double precision.
 
     Returns
     -------
     dict of str to Layers
-        By what stands before the names of their layers, '' for nothing; in float64; where the
-        source has no bias, of zeros.
+        Layers in float64, keyed by the prefix of the layer names, '' for none; missing biases are
+        zero.
 
     Raises
     ------
     ModelError
-        The file is missing or damaged, holds anything but tensors, which would have to be run to
-        be read, or its tensors are not the layers of networks.
+        The file is missing or damaged, contains anything but tensors, which would require code to
+        be run, or the tensors are not layers of networks.
 
     """
     try:
@@ -113,7 +113,7 @@ def read_networks(path: Path) -> dict[str, Layers]:
         state = torch.load(path, map_location='cpu', weights_only=True)
     except ModelError:
         raise
-    except Exception as problem:  # what damaged pickles raise has no common class
+    except Exception as problem:  # damaged pickles raise exceptions without a common base class
         first = str(problem).strip().split('\n')[0]
         raise ModelError(f'{path}: not a file of tensors alone that torch.save wrote '
                          f'({type(problem).__name__}: {first[:200]}); nothing in it was run; have '
@@ -167,7 +167,7 @@ def _layers(path: Path, prefix: str, found: dict[tuple[int, str], np.ndarray]) -
 
 
 def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Refuse other than plain tensors of real numbers, and too many, before any is copied."""
+    """Check, before copying, that there are only plain real tensors, and not too many."""
     total = 0
     for name, tensor in tensors.items():
         kinds = {'a meta tensor, without values': tensor.is_meta,
@@ -179,7 +179,7 @@ def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
         if kind := next((kind for kind, found in kinds.items() if found), None):
             raise ModelError(f'{path}: {name[:80]} is {kind}; expected a plain tensor of real '
                              'numbers, float64, float32, float16 or bfloat16')
-        # A tensor may claim to be larger than the memory behind it.
+        # A tensor may claim a shape larger than its storage.
         total += 8 * tensor.numel()
     if total > MAX_BYTES:
         raise ModelError(f'{path}: its tensors take more than {MAX_BYTES >> 20} MiB in double '
@@ -187,39 +187,39 @@ def _check_tensors(path: Path, tensors: Mapping[str, torch.Tensor]) -> None:
 
 
 BODIES = ('so3', 'se3')
-# The indices of our outputs, L by rows, among theirs.
+# Index of each output of this package, L by rows, in the outputs of the source.
 _ORDER = [0, 3, 1, 4, 5, 2]
 _ON_DIAGONAL = [0, 2, 5]
-# For each of our networks, the inputs of theirs: of matrices one for each block of 3 x 3.
+# Inputs of the source networks for each network here; matrices have one per 3 x 3 block.
 _SOURCES = {
     'so3': {'mass': {'M_net': 9}, 'potential': {'V_net': 9}, 'dissipation': {'Dw_net': 9},
             'input_map': {'g_net': 9}},
     'se3': {'mass': {'M_net1': 3, 'M_net2': 9}, 'potential': {'V_net': 12},
             'dissipation': {'Dv_net': 3, 'Dw_net': 9}, 'input_map': {'g_net': 12}}}
-# Outputs of each of theirs; 0 for a column of B for each input.
+# Outputs of each source network; 0 means one column of B per input.
 _OUTPUTS = {'mass': 6, 'potential': 1, 'dissipation': 6, 'input_map': 0}
 
 
 def body_networks(found: Mapping[str, Layers], layout: str, epsilon: float, floor: float
                   ) -> tuple[LieGroupCard, dict[str, Layers]]:
     """
-    Return the card of a body, and its networks.
+    Return the card and the networks of a body.
 
     Parameters
     ----------
     found : mapping of str to Layers
-        The networks of a file, by the name before their layers.
+        Networks of a file, keyed by the prefix of their layer names.
     layout : str
-        One of BODIES.
+        Name of the layout, one of BODIES.
     epsilon : float
-        Whose root is added to the diagonal of the root of M^-1 [1].
+        Number whose square root is added to the diagonal of the root of M^-1 [1].
     floor : float
-        Added to the diagonal of M^-1 [1].
+        Number added to the diagonal of M^-1 [1].
 
     Raises
     ------
     ValueError
-        Networks are missing, others are there, or one has another number of inputs or outputs.
+        Networks are missing or unexpected, or one has the wrong number of inputs or outputs.
 
     """
     names = {name.removesuffix('.mlp'): layers for name, layers in found.items()}
@@ -257,7 +257,7 @@ def _check(name: str, layers: Layers, inputs: int, outputs: int, size: int) -> N
 
 
 def _root(layers: Layers, epsilon: float) -> Layers:
-    """Return a network of L by rows, from one that gives the diagonal first."""
+    """Reorder the outputs of a network from diagonal-first to L by rows, and add sqrt(epsilon)."""
     weights, biases = list(layers.weights), list(layers.biases)
     weights[-1], biases[-1] = weights[-1][_ORDER], biases[-1][_ORDER]
     biases[-1][_ON_DIAGONAL] += np.sqrt(epsilon)
@@ -265,7 +265,7 @@ def _root(layers: Layers, epsilon: float) -> Layers:
 
 
 def _blocks(networks: Sequence[Layers]) -> Layers:
-    """Return one network of the inputs and outputs of some of as many layers, side by side."""
+    """Join networks with the same number of layers into one with block-diagonal weights."""
     if len({len(layers.weights) for layers in networks}) > 1:
         raise ValueError('the networks of the two blocks have different numbers of layers')
     return Layers(
@@ -281,21 +281,21 @@ _OTHER_STATE = ('a network of another state, such as (q, dq/dt), (cos q, sin q, 
 
 def energy_layers(layers: Layers, layout: str, order: str = 'qp') -> Layers:
     """
-    Return the network of H(q, p) alone.
+    Return the network of H(q, p) only.
 
     Parameters
     ----------
     layers : Layers
-        Of the source network.
+        Layers of the source network.
     layout : str
-        Which of its outputs are H: ``'hnn'`` or ``'sum_second_half'``.
+        Layout that selects the outputs of H: ``'hnn'`` or ``'sum_second_half'``.
     order : str
-        Of its inputs: ``'qp'`` or ``'pq'``.
+        Order of the inputs: ``'qp'`` or ``'pq'``.
 
     Raises
     ------
     ValueError
-        The network has another number of inputs or outputs than the layout.
+        The number of inputs or outputs does not fit the layout.
 
     """
     weights, biases = list(layers.weights), list(layers.biases)
@@ -317,20 +317,20 @@ def energy_layers(layers: Layers, layout: str, order: str = 'qp') -> Layers:
 
 def parse_box(text: str, d: int) -> Box:
     """
-    Return the box that ``--box`` describes.
+    Parse the box given by ``--box``.
 
     Parameters
     ----------
     text : str
         ``LOW:HIGH`` for each coordinate and then for each momentum, separated by commas, or one
-        for all.
+        interval for all.
     d : int
         Number of coordinates.
 
     Raises
     ------
     ParameterError
-        It is none.
+        The text is not such a list.
 
     """
     try:
@@ -347,7 +347,7 @@ def parse_box(text: str, d: int) -> Box:
 
 
 def main(argv: Sequence[str]) -> None:
-    """Import a network as the command line says."""
+    """Import a network with the options of the command line."""
     arguments = command_lines.import_checkpoint().parse_args(argv)
     names = arguments.coordinates.split(',')
     out = arguments.out or Path('models') / f'{arguments.file.stem}.safetensors'
@@ -382,7 +382,7 @@ def _energy(arguments: argparse.Namespace, names: list[str], command: str) -> Ch
 
 
 def _body(arguments: argparse.Namespace, names: list[str], command: str) -> Checkpoint:
-    """Return the model of a body that turns."""
+    """Return the model of a rotating body."""
     epsilon, floor, source = arguments.epsilon, arguments.floor, arguments.file
     if epsilon is None:
         raise ParameterError(f'--epsilon: give it with --layout {arguments.layout}; the file does '

@@ -3,10 +3,10 @@
 """
 Train a model of a mechanical system: ``ros2 run hnn_vi_ros train --config NAME``.
 
-A model of the configuration's family is fitted so that its loss is small, for the plain network
-H(q, p) the error of (H_p, -H_q) against (dq/dt, dp/dt): first by Adam, which finds a good valley,
-then by L-BFGS, which descends it. All in float64, and the same on the same machine for the same
-seed. A family supplies its data, its loss, its card and how it is judged (learning/tasks).
+Training minimises the loss of the configuration's family, for the plain network H(q, p) the error
+of (H_p, -H_q) with respect to (dq/dt, dp/dt): first with Adam, which finds a good basin, then with
+L-BFGS, which converges in it. All numbers are float64; the same seed gives the same result on the
+same machine. A family supplies its data, loss, card and judgement (learning/tasks).
 """
 
 from argparse import Namespace
@@ -37,9 +37,9 @@ _TASKS: dict[type[AnyConfig], type[Task]] = {
 
 
 def main(argv: Sequence[str]) -> None:
-    """Train a model as the command line says."""
+    """Train a model with the options of the command line."""
     arguments = command_lines.train().parse_args(argv)
-    # Small networks gain nothing from more threads, and sums come out the same on any machine.
+    # More threads do not help small networks; one thread makes sums identical on all machines.
     torch.set_num_threads(1)
     source = find_config(arguments.config)
     config = load_config(source)
@@ -53,7 +53,7 @@ def main(argv: Sequence[str]) -> None:
         (*outputs, *member_files(model, arguments.ensemble or 0)), arguments.resume)
     command = shlex.join(['ros2', 'run', 'hnn_vi_ros', 'train', *(
         part for part in argv if part != '--resume')])
-    # A model that is chosen is trained from here on.
+    # Training starts here, including the choice of a model.
     begun, members = time.perf_counter(), list[Checkpoint]()
     task = task_class(source, config, arguments.data, count > 1)
     with members_kept(model, members):
@@ -84,7 +84,7 @@ def main(argv: Sequence[str]) -> None:
 
 
 def _check_options(source: Path, family: FamilyChoice, arguments: Namespace) -> None:
-    """Refuse options that are no good, or that the family does not take, by its own row."""
+    """Raise ParameterError for options that are invalid or unsupported by the family."""
     refuses = dict(family.refuses)
     row = FAMILIES.get(family.kind)
     if row is not None and not row.averaged:
@@ -107,12 +107,12 @@ def _check_options(source: Path, family: FamilyChoice, arguments: Namespace) -> 
 
 
 def _check_outputs(outputs: Sequence[Path], resume: bool) -> Path:
-    """Refuse outputs before the work begins; return where the state of the run is kept."""
+    """Check the outputs before the work starts; return the path of the saved run state."""
     out = outputs[0]
     state = out.with_suffix('.training')
     if out.suffix != '.safetensors':
         raise ParameterError(f'--out {out}: a model file must end in .safetensors')
-    # Found out now, not after the training.
+    # Fail now instead of after the training.
     for path in outputs:
         check_new('--out', path)
     if os.path.lexists(state) and not resume:

@@ -216,7 +216,7 @@ class DGNet(_OneNetwork):
 
     def discrete_field(self, z0: torch.Tensor, z1: torch.Tensor) -> torch.Tensor:
         """
-        Return (D_p, -D_q - gamma (p0 + p1) / 2), shape (N, 2 d); the loss equates (z1 - z0) / h.
+        Return (D_p, -D_q - gamma (p0 + p1) / 2), shape (N, 2 d), to fit (z1 - z0) / h.
 
         (D_q, D_p) is the discrete gradient of H between the states, as in DiscreteGradient.
         """

@@ -233,10 +233,10 @@ class SymplecticForm(Trainable):
     """
     theta(u) = (M p, 0) + N(u) and H(u), u = (q, p): a constant diagonal M and two networks.
 
-    The variation of the integral of theta(u) . u' - H(u) vanishes if W(u) u' = H'(u) with W_ij =
-    d_i theta_j - d_j theta_i; see SymplecticFormHamiltonian. The loss compares u' with W^-1 H',
-    because the residual of the equation is minimal for theta = 0, H = 0. M keeps W regular during
-    training. Use it for noncanonical coordinates; otherwise HNN.
+    The variation of the integral of theta(u) . u' - H(u) vanishes if W(u) u' = H'(u), with
+    W_ij = d_i theta_j - d_j theta_i; see SymplecticFormHamiltonian. The loss compares u' with
+    W^-1 H', because the residual of the equation is minimal for theta = 0, H = 0. M keeps W
+    regular during training. Use it for noncanonical coordinates; otherwise HNN.
 
     Motions determine theta and H up to a common factor, the unit of energy, and theta up to a
     gradient, which has no effect. The configured mean mass of the first coordinate, W_ij with i
