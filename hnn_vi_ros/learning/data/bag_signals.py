@@ -74,7 +74,7 @@ class SignalReader:
 
     @property
     def commanded_before(self) -> bool:
-        """Return whether a simulator already held a command at the start, missing from the bag."""
+        """Return whether a simulator held a command at the start that the bag does not contain."""
         try:
             state = safetensors.numpy.load(self.bag.attachment(STATE_FILE) or b'')
         except (safetensors.SafetensorError, ValueError, KeyError):

@@ -98,7 +98,7 @@ class Dataset:
 
     @property
     def box(self) -> Box:
-        """Bounds of all states."""
+        """Return the bounds of all states."""
         return Box.of(self.q, self.p)
 
     def split(self, fraction: float, seed: int) -> tuple['Dataset', 'Dataset']:
@@ -130,7 +130,7 @@ class Dataset:
         Raises
         ------
         DataError
-            No motion is long enough.
+            There are no windows.
 
         """
         found = []
@@ -304,7 +304,7 @@ def dataset_of(recording: Recording, data: StateOptions) -> Dataset:
     Raises
     ------
     DataError
-        The motions are too short or too noisy, or a rate cannot be estimated.
+        The motions are too short, most samples are bad, or a rate cannot be estimated.
 
     """
     report, count = Report(data.least), 0

@@ -148,7 +148,7 @@ def _beside(source: Path, path: str) -> Path:
 
 
 def guessed(path: str) -> ArraysData | BagMotions:
-    """Guess the format of a file, arrays or a bag, from the file alone; DataError if unknown."""
+    """Guess the format of a file from its name, arrays or a bag; DataError if unknown."""
     file, _ = split_runs(path)
     if file.suffix == _ARRAYS:
         return ArraysData()

@@ -180,7 +180,7 @@ def read_text(path: Path, data: LogColumns) -> Recording:
 
 
 def _check_units(path: Path, data: LogColumns) -> None:
-    """Raise DataError for columns in degrees, unless `data` names them or none, or in ms."""
+    """Raise DataError for times not in seconds, or degrees without data.degrees."""
     if _OTHER_TIME.search(data.time):
         raise DataError(f'{path}: column {data.time!r}: times must be in seconds; convert the '
                         'column, or rename it if it is in s')
