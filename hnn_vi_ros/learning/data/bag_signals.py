@@ -327,7 +327,7 @@ class SignalReader:
 
 
 def _jumps(q: np.ndarray) -> int:
-    """Return the number of rows of q, shape (N, d), that jump away from their neighbours."""
+    """Return the number of rows of q, shape (N, d), that deviate while their neighbours agree."""
     steps, across = np.diff(q, axis=0), np.abs(q[2:] - q[:-2])
     usual = np.array([np.median(column[column > 0.0]) if column.any() else 0.0
                       for column in across.T])

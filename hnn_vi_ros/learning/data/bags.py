@@ -158,8 +158,8 @@ def read_bags(paths: Sequence[Path], data: BagData | BagMotions, joints: Sequenc
     Parameters
     ----------
     paths : sequence of Path
-        Folders with the files of one bag, or files; unfinished and damaged ones are read up to
-        the first error.
+        Folders with the files of one bag, or files; unfinished and damaged ones are read as far
+        as possible.
     data : BagData or BagMotions
         Topics of the bags.
     joints : sequence of str
