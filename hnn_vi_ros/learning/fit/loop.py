@@ -400,7 +400,7 @@ class Keeper:
         Raises
         ------
         ParameterError
-            There is no saved run, or it belongs to another configuration or data.
+            There is no saved run, or its configuration, data, device or version differ.
 
         """
         try:

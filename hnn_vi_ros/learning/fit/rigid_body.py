@@ -58,7 +58,7 @@ def fit_rigid_body(network: MechanicalNetwork, loss: Trajectory, motions: Sequen
     Returns
     -------
     dict
-        Loss after each fit, inf where windows diverged from its initial values.
+        Loss after each fit, inf if windows diverge at its initial values.
 
     """
     samples = samples_of(motions, loss.step_size)
@@ -198,7 +198,7 @@ class RigidUnknowns(ABC):
         Counts of numbers: prior, viscous friction, other friction, offsets, input map, fades, and
         Stribeck speeds.
     scale, least, most : np.ndarray, shape (k,)
-        Sizes and bounds of all numbers. The gradient of friction vanishes at its lower bound.
+        Sizes and bounds of all numbers. The gradient of friction vanishes below its lower bound.
 
     """
 
