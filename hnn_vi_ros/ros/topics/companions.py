@@ -18,19 +18,19 @@ from hnn_vi_ros.simulation import SpreadGuard
 
 class SpreadTopic:
     """
-    Topic on how far the members of an ensemble come apart.
+    Topic that publishes the spread of the members of an ensemble.
 
-    The positions of ~/uncertainty are the half-widths of the bands around q and p, by the names
-    that ~/state gives these.
+    The positions of ~/uncertainty are the half-widths of the bands around q and p, with the same
+    names as in ~/state.
 
     Parameters
     ----------
     members : Members
-        What comes apart.
+        The ensemble.
     hamiltonian : Hamiltonian
-        The mean, with the box of its training.
+        The mean Hamiltonian, with the box of its training data.
     limit : float
-        Spread that is allowed, in half-widths of the box.
+        Largest allowed spread, in half-widths of the box.
 
     """
 
@@ -38,7 +38,7 @@ class SpreadTopic:
         self._members = members
         names, momenta = columns(hamiltonian.coordinates)
         self._labels = [*names, *(f'{MOMENTUM}{name}' for name in momenta)]
-        # Of a sample that tells the spread.
+        # Encodes samples that have a spread; others give no message.
         self.encode = encode_numbers(
             named_numbers(self._labels),
             lambda sample: None if sample.spread is None else [sample.spread], stamped=True)
@@ -47,12 +47,12 @@ class SpreadTopic:
         self.make_guard()
 
     def make_guard(self) -> SpreadGuard:
-        """Return what watches a run from its start on."""
+        """Create and return the guard that watches a run from its start."""
         self.guard = SpreadGuard(lambda: self._members.spread, self._box, self._limit)
         return self.guard
 
     def status(self) -> Status:
-        """Return how far the members are apart."""
+        """Return the diagnostic status of the spread."""
         members, value = self._members, self.guard.value
         level, message = OK, 'the members of the ensemble agree'
         if value > self._limit:
@@ -69,9 +69,9 @@ class SpreadTopic:
             'covered by the band [1]': 'unknown' if members.level is None else members.level})
 
 
-# Behind the names of the coordinates, and of their predictions.
+# Prefix of the names of prediction errors.
 PREDICTED = 'prediction_'
-# Wall time without an observation that is told even where simulated time stands still [s].
+# Wall time without an observation that is reported even while simulated time is paused [s].
 _QUIET = 5.0
 SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time')
 
@@ -80,20 +80,20 @@ class TwinTopic:
     """
     Publish the prediction error of each observation.
 
-    The named positions of ~/prediction_error are: observed less simulated coordinates;
-    observed less predicted ones; and the scalars of the prediction. It is stamped with the time
-    of the observation.
+    The named positions of ~/prediction_error are the observed minus the simulated coordinates, the
+    observed minus the predicted coordinates, and the scalars of the prediction. The message is
+    stamped with the time of the observation.
 
     Parameters
     ----------
     twin : Twin
-        What compares.
+        Twin that compares observations with the simulation.
     send : callable
-        Publishes and records a message: the bytes, and its stamp in the bag [ns].
+        Publishes and records a message, given its bytes and its stamp in the bag [ns].
     ignored : callable
-        Returns how many observations could not be used, and why the last one could not.
+        Returns the number of ignored observations and the reason for the last one.
     stamp : callable
-        Returns that of the state [ns].
+        Returns the stamp of the state [ns].
     warn : callable
         Logs a warning.
 
@@ -118,7 +118,7 @@ class TwinTopic:
         self._newest, self._silent = (now, time.monotonic()), False
 
     def status(self) -> Status:
-        """Return how well the machine is followed."""
+        """Return the diagnostic status of the twin: how closely it follows the machine."""
         twin, report = self._twin, self._twin.newest
         ignored, why = self._ignored()
         stamp, wall = self._newest

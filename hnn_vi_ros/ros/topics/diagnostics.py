@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Statuses on /diagnostics, and of events and answers, for the tools that every robot has."""
+"""Diagnostic statuses for /diagnostics, ~/events and answers, as standard ROS tools read them."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-# The component of events.
+# Name of the component that reports events.
 EVENT = 'event'
 
 
@@ -23,13 +23,13 @@ class Status(NamedTuple):
     Parameters
     ----------
     component : str
-        Which one.
+        Name of the component.
     level : bytes
         OK, WARN or ERROR.
     message : str
-        One plain line.
+        Plain text of one line.
     values : mapping of str to object
-        Figures; units are in the keys.
+        Values by key; the keys include the units.
 
     """
 
@@ -41,26 +41,26 @@ class Status(NamedTuple):
 
 class DiagnosticsPublisher:
     """
-    Publish statuses, stamped like the samples.
+    Publisher of diagnostic statuses, stamped like the samples.
 
     Parameters
     ----------
     node : Node
-        The simulator, whose full name each status begins with.
+        The simulator node; its fully qualified name prefixes the name of each status.
     send : callable
-        Publishes a message, and records it with its stamp [ns] unless that is None.
+        Publishes a message, and records it if its stamp [ns] is not None.
     hardware_id : str
-        Subject of the statuses: the scene.
+        Hardware ID of the statuses: the scene.
 
     """
 
     def __init__(self, node: Node, send: Callable[[bytes, int | None], None], hardware_id: str):
         self._send, self._hardware_id = send, hardware_id
-        # With its namespace: /diagnostics is one topic for all simulators.
+        # The name includes the namespace, since all simulators share /diagnostics.
         self._name = node.get_fully_qualified_name()[1:]
 
     def publish(self, statuses: Iterable[Status], stamp: int, record: bool = True) -> None:
-        """Publish and record all the statuses as of a stamp [ns] in one message."""
+        """Publish all statuses in one message with this stamp [ns]; record it if asked."""
         message = DiagnosticArray()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
         message.status = [DiagnosticStatus(
@@ -74,7 +74,7 @@ class DiagnosticsPublisher:
 
 def state_values(coordinates: Sequence[Coordinate], q: np.ndarray, p: np.ndarray
                  ) -> dict[str, str]:
-    """Return q and p as values of a status, by their names and with all digits."""
+    """Return q and p as values of a status: full-precision strings keyed by name."""
     names, momenta = columns(coordinates)
     return {name: repr(value) for name, value in zip(
         [*names, *(f'p_{name}' for name in momenta)], [*q.tolist(), *p.tolist()], strict=True)}

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions that report and ignore the messages that cannot be used."""
+"""Subscriptions that report and ignore invalid messages."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -16,11 +16,11 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-# Longer messages are not heard [bytes].
+# Maximum size of a message; longer ones are ignored [bytes].
 LARGEST_MESSAGE = 1 << 20
-# The reason for ignoring a message has room for the names of twelve joints, and a remedy.
+# Maximum length of a reason [characters]: room for the names of twelve joints and a remedy.
 LONGEST_REASON = 500
-# Wall time between two lines on messages of a topic that are ignored [s].
+# Minimum wall time between two log lines about ignored messages of a topic [s].
 _REPEATED = 1.0
 
 
@@ -31,16 +31,16 @@ class Hearing:
     Parameters
     ----------
     node : Node
-        Whose they are.
+        Node that owns the subscriptions.
 
     Attributes
     ----------
     topics : list of str
-        Names of what it subscribes to.
+        Names of the subscribed topics.
     ignored : Counter of str
-        Number of messages that could not be used, by topic.
+        Number of ignored messages, by topic.
     reasons : dict of str to str
-        Why the last one could not, by topic.
+        Reason for ignoring the last such message, by topic.
 
     """
 
@@ -50,24 +50,24 @@ class Hearing:
         self.topics: list[str] = []
         self.ignored: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
-        # When the log takes the next line on a topic [s].
+        # Time of the next permitted log line, by topic [s].
         self._due: dict[str, float] = {}
 
     def hear(self, one: Input, take: Callable[[Any], None], raw: bool = False,
              then: Callable[[], None] | None = None) -> Subscription:
         """
-        Hear a topic; what cannot be used is reported and ignored.
+        Subscribe to a topic; report and ignore invalid messages.
 
         Parameters
         ----------
         one : Input
-            Which.
+            Topic to subscribe to.
         take : callable
-            Uses a message, or raises ValueError and changes nothing.
+            Handles a message; on an invalid one, raises ValueError and changes nothing.
         raw : bool, optional
-            Whether it takes the bytes of a message.
+            True to pass the serialised bytes to `take`, not the message.
         then : callable, optional
-            Called when all messages that wait are taken; may raise ValueError too.
+            Called after all waiting messages are handled; may raise ValueError.
 
         """
         topic = one.topic
@@ -81,7 +81,7 @@ class Hearing:
             try:
                 what(*arguments)
             except (ValueError, RuntimeError) as problem:
-                # RuntimeError: the bytes are no message of this type.
+                # RuntimeError: the bytes are not a message of this type.
                 self.ignored[topic] += 1
                 reason = self.reasons[topic] = ' '.join(str(problem).split())[:LONGEST_REASON]
                 if (now := time.monotonic()) >= self._due.get(topic, -math.inf):
@@ -103,6 +103,6 @@ class Hearing:
         return subscription
 
     def close(self) -> None:
-        """Take the subscriptions away."""
+        """Destroy the subscriptions."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of commands and wrenches, and the meaning of their messages, live or from a bag."""
+"""Topics of commands and wrenches, and the conversion of their messages, live or from a bag."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 
 def places_of(coordinates: Sequence[Coordinate], given: Sequence[str], field: str) -> list[int]:
-    """Return the places of coordinates among a message's names, or raise ValueError."""
+    """Return the index of each coordinate in a message's names, or raise ValueError."""
     names = [coordinate.name for coordinate in coordinates]
     if sorted(given) != sorted(names):
         raise ValueError(f'{field} = [{printable(given)}] must be the coordinates '
@@ -30,12 +30,12 @@ def places_of(coordinates: Sequence[Coordinate], given: Sequence[str], field: st
 
 def body_of(coordinates: Sequence[Coordinate], names: Sequence[str]) -> str | None:
     """
-    Return the body along whose axes all numbers of a command act, None if there is no such.
+    Return the body along whose axes all numbers of a command act, or None if there is none.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        Of the system.
+        Coordinates of the system.
     names : sequence of str
         Meanings of the numbers of a command; see ExternalForce.
 
@@ -50,21 +50,21 @@ def body_of(coordinates: Sequence[Coordinate], names: Sequence[str]) -> str | No
 
 def command_of(message: WrenchStamped, body: str, names: Sequence[str]) -> list[float]:
     """
-    Return the command of a wrench.
+    Convert a wrench to a command.
 
     Parameters
     ----------
     message : WrenchStamped
-        In the frame of the body; its stamp is not used.
+        Wrench in the frame of the body; its stamp is not used.
     body : str
-        What ``body_of`` returned.
+        Name of the body, from `body_of`.
     names : sequence of str
         Meanings of the numbers of the command.
 
     Raises
     ------
     ValueError
-        The wrench is in another frame, or has a component that no number of a command is for.
+        The wrench is in another frame, or has a non-zero component that no command number drives.
 
     """
     if message.header.frame_id != body:
@@ -83,22 +83,22 @@ def command_of(message: WrenchStamped, body: str, names: Sequence[str]) -> list[
 
 class Input(NamedTuple):
     """
-    A topic that drives the simulator.
+    A topic that the simulator subscribes to.
 
     Parameters
     ----------
     topic : str
-        Its name in the node.
+        Name relative to the node.
     message_type : type
-        Of its messages.
+        Class of the messages.
     holds : frozenset of str
-        Possible contents of its commands; a scene takes some of them; see commands.contents. Empty
-        where it holds no commands: what it is heard by is set up elsewhere.
+        Kinds of commands that it can carry; a scene accepts some of them, see commands.contents.
+        Empty for topics without commands, whose subscription is created elsewhere.
     read : callable or None
-        ``read(message, stamp)`` returns the command of a message that finds the state of that
-        stamp [ns], or raises ValueError.
+        ``read(message, stamp)`` converts a message to a command, or raises ValueError; `stamp` is
+        that of the state at its arrival [ns].
     qos : QoSProfile
-        Of the subscription.
+        QoS profile of the subscription.
 
     """
 
@@ -110,24 +110,24 @@ class Input(NamedTuple):
 
 
 def read_numbers(message: Float64MultiArray, stamp: int) -> Command:
-    """Return forces, or what the motors of a model take."""
+    """Return the numbers of a command: forces, or inputs of a motor model."""
     return list(message.data)
 
 
 def read_joints(message: JointState, stamp: int) -> JointCommand:
-    """Return what joints are to do; each list has a number for each name, or none."""
+    """Return a joint command; each list has one number per name, or is empty."""
     return JointCommand(tuple(message.name), *_lists(message, (POSITION, VELOCITY, EFFORT)))
 
 
 def read_observation(message: JointState, stamp: int) -> Observation:
-    """Return what was seen of a machine; its header tells when, zero for now."""
+    """Return an observation of a machine; a header stamp of zero means now."""
     seen = nanoseconds(message.header.stamp)
     return Observation(tuple(message.name), (seen - stamp) / 1e9 if seen else 0.0,
                        *_lists(message, (POSITION, VELOCITY)))
 
 
 def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
-    """Return some lists of joint states, each a number for each name; NaN for an empty one."""
+    """Return lists of joint states, one number per name; an empty list becomes NaN."""
     count, lists = len(message.name), []
     for name in fields:
         values = np.array(getattr(message, name), dtype=np.float64)
@@ -139,7 +139,7 @@ def _lists(message: JointState, fields: Sequence[str]) -> list[np.ndarray]:
 
 
 def read_path(message: JointTrajectory, stamp: int) -> JointPath:
-    """Return the path; its header tells when it begins, zero for now."""
+    """Return the joint path; it begins at the header stamp, or now if that is zero."""
     begin = nanoseconds(message.header.stamp)
     points, columns = message.points, []
     for name in ('positions', 'velocities', 'accelerations', 'effort'):
@@ -166,7 +166,7 @@ WRENCH = Input('~/wrench', WrenchStamped, frozenset(), None, NEWEST)
 INITIAL_STATE = Input('~/initial_state', JointState, frozenset(), None, NEWEST)
 INPUTS = (
     Input('~/commands', Float64MultiArray, frozenset({NUMBERS}), read_numbers, NEWEST),
-    # Best effort hears those who publish reliably as well, as ros2_control does.
+    # A best-effort subscription also receives from reliable publishers, such as ros2_control.
     Input('~/joint_commands', JointState, frozenset({POSITION, VELOCITY, EFFORT}), read_joints,
           qos_profile_sensor_data),
     OBSERVATIONS,

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Observations as machines send them: by the clock of ROS, and in parts."""
+"""Conversion of observations from machines: stamped by the ROS clock, and split by driver."""
 
 from collections.abc import Callable, Sequence
 
@@ -10,33 +10,33 @@ from hnn_vi_ros.ros.topics.inputs import read_observation
 import numpy as np
 from sensor_msgs.msg import JointState
 
-# Parts of an observation are at most so far apart in time [ns].
+# Maximum time between the parts of one observation [ns].
 _APART = 50_000_000
 
 
 class ObservationJoiner:
     """
-    Turn the messages of a machine into observations of all joints, stamped by one clock.
+    Converter of a machine's messages to observations of all joints, stamped by one clock.
 
-    Where that is simulated, a stamp is its time or that of ROS, whichever is nearer. A message
-    with some of the joints waits for the others, of other drivers; what is older then moves on at
-    its velocity.
+    If that clock is simulated, a stamp is read as simulated or as ROS time, whichever is nearer to
+    it. A message with some of the joints is kept until other drivers have sent the others; older
+    positions are then extrapolated with their velocities.
 
     Parameters
     ----------
     names : sequence of str
-        The observed joints.
+        Names of the observed joints.
     timeout : float
-        Time after which a joint is missed [s].
+        Time after which missing joints raise ValueError [s].
     now : callable
-        Returns the time of arrival, the simulated one or that of ROS [ns].
+        Returns the time of arrival on the simulated or the ROS clock [ns].
     ros : callable, optional
-        Returns that of ROS [ns], where the other one is simulated.
+        Returns the ROS time [ns]; given only if `now` is simulated time.
 
     Attributes
     ----------
     joins : bool
-        Whether the last message with joints of these had some: several drivers publish them.
+        True if the last message with any of these joints lacked others: several drivers publish.
 
     """
 
@@ -44,7 +44,7 @@ class ObservationJoiner:
                  ros: Callable[[], int] | None = None):
         self._names, self._timeout = names, round(timeout * 1e9)
         self._now, self._ros = now, ros
-        # Time, position and velocity of each joint since the last observation of all.
+        # Time [ns], position and velocity by joint, received since the last complete observation.
         self._parts: dict[str, tuple[int, float, float]] = {}
         self._since, self.joins = 0, False
 
@@ -52,11 +52,11 @@ class ObservationJoiner:
         """Return the observation that a message completes; ValueError if a joint is missing."""
         stamp, now = nanoseconds(message.header.stamp), self._now()
         if self._ros and stamp and abs(stamp - (ros := self._ros())) < abs(stamp - now):
-            # Zero would mean now.
+            # A stamp of zero would mean now.
             stamp = max(1, stamp - ros + now)
         there = [name for name in self._names if name in message.name]
         if not there:
-            # Of other joints: whoever reads it says which are missing.
+            # A message of other joints only: its reader reports the missing ones.
             return _stamped(message, stamp)
         self.joins = len(there) < len(self._names)
         if not self.joins or len({*message.name}) < len(message.name):
@@ -82,7 +82,7 @@ class ObservationJoiner:
         times, positions, velocities = map(np.array, zip(
             *(self._parts[name] for name in self._names), strict=True))
         self._parts.clear()
-        # An unknown velocity is NaN.
+        # An unknown velocity is NaN and counts as zero.
         positions += np.nan_to_num(velocities) * (times.max() - times) / 1e9
         return _stamped(JointState(name=[*self._names], position=positions, velocity=velocities),
                         max(stamps))

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Turn samples into serialised ROS messages, and describe the topics that carry them."""
+"""Serialise samples as ROS messages, and describe the topics that carry them."""
 
 from array import array
 from collections.abc import Callable, Sequence
@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-# Makes the messages of a sample on one topic, serialised: usually one.
+# Returns the serialised messages of a sample on one topic, usually one.
 Encode = Callable[[Sample], Sequence[Any]]
 _SEPARATOR = '=' * 80
 _FIELD = re.compile(r'\s*([A-Za-z][A-Za-z0-9_/]*)[^\s#]*\s+[A-Za-z]')
@@ -34,7 +34,7 @@ _PRIMITIVE_TYPES = frozenset((
 
 
 def encode_state(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return the encoder of ~/state: q, p, dp/dt, H and the work, by their names."""
+    """Return the encoder of ~/state: named values of q, p, dp/dt, H and the work."""
     names, momenta = columns(coordinates)
     labels, turning = state_names(names, momenta), rotations(coordinates)
     template = Template(named_numbers(labels))
@@ -58,12 +58,12 @@ def encode_numbers(message: Any, values: Callable[[Sample], Sequence[Any] | None
     Parameters
     ----------
     message : message
-        All messages share its strings and lengths.
+        Template; all messages share its strings and its lengths of lists.
     values : callable
-        Returns what its numbers and lists of numbers are for a sample, in the order of its fields;
-        None for no message.
+        Returns the numbers and lists of numbers for a sample, in the order of the fields, or None
+        to send no message.
     stamped : bool, optional
-        Whether it begins with a header, which takes the stamp of the sample.
+        True if the message begins with a header, whose stamp is set to that of the sample.
 
     """
     template = Template(message)
@@ -82,16 +82,16 @@ def encode_numbers(message: Any, values: Callable[[Sample], Sequence[Any] | None
 
 
 def encode_array(names: Sequence[str], values: Callable[[Sample], np.ndarray]) -> Encode:
-    """Return the encoder of an array, whose label names its entries."""
+    """Return the encoder of an array whose dimension label lists the names of its entries."""
     return encode_numbers(array_message(names), lambda sample: [values(sample)])
 
 
 def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
     """
-    Return the encoder of joint_states, as a robot publishes them.
+    Return the encoder of joint_states, in the form that robots publish.
 
-    Position is q, velocity is q', and effort is what motors make of commands. Only scalar
-    coordinates are among them: no joint turns by a quaternion.
+    Position is q, velocity is q', and effort is the output of the motors. Only scalar coordinates
+    are included, because no joint rotates by a quaternion.
     """
     scalar = [c.name for c in coordinates if c.kind == 'scalar']
     # A slice is faster than a list of columns.
@@ -105,7 +105,7 @@ def encode_joints(coordinates: Sequence[Coordinate]) -> Encode:
 
 
 def named_numbers(labels: Sequence[str]) -> JointState:
-    """Return a list of numbers with names and a stamp, as joint states."""
+    """Return a JointState that holds named numbers and a stamp."""
     return JointState(name=list(labels), position=array('d', [0.0] * len(labels)))
 
 
@@ -128,12 +128,12 @@ def describe_topic(name: str, message_type: type, qos: QoSProfile) -> Topic:
     message_type : type
         Class of its messages.
     qos : QoSProfile
-        Policies that the publisher offers, overrides included.
+        Policies that the publisher offers, including overrides.
 
     Raises
     ------
     RecordingError
-        The message's definition is not installed.
+        The definition of the message is not installed.
 
     """
     type_name = message_type_name(message_type)
@@ -149,7 +149,7 @@ def message_type_name(message_type: type) -> str:
 
 def message_definition(type_name: str) -> str:
     """
-    Return the text of a type's .msg file, then the texts of the types it uses.
+    Return the text of a type's .msg file, followed by the texts of the types it uses.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def message_definition(type_name: str) -> str:
         A definition is not installed.
 
     """
-    # Each type stands once, after the first that uses it, as rosbag2 has them.
+    # As in rosbag2, each type is listed once, after the first type that uses it.
     definitions: dict[str, str] = {}
     _collect_definitions(type_name, definitions)
     root, *others = definitions.items()
@@ -183,12 +183,12 @@ def _collect_definitions(name: str, definitions: dict[str, str]) -> None:
 
 def type_hash(type_name: str) -> str:
     """
-    Return the RIHS01 hash of a message type, as the type's package gives it.
+    Return the RIHS01 hash of a message type, read from the type's package.
 
     Raises
     ------
     RecordingError
-        The type's description is not installed or does not hold its hash.
+        The description of the type is not installed or does not contain its hash.
 
     """
     try:
@@ -213,8 +213,8 @@ def _read_interface(name: str, suffix: str) -> str:
 
 
 def qos_yaml(qos: QoSProfile) -> str:
-    """Return a profile as the one-element YAML list that rosbag2 keeps with a topic."""
-    # As rosbag2 finds it on the wire: automatic is what the middleware makes of the default.
+    """Return a profile as the one-element YAML list that rosbag2 stores with a topic."""
+    # As rosbag2 discovers it: the middleware resolves the default liveliness to automatic.
     unset = qos.liveliness == LivelinessPolicy.SYSTEM_DEFAULT
     liveliness = LivelinessPolicy.AUTOMATIC if unset else qos.liveliness
     profile: dict[str, Any] = {
@@ -237,33 +237,33 @@ def _offered_duration(duration: Duration) -> dict[str, int]:
     return {'sec': seconds, 'nsec': nanoseconds}
 
 
-# The entries of its message.
+# Names of the entries of an accuracy message.
 ENTRIES = (
     'H', 'modified_H', 'energy_error', 'work', 'energy_balance', 'residual', 'iterations',
     'modified_energy_band', 'drift_per_hour', 'microseconds_per_step_median',
     'microseconds_per_step_p99', 'gradients_per_step', 'largest_real_time_factor', 'energy_scale',
     'local_error')
-# Samples from one estimate of the local error to the next: an estimate takes three steps more.
+# Samples between estimates of the local error; each estimate takes three additional steps.
 _ESTIMATED = 64
 
 
 class AccuracyEncoder:
     """
-    Serialise the accuracy of a sample, in the order of ENTRIES.
+    Encoder of the accuracy of samples, in the order of ENTRIES.
 
     ``energy_balance`` is H - H0 - W [J]; ``residual`` is the relative one of the last implicit
-    step; ``iterations`` are the gradients that each step since the sample before took, on average.
-    What follows them is evaluated now and then; see EnergyRecord and Figures. ``energy_scale`` is
-    the size of the energies in play [J], by which an error is judged; see EnergyScale.
-    ``local_error`` is the estimated error that a step adds, at the first and then at every 64th
-    sample; see local_error. The invariants of the scene follow, each under its name.
+    step; ``iterations`` is the mean number of gradients per step since the previous sample. The
+    entries after these are updated periodically; see EnergyRecord and Figures. ``energy_scale`` is
+    the energy scale of the motion [J], relative to which an error is judged; see EnergyScale.
+    ``local_error`` is the estimated error of one step, at the first and then at every 64th sample;
+    see local_error. The invariants of the scene follow, each under its name.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     monitor : Monitor
-        Its measurements.
+        Monitor of its energy and timing.
 
     """
 
@@ -276,7 +276,7 @@ class AccuracyEncoder:
         self._message = Template(array_message((*ENTRIES, *self._invariants)))
 
     def encode(self, sample: Sample) -> list[bytes]:
-        """Return the serialised message that belongs to a sample, the newest one."""
+        """Return the serialised message of a sample, which must be the newest one."""
         steps, gradients = self._simulation.steps, self._simulation.gradients
         if self._samples % _ESTIMATED == 0:
             self._local_error = local_error(self._simulation)
@@ -297,14 +297,14 @@ class AccuracyEncoder:
 
 def encode_feedback(simulation: Simulation) -> Encode:
     """
-    Return the encoder of ~/joint_trajectory_state, while the servo follows a path.
+    Return the encoder of ~/joint_trajectory_state, which is sent while the servo follows a path.
 
-    Its three points are the reference, what is, and their difference.
+    Its three points are the reference, the actual state, and their difference.
 
     Parameters
     ----------
     simulation : Simulation
-        With a servo, whose joints are always the same.
+        Simulation with a servo, whose joints never change.
 
     """
     motors = simulation.motors
@@ -328,18 +328,18 @@ def encode_feedback(simulation: Simulation) -> Encode:
 
 
 CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-# Each message costs every node with use_sim_time; 100 Hz of simulated time [ns].
+# Period of /clock: 100 Hz of simulated time, as each message costs every use_sim_time node [ns].
 CLOCK_PERIOD = 10_000_000
 
 
 class ClockEncoder:
-    """Encode the stamps [ns] of samples, none twice and at most a hundred per simulated second."""
+    """Encoder of /clock: no stamp is repeated, and at most 100 are sent per simulated second."""
 
     def __init__(self) -> None:
         self._last = 0
 
     def encode(self, sample: Sample) -> list[bytes]:
-        """Return the message of a sample, if it is due; one before the last starts over."""
+        """Return the clock message of a sample if it is due; an earlier stamp restarts it."""
         if 0 <= sample.stamp - self._last < CLOCK_PERIOD:
             return []
         self._last = sample.stamp
@@ -347,7 +347,7 @@ class ClockEncoder:
 
 
 def clock_message(stamp: int) -> bytes:
-    """Return the message of a stamp [ns]."""
+    """Convert a stamp [ns] to a serialised `rosgraph_msgs/Clock`."""
     message = Clock()
     message.clock.sec, message.clock.nanosec = divmod(stamp, 10**9)
     return serialize_message(message)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics that the simulator publishes; a new topic is one more row of OUTPUTS."""
+"""The topics that the simulator publishes; to add a topic, add a row to OUTPUTS."""
 
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
@@ -31,32 +31,32 @@ from visualization_msgs.msg import MarkerArray
 
 TICKS = QoSProfile(depth=10)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# An alarm, or an answer, is not to be replaced by the next one before it has arrived.
+# The next alarm or answer must not replace one that has not yet arrived.
 _ALARMS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-# Events are rare, and each counts: who subscribes late, or is found late, has them all the same.
+# Events are rare and all matter: late subscribers receive the earlier ones too.
 _EVENTS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Material(NamedTuple):
     """
-    A configured run, as messages are made of it.
+    A configured run, from which messages are made.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     monitor : Monitor
-        What is measured of it.
+        Monitor of the run.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p that drawings leave room for.
+        Lowest and highest q and p that fit into drawings.
     mechanism : str or None
-        What is drawn as markers.
+        Name of the mechanism drawn as markers, if any.
     frame_id : str
         Frame of the markers and of odometry.
     events : bool
-        Whether the scene has events.
+        True if the scene has events.
     spread : SpreadTopic or None
-        What comes apart, of an ensemble whose uncertainty the scene asks for.
+        Spread of an ensemble whose uncertainty the scene publishes, if any.
 
     """
 
@@ -76,24 +76,24 @@ class Output(NamedTuple):
     Parameters
     ----------
     topic : str
-        Its name in the node.
+        Name relative to the node.
     message_type : type
-        Type of its messages.
+        Class of the messages.
     qos : QoSProfile
-        What its publisher offers.
+        QoS profile that the publisher offers.
     when : callable
-        ``when(settings, material)`` returns whether it exists. It is asked at the start of the
-        configuration, without material, so that other nodes discover the topic while the scene is
-        compiled; and again with the material.
+        ``when(settings, material)`` returns a true value if the topic exists. It is called at the
+        start of the configuration with None for the material, so that other nodes discover the
+        topic while the scene is compiled, and again with the material.
     make : callable, optional
-        ``make(material, publisher)`` returns the encoder of its samples. Without one, messages
-        are sent by ``Topics.send``.
+        ``make(material, publisher)`` returns the encoder of the samples. Without one, messages are
+        sent with ``Topics.send``.
     encoder : callable, optional
-        ``encoder(coordinates)`` does the same where that needs the coordinates alone; bags of
-        sweeps hold these topics as well.
+        ``encoder(coordinates)`` replaces `make` if the encoder depends on the coordinates alone;
+        bags of sweeps also contain these topics.
     recorded : str
-        ``'tick'``: one message in each sample of a bag, in the order of the rows; ``'apart'``: as
-        a message with a stamp of its own; empty: not at all.
+        ``'tick'``: one message in each sample of a bag, in the order of the rows; ``'apart'``: a
+        message with its own stamp; empty: not recorded.
 
     """
 
@@ -106,14 +106,14 @@ class Output(NamedTuple):
     encoder: Callable[[Sequence[Coordinate]], Encode] | None = None
 
     def encode(self, run: Material, publisher: Publisher) -> Encode | None:
-        """Return the encoder of its samples, None without one."""
+        """Return the encoder of the samples, or None if the topic has none."""
         if self.encoder is not None:
             return self.encoder(run.simulation.hamiltonian.coordinates)
         return self.make and self.make(run, publisher)
 
 
 SCENE = Output('~/scene', String, LATCHED, recorded='apart')
-# Alarms are recorded; the figures of each second are not.
+# Alarms are recorded; the periodic statuses are not.
 DIAGNOSTICS = Output('/diagnostics', DiagnosticArray, _ALARMS, recorded='apart')
 EVENTS = Output('~/events', DiagnosticArray, _EVENTS, lambda settings, run: run and run.events,
                 recorded='apart')
@@ -127,7 +127,7 @@ PREDICTION_ERROR = Output(
     recorded='apart')
 STATE_SET = Output('~/state_set', DiagnosticArray, _ALARMS, lambda settings, run: run)
 JOINT_STATES = Output('joint_states', JointState, TICKS, recorded='tick', encoder=encode_joints)
-# As a robot's state publisher calls it.
+# The topic name that robot_state_publisher uses.
 ROBOT = Output('robot_description', String, LATCHED,
                lambda settings, run: run and run.simulation.hamiltonian.robot)
 
@@ -145,7 +145,7 @@ def _spread(run: Material) -> SpreadTopic:
     return run.spread
 
 
-# A sample goes out in this order: who is paced by /clock has its time before the sample.
+# Topics are published in this order: a node paced by /clock gets the time before the sample.
 OUTPUTS = (
     Output(CLOCK_TOPIC, Clock, CLOCK_QOS, lambda settings, run: settings.publish_clock,
            lambda run, publisher: ClockEncoder().encode),
@@ -170,11 +170,11 @@ OUTPUTS = (
            lambda run, publisher: _spread(run).encode, 'apart'),
     PREDICTION_ERROR, EVENTS, DIAGNOSTICS, SCENE, STATE_SET, ROBOT,
 )
-# What bags of sweeps hold.
+# Topics that bags of sweeps contain.
 SAMPLED = tuple(output for output in OUTPUTS if output.encoder is not None)
 
 
 def encode_sample(coordinates: Sequence[Coordinate]) -> Encode:
-    """Return the encoder of a sample, one message for each of SAMPLED."""
+    """Return an encoder that makes one message of a sample for each of SAMPLED."""
     encoders = [output.encoder(coordinates) for output in SAMPLED if output.encoder is not None]
     return lambda sample: [payload for encode in encoders for payload in encode(sample)]

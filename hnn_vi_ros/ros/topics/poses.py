@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The poses of bodies: odometry of those that turn, and markers of a mechanism."""
+"""Poses of bodies: odometry of rotating bodies, and markers of a mechanism."""
 
 from collections.abc import Callable, Sequence
 import time
@@ -16,25 +16,25 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 class OdometryEncoder:
     """
-    Serialise one message for each body: its pose in space, its velocities in its own frame.
+    Encoder of odometry: for each body its pose in space and its velocities in its own frame.
 
-    As the definition of the message says: the pose is in ``header.frame_id``, the twist, linear
-    and angular, in ``child_frame_id``, which is the name of the coordinate. Axes follow REP 103
-    and REP 105. A body that turns about a point is in the origin. The state is exact: all
-    covariances are zero.
+    As the message definition requires, the pose is in ``header.frame_id``, and the twist, linear
+    and angular, is in ``child_frame_id``, the name of the coordinate. Axes follow REP 103 and
+    REP 105. A body that rotates about a fixed point is placed at the origin. All covariances are
+    zero, because the state is exact.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        In the order of q.
+        Coordinates in the order of q.
     frame_id : str
-        Frame of space.
+        Fixed frame of space.
 
     """
 
     def __init__(self, coordinates: Sequence[Coordinate], frame_id: str):
         q, p = columns(coordinates)
-        # Message, first column of the place in q and in p or None, of the attitude in q and in p.
+        # Message; first columns of the position in q and p, or None; those of the attitude.
         self._bodies: list[tuple[Template, tuple[int, int] | None, int, int]] = []
         for coordinate in coordinates:
             if coordinate.kind == 'scalar':
@@ -57,7 +57,7 @@ class OdometryEncoder:
                 position = sample.q[place[0]:place[0] + 3].tolist()
                 linear = _to_body(quaternion, velocities[place[1]:place[1] + 3])
             numbers = template.numbers
-            # Behind the seven numbers of the pose stands its covariance.
+            # The covariance of the pose follows its seven numbers.
             for target, value in zip((*numbers[:7], *numbers[8:14]), (
                     *position, *quaternion, *linear, *velocities[turning:turning + 3]),
                     strict=True):
@@ -78,29 +78,29 @@ def _to_body(quaternion: Sequence[float], vector: Sequence[float]) -> list[float
     return components
 
 
-# Wall time from one message to the next [s].
+# Wall time between two messages [s].
 _PERIOD = 1.0 / 30.0
-# Points of a trail.
+# Maximum number of points of a trail.
 _LONGEST = 1000
 
 
 class MarkerEncoder:
     """
-    Make markers of a mechanism while somebody subscribes; otherwise build nothing.
+    Encoder of the markers of a mechanism, active only while the topic has subscribers.
 
     Each part is one marker whose namespace is its name: a line strip, a cube or a sphere. A trail
-    is the line of the places at which it was published.
+    is the polyline of the positions at which it was published.
 
     Parameters
     ----------
     subscribers : callable
-        Returns their number.
+        Returns the number of subscribers.
     mechanism : callable
-        What to draw for q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
+        Returns the parts to draw for q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     reach : float
-        Largest coordinate that the drawing leaves room for.
+        Largest coordinate that fits into the drawing.
     frame_id : str
-        Frame that the markers are drawn in.
+        Frame of the markers.
 
     """
 
@@ -112,7 +112,7 @@ class MarkerEncoder:
         self._markers: dict[str, Marker] = {}
 
     def encode(self, sample: Sample) -> list[MarkerArray]:
-        """Return the message of a sample, if it is time to and somebody listens."""
+        """Return the message of a sample if it is due and the topic has subscribers."""
         now = time.monotonic()
         if now < self._due:
             return []
@@ -122,7 +122,7 @@ class MarkerEncoder:
     def _message(self, sample: Sample) -> MarkerArray:
         parts = self._mechanism(sample.q[None], self._reach)
         if not self._markers or sample.stamp < self._newest:
-            # A trail does not lead from one run to another.
+            # A trail must not connect one run to the next.
             self._markers = {name: _marker(name, self._frame_id, part)
                              for name, part in parts.items()}
         self._newest = sample.stamp
@@ -136,7 +136,7 @@ class MarkerEncoder:
 
 
 def _marker(name: str, frame_id: str, part: Part) -> Marker:
-    """Return the marker of a part at its place."""
+    """Return the marker of a part at its current place."""
     marker = Marker(ns=name, id=0, action=Marker.ADD)
     marker.header.frame_id = frame_id
     marker.pose.orientation.w = 1.0

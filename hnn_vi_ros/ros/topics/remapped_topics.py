@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of the simulator that were remapped: how that is recorded, and read from a bag."""
+"""Remapped topics of the simulator: how the remapping is recorded and read from a bag."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -13,21 +13,21 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-# ~/scene and the bag hold the remapping under this key.
+# Key of the remapping in ~/scene and in the bag.
 KEY = 'remapped'
 _STRING = 'std_msgs/msg/String'
 
 
 def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
     """
-    Return what topics of a node are called, by their full names, where these are others.
+    Return the new names of the remapped topics of a node, by their original full names.
 
     Parameters
     ----------
     node : Node
-        That was given rules of remapping, or none.
+        Node, with or without remapping rules.
     topics : iterable of str
-        Names in its code, such as ``'~/state'``.
+        Names in the code of the node, such as ``'~/state'``.
 
     """
     names = {expand_topic_name(topic, node.get_name(), node.get_namespace()):
@@ -37,12 +37,12 @@ def remapped(node: Node, topics: Iterable[str]) -> dict[str, str]:
 
 def own_topics(reader: BagReader) -> dict[str, int]:
     """
-    Return the channels of a bag by their topics; one that was remapped by its own name as well.
+    Return the channels of a bag by topic; a remapped one also has its original name as a key.
 
     Parameters
     ----------
     reader : BagReader
-        Of a bag of the simulator, or of another recorder that holds ~/scene.
+        Reader of a bag of the simulator, or of another recorder that contains ~/scene.
 
     """
     topics = {channel.topic: number for number, channel in reader.channels.items()}
@@ -60,7 +60,7 @@ def own_topics(reader: BagReader) -> dict[str, int]:
 
 
 def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
-    """Yield the texts that may be scenes: that of the bag, else the first of each such topic."""
+    """Yield possible texts of scenes: that of the bag, or the first message of each such topic."""
     if (kept := reader.attachment('scene.yaml')) is not None:
         yield kept
         return
@@ -68,7 +68,7 @@ def _scenes(reader: BagReader, topics: dict[str, int]) -> Iterator[bytes | str]:
         schema = reader.schemas.get(reader.channels[number].schema_id)
         if topic.endswith('/scene') and schema is not None and schema.name == _STRING:
             for message in reader.messages([number]):
-                # One that is none of this type is reported where it is needed.
+                # A message of another type is reported by the code that needs it.
                 with suppress(RuntimeError):
                     yield deserialize_message(message.data, String).data
                 break

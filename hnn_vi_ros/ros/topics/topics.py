@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of the simulator: what a scene does not call for does not exist."""
+"""The topics of the simulator; a topic that the scene does not need is not created."""
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
@@ -25,7 +25,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-# All that there can be: what a scene does not call for is known, but does not exist.
+# All possible topics, including those that a scene does not need and that are not created.
 ENDPOINTS = (
     *(Endpoint(output.topic, 'publisher') for output in OUTPUTS),
     *(Endpoint(one.topic, 'subscription') for one in INPUTS))
@@ -33,10 +33,10 @@ ENDPOINTS = (
 
 class Topics:
     """
-    Topics that the simulator publishes and hears.
+    Topics that the simulator publishes and subscribes to.
 
-    Those that do not depend on the scene are there at once, so that other nodes discover them
-    while the kernel is being compiled; ``open`` adds the others.
+    Publishers that do not depend on the scene are created at once, so that other nodes discover
+    them while the kernel is being compiled; ``open`` creates the others.
 
     Parameters
     ----------
@@ -48,13 +48,13 @@ class Topics:
     Attributes
     ----------
     hearing : Hearing
-        Subscriptions, and what of their messages was ignored.
+        Subscriptions, with counts of the ignored messages.
 
     """
 
     def __init__(self, node: Node, settings: Settings):
         self._node, self._settings = node, settings
-        # By the topics' own names.
+        # Keys are the names in the code, such as '~/state'.
         self._publishers: dict[str, Publisher] = {}
         self._encoders: dict[str, tuple[Output, Encode]] = {}
         self._described: dict[str, Topic] = {}
@@ -66,18 +66,18 @@ class Topics:
              record: Callable[[Topic, int, bytes], None],
              join: Callable[[JointState], JointState | None] = lambda message: message) -> None:
         """
-        Make what depends on the scene: messages, odometry, markers, a robot, and commands.
+        Create the topics that depend on the scene: odometry, markers, robot, commands and others.
 
         Parameters
         ----------
         material : Material
-            Simulation, monitor and the rest that messages are made from.
+            Simulation, monitor and other data that messages are made from.
         stamp : callable
-            Returns that of the state [ns].
+            Returns the stamp of the state [ns].
         record : callable
-            Takes a message that is not part of a sample: its topic, its stamp and its bytes.
+            Records a message that is not part of a sample: its topic, its stamp and its bytes.
         join : callable, optional
-            Returns the observation that a message of the machine completes, if it does.
+            Returns the observation that a message of the machine completes, or None.
 
         """
         simulation = material.simulation
@@ -95,28 +95,28 @@ class Topics:
             self.hearing.hear(WRENCH, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
-        """Take the samples from what is measured of a run, in its initial state."""
+        """Use another monitor for the samples, of a run in its initial state."""
         self._material = self._material._replace(monitor=monitor)
         self._encoders |= self._make(self._ticks)
 
     def send(self, output: Output, payload: Any, stamp: int | None = None) -> None:
-        """Publish a message, and record it with its stamp [ns] if it has one."""
+        """Publish a message; record it if it has a stamp [ns] and its topic is recorded apart."""
         self._publishers[output.topic].publish(payload)
         if stamp is not None and output.recorded == 'apart':
             self._record(self._described[output.topic], stamp, payload)
 
     def close(self) -> None:
-        """Take all topics away."""
+        """Destroy all publishers and subscriptions."""
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)
         self.hearing.close()
 
     def publish_scene(self, text: str) -> None:
-        """Publish the scene, for those as well who subscribe later."""
+        """Publish the scene; late subscribers receive it too."""
         self.send(SCENE, serialize(String(data=text)))
 
     def publish(self, sample: Sample) -> Sequence[bytes]:
-        """Publish a sample; return the messages as they were sent, as the log takes them."""
+        """Publish a sample; return its serialised messages, as the bag records them."""
         payloads: list[bytes] = []
         for output, encode in self._encoders.values():
             messages = encode(sample)
@@ -128,7 +128,7 @@ class Topics:
 
     @property
     def descriptions(self) -> BagTopics:
-        """Return what the log says of the topics."""
+        """Return the descriptions of the topics for the bag."""
         self._describe([*self._ticks, SCENE])
         return BagTopics([self._described[output.topic] for output in self._ticks],
                          self._described[SCENE.topic],
@@ -140,12 +140,12 @@ class Topics:
                    for output in self._ticks)
 
     def wait_for_delivery(self, received: Sequence[int]) -> None:
-        """Let matched subscribers receive what is still on its way; signals shorten it."""
+        """Wait until matched subscribers have received pending messages; signals end the wait."""
         wait_for_delivery(self._node, [self._publishers[output.topic] for output in (
             *self._ticks, DIAGNOSTICS)], received)
 
     def sole(self, follows_clock: bool, joins: bool) -> list[str]:
-        """Return the topics of which one publisher is expected; observations may be joined."""
+        """Return the topics that need a single publisher; joined observations may have several."""
         several = (INITIAL_STATE, *[OBSERVATIONS] * joins)
         driven = [one.topic for one in INPUTS
                   if one.topic in self.hearing.topics and one not in several]
@@ -157,7 +157,7 @@ class Topics:
         return [output for output in self._outputs if output.recorded == 'tick']
 
     def _create(self, material: Material | None) -> None:
-        """Create the publishers that are called for and not there yet."""
+        """Create the publishers that are needed and do not exist yet."""
         self._outputs = [one for one in OUTPUTS if one.when(self._settings, material)]
         for output in self._outputs:
             if output.topic not in self._publishers:
@@ -175,7 +175,7 @@ class Topics:
                 publisher.topic_name, output.message_type, publisher.qos_profile)
 
     def _hear_commands(self, one: Input) -> None:
-        """Hear a topic of commands, and record what acts."""
+        """Subscribe to a topic of commands, and record the accepted commands."""
         heard = self.hearing.hear(one, partial(self._take, one))
         self._described[one.topic] = describe_topic(
             heard.topic_name, one.message_type, heard.qos_profile)
@@ -186,10 +186,10 @@ class Topics:
         stamp = self._stamp()
         assert one.read is not None, 'it holds commands'
         self._material.simulation.set_command(one.read(message, stamp))
-        # Anew, not as it came: the padding is the sender's, which no two runs have in common.
+        # Serialised again, because the sender's padding bytes differ from run to run.
         self._record(self._described[one.topic], stamp, serialize(message))
 
     def _on_wrench(self, message: WrenchStamped) -> None:
-        # The bag records the equivalent command, from which the run can be simulated again.
+        # The bag records the equivalent command, so that the run can be simulated again from it.
         self._take(INPUTS[0], Float64MultiArray(data=command_of(
             message, self._body or '', self._material.simulation.command_names)))
