@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Start nodes, log, and end their processes."""
+"""Start-up, logging, and shutdown of node processes."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The variables that ROS reads before any node: some of its libraries end the process."""
+"""Check of the environment variables of ROS, since some of its libraries abort the process."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -12,28 +12,28 @@ import sys
 
 from hnn_vi_ros.errors import did_you_mean, ParameterError
 
-# The distributions that are tried, by the first number of their rclpy's version.
+# The tested distributions, by the major version of their rclpy.
 DISTRIBUTIONS = {'7': 'jazzy', '9': 'kilted'}
 _INDEX = 'share/ament_index'
 _RANGES = ('SUBNET', 'LOCALHOST', 'OFF', 'SYSTEM_DEFAULT')
-# Beyond it the ports of DDS are none of UDP (DDSI-RTPS 2.5, 9.6.1: 7400 + 250 d + 1 <= 65535).
+# Larger domains give invalid UDP ports (DDSI-RTPS 2.5, 9.6.1: 7400 + 250 d + 1 <= 65535).
 _LARGEST_DOMAIN = 232
 
 
 def settle_ros_environment() -> None:
     """
-    Set where ROS is, if only this environment tells, and check what ROS reads before any node.
+    Add ROS from this environment to AMENT_PREFIX_PATH if needed, and check the variables of ROS.
 
-    ROS ignores some values, or takes them for others: a domain of -1, a range that is misspelt.
+    ROS ignores or misreads some invalid values: a domain of -1, a misspelt discovery range.
 
     Raises
     ------
     ParameterError
-        A variable has a value that ROS cannot take, or nothing tells where ROS is.
+        A variable has an invalid value, or no ROS installation is found.
 
     """
     if not any(_middlewares()):
-        # A workspace may be sourced, and the ROS below it not.
+        # A workspace may be sourced without the ROS installation that it builds on.
         prefixes = [*_prefixes(), sys.prefix]
         if Path(sys.prefix, _INDEX).is_dir():
             os.environ['AMENT_PREFIX_PATH'] = os.pathsep.join(prefixes)
@@ -62,7 +62,7 @@ def settle_ros_environment() -> None:
 
 
 def distribution() -> str:
-    """Return the name of the ROS 2 that Python imports, or the version of its rclpy."""
+    """Return the name of the ROS 2 distribution that Python imports, or its rclpy version."""
     for name in ('ros-rclpy', 'rclpy'):
         with suppress(metadata.PackageNotFoundError):
             version = metadata.version(name)
@@ -76,10 +76,10 @@ def _prefixes() -> list[str]:
 
 
 def _middlewares() -> Iterator[str]:
-    """Yield the names of the middlewares that the index of ament has; nothing without one."""
+    """Yield the names of the middlewares in the ament index; nothing without an index."""
     for prefix in _prefixes():
         folder = Path(prefix, _INDEX, 'resource_index', 'rmw_typesupport')
         if folder.is_dir():
-            # The package that loads one of them is in the index as well.
+            # The index also lists rmw_implementation, which loads one of the middlewares.
             yield from (path.name for path in folder.iterdir()
                         if path.name != 'rmw_implementation')

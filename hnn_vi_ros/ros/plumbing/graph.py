@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Joining the graph and leaving it: subscribers, and messages that are under way by then."""
+"""Discovery of subscribers at the start, and delivery of pending messages at the end."""
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -14,21 +14,21 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-# How long a thread may hold the interpreter while another one wants it [s]. With Python's 5 ms,
-# whoever serves would wait that long after each call to the system, and messages would be late.
+# Switch interval of the interpreter [s]. With Python's default of 5 ms, the serving thread would
+# wait that long after each system call, and messages would be late.
 THREAD_TURN = 2e-4
-# Wall time between two looks at who subscribes [s].
+# Wall time between two counts of the subscribers [s].
 DISCOVERY_PERIOD = 0.02
-# Subscribers whose number has not changed for so long are taken for all there are [s].
+# Discovery is complete once the number of subscribers has not changed for this time [s].
 _SETTLED = 0.5
-# Limit on the delivery of the last messages [s], and how often signals are looked for.
+# Timeouts of the delivery of the last messages [s], and the period at which signals are checked.
 _DELIVERY, _DELIVERY_AFTER_SIGNAL = 10.0, 1.0
 _DELIVERY_TURN = 0.1
 
 
 def freeze_memory() -> None:
-    """Leave what is there out of every garbage collection, which would stop all for 0.1 s."""
-    # Cycles that an earlier run of the node left behind are not there to stay.
+    """Exclude existing objects from garbage collection, whose pauses would take 0.1 s."""
+    # Garbage cycles of an earlier run of the node are unfrozen, so that they are collected.
     gc.unfreeze()
     gc.collect()
     gc.freeze()
@@ -36,16 +36,16 @@ def freeze_memory() -> None:
 
 class Discovery:
     """
-    Wait for subscribers that are there already: DDS takes some 1.5 s to find a node.
+    Wait for existing subscribers: DDS takes about 1.5 s to discover a node.
 
-    The wait begins here, when the publishers are made, whatever else is done meanwhile.
+    The wait begins with the construction of this object and proceeds in parallel with other work.
 
     Parameters
     ----------
     subscribers : callable
-        Returns their number.
+        Returns the number of subscribers.
     longest : float
-        Wall time after which it is over in any case [s].
+        Wall time after which the wait ends in any case [s].
 
     """
 
@@ -56,7 +56,7 @@ class Discovery:
 
     @property
     def over(self) -> bool:
-        """Look who is there; return whether that is all."""
+        """Count the subscribers; return True once discovery is complete."""
         now, found = time.monotonic(), self._subscribers()
         if found != self._count:
             self._count, self._since = found, now
@@ -65,12 +65,12 @@ class Discovery:
 
 
 def nodes_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
-    """Return the full names of the nodes that have some endpoints, one for each, in order."""
+    """Return the sorted full names of the nodes of endpoints, one per endpoint."""
     return sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in endpoints)
 
 
 def crowded(node: Node, topics: Iterable[str]) -> str:
-    """Return which of the topics that a node takes part in have several publishers, if any."""
+    """Return a warning that names the topics of a node with several publishers, '' if none has."""
     found = {node.resolve_topic_name(topic): nodes_of(node.get_publishers_info_by_topic(topic))
              for topic in topics}
     return '; '.join(
@@ -80,12 +80,12 @@ def crowded(node: Node, topics: Iterable[str]) -> str:
 
 class Lasting:
     """
-    Log a warning once, when it has come twice running: a graph changes in steps.
+    Filter that logs a warning once, after two successive calls with it: a graph changes in steps.
 
     Parameters
     ----------
     warn : callable
-        Logs it.
+        Logs a warning.
 
     """
 
@@ -93,7 +93,7 @@ class Lasting:
         self._warn, self._newest, self._told = warn, '', ''
 
     def __call__(self, text: str) -> str:
-        """Return a warning that lasts; nothing else."""
+        """Return the warning if the call before had the same one, else ''."""
         lasts, self._newest = text == self._newest, text
         if not lasts:
             return ''
@@ -106,19 +106,19 @@ class Lasting:
 def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Sequence[int]
                       ) -> None:
     """
-    Let matched subscribers receive what is still on its way, as long as they may need.
+    Wait until matched subscribers have received pending messages, or until a timeout.
 
-    Who is slow has ten seconds at the end of a run, and one where a signal has ended it; what
-    some subscriber lacks then is logged.
+    The timeout is ten seconds at the end of a run, and one second after a signal. Topics with
+    undelivered messages are then logged.
 
     Parameters
     ----------
     node : Node
-        That logs it.
+        Node that logs the warning.
     publishers : iterable of Publisher
-        Whose messages they are.
+        Publishers of the messages.
     received : sequence of int
-        The signals that came, to which a handler adds.
+        Received signals; a handler appends to it.
 
     """
     begin, late = time.monotonic(), []
@@ -133,7 +133,7 @@ def wait_for_delivery(node: Node, publishers: Iterable[Publisher], received: Seq
 
 
 def spin(node: Node, over: Callable[[], object]) -> SingleThreadedExecutor:
-    """Spin a node until that is over; return the executor, which nobody spins then."""
+    """Spin a node until `over` returns true; return the executor, which is then no longer spun."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while not over():
@@ -143,17 +143,17 @@ def spin(node: Node, over: Callable[[], object]) -> SingleThreadedExecutor:
 
 def take_once(executor: SingleThreadedExecutor) -> bool:
     """
-    Handle a message of each topic that has one, and go on with each handler that waited.
+    Handle one message of each topic that has one, and resume each waiting handler.
 
     Parameters
     ----------
     executor : SingleThreadedExecutor
-        That nobody spins.
+        Executor that is not being spun.
 
     Returns
     -------
     bool
-        Whether there was anything to do.
+        True if anything was handled.
 
     """
     taken = False
@@ -161,7 +161,7 @@ def take_once(executor: SingleThreadedExecutor) -> bool:
         while True:
             handler, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
             handler()
-            # Raises what its callback has raised.
+            # Raises the exception of the callback, if any.
             handler.result()
             taken = True
     return taken

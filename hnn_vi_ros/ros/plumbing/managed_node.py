@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that outlive a wrong /clock, and whose slow transitions may be refused."""
+"""Nodes that survive an invalid /clock, and lifecycle nodes whose transitions can be slow."""
 
 from collections.abc import Awaitable, Callable, Sequence
 import math
@@ -32,18 +32,18 @@ from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock
 
 CLOCK_TOPIC = '/clock'
-# Of several publishers of /clock one is followed until it is silent for so long [s]; what goes
-# back, or is so much ahead [ns], is another's.
+# With several publishers of /clock, one is followed until it is silent for this time [s]; a time
+# that goes back, or leaps ahead by more than this [ns], is attributed to another publisher.
 _CLOCK_SILENCE, _CLOCK_STEP = 5.0, 10**9
 
 
 def steady_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
-    """Return a timer by wall time; on ROS time it would stall in a pause of /clock."""
+    """Return a timer on wall time; on ROS time it would stall while /clock is paused."""
     return node.create_timer(period, callback, clock=SteadyClock(clock_type=ClockType.STEADY_TIME))
 
 
 def follows_clock(node: Node) -> bool:
-    """Return whether the time of a node is that of /clock."""
+    """Return True if the clock of a node follows /clock."""
     clock = node.get_clock()
     assert isinstance(clock, ROSClock), 'that of a node is one'
     return clock.ros_time_is_active
@@ -51,12 +51,12 @@ def follows_clock(node: Node) -> bool:
 
 class PaceClock:
     """
-    The time by which a node is paced: that of /clock under use_sim_time, else a steady one.
+    Clock that paces a node: ROS time under use_sim_time, otherwise a steady clock.
 
     Parameters
     ----------
     node : Node
-        Whose parameter use_sim_time counts.
+        Node whose parameter use_sim_time selects the clock.
 
     """
 
@@ -64,28 +64,28 @@ class PaceClock:
         self._node, self._first = node, 0
 
     def __call__(self) -> float:
-        """Return the time since some start [s]; it stands until /clock begins."""
+        """Return the time since an arbitrary start [s]; it is constant until /clock begins."""
         if not self.led:
             return time.monotonic()
         now = self._node.get_clock().now().nanoseconds
-        # A float could not tell nanoseconds of the epoch.
+        # A float cannot resolve nanoseconds since the epoch.
         self._first = self._first or now
         return (now - self._first) * 1e-9
 
     @property
     def led(self) -> bool:
-        """Return whether it is that of /clock."""
+        """Return True if the time is that of /clock."""
         return follows_clock(self._node)
 
 
 class RobustNode(Node):
     """
-    A node that follows one /clock, whose times are possible; it names unknown parameters.
+    Node that follows a single /clock with valid times, and names unknown parameters in errors.
 
     Attributes
     ----------
     after_clock : callable
-        Called after each message of /clock, where use_sim_time asks for these.
+        Called after each message of /clock under use_sim_time.
 
     """
 
@@ -93,13 +93,13 @@ class RobustNode(Node):
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Callable[[Any], None],
                             *args: Any, **more: Any) -> Subscription:
-        """See Node, which subscribes to /clock by it wherever use_sim_time asks for that."""
+        """Filter messages of /clock, to which Node subscribes with this method."""
         if topic == CLOCK_TOPIC:
             callback = self._heeding(callback)
         return super().create_subscription(msg_type, topic, callback, *args, **more)
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """See Node, whose answer to an unknown name, by every service, does not name it."""
+        """Set parameters; in contrast to Node, name an unknown parameter in the result."""
         for name in (parameter.name for parameter in parameter_list):
             if not self.has_parameter(name):
                 known = sorted(self.list_parameters([], 0).names)
@@ -121,7 +121,7 @@ class RobustNode(Node):
                     f'{CLOCK_TOPIC}: message ignored: {problem}', throttle_duration_sec=1.0)
                 return
             now = time.monotonic()
-            # No message tells who sent it.
+            # Messages do not identify their publishers.
             if (now - heard < _CLOCK_SILENCE and not 0 <= at - newest <= _CLOCK_STEP
                     and self.count_publishers(CLOCK_TOPIC) > 1):
                 self.get_logger().warning(
@@ -135,11 +135,11 @@ class RobustNode(Node):
         return on_clock
 
 
-# Wall time from one look at signals to the next, where nothing happens [s]. The end of such a wait
-# costs a turn, half a tick at 1 kHz.
+# Wall time between two checks for signals while the node is idle [s]. Each timeout of a wait
+# costs a turn of the executor, which is half a tick at 1 kHz.
 _LOOK = 0.1
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-# What others may ask for; the rest are steps inside of a transition.
+# Transitions that clients may request; the others are internal steps.
 _PUBLIC = {
     Transition.TRANSITION_CONFIGURE: 'on_configure',
     Transition.TRANSITION_CLEANUP: 'on_cleanup',
@@ -153,16 +153,16 @@ _PUBLIC = {
 
 class ManagedNode(LifecycleNodeMixin, RobustNode):
     """
-    A lifecycle node that keeps serving during a long transition.
+    A lifecycle node that continues to serve during a long transition.
 
     Here ``on_configure`` may be a coroutine, which awaits the work of ``in_thread``. Its
-    publishers are ordinary ones, which cost nothing more for each message: a node that is not
-    active has nothing to publish.
+    publishers are ordinary ones, which add no cost per message: a node that is not active has
+    nothing to publish.
 
     Parameters
     ----------
     name : str
-        Of the node.
+        Name of the node.
 
     Attributes
     ----------
@@ -174,9 +174,9 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
     def __init__(self, name: str):
         with plain_ros_errors():
             RobustNode.__init__(self, name, automatically_declare_parameters_from_overrides=True)
-        # All services of this group answer while a transition is under way.
+        # All services of this group answer during a transition.
         LifecycleNodeMixin.__init__(self, callback_group=ReentrantCallbackGroup())
-        # The mixin's own handler lets the error of an illegal transition end the process.
+        # With the mixin's own handler, the error of an illegal transition would end the process.
         answer_changes(self, self._on_change_state)
         self._machine = state_machine(self)
         self._threads: list[threading.Thread] = []
@@ -185,16 +185,16 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
 
     @property
     def state(self) -> int:
-        """Return the number of the state, one of lifecycle_msgs/State."""
+        """Return the ID of the state as in lifecycle_msgs/State."""
         return self._machine.current_state[0]
 
     @property
     def ticking(self) -> bool:
-        """Return whether a timer calls so often that signals are noticed by its calls."""
+        """Return True if a timer fires so often that its calls are enough to notice signals."""
         return False
 
     def stop(self, status: int, reason: str) -> None:
-        """Let the process end with this status, and say why."""
+        """Let the process end with this exit status, and log the reason."""
         if self.exit_status is None:
             self.exit_status = status
             log(self, reason, 'ERROR' if status else 'INFO')
@@ -205,20 +205,20 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
         return SUCCESS
 
     async def autostart(self) -> None:
-        """Configure and activate; raise what makes that impossible."""
+        """Configure and activate; raise the error of a transition that fails."""
         if await self.change_state(Transition.TRANSITION_CONFIGURE):
             await self.change_state(Transition.TRANSITION_ACTIVATE)
 
     def serve(self, received: Sequence[int], autostart: bool) -> SingleThreadedExecutor:
         """
-        Serve until the node has an exit status; return the executor, which nobody spins then.
+        Serve until the node has an exit status; return the executor, which is then not spun.
 
         Parameters
         ----------
         received : sequence of int
-            Signals that have come, to which a handler adds.
+            Received signals; a handler appends to it.
         autostart : bool
-            Whether to configure and activate without being asked to.
+            True to configure and activate at once, without a request.
 
         """
         executor = SingleThreadedExecutor()
@@ -232,35 +232,35 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
             try:
                 executor.spin_once(timeout_sec=None if self.ticking else _LOOK)
             except RCLError as problem:
-                # Such as a client that is gone before its answer: no reason to stop.
+                # For example, a client that is gone before its answer: no reason to stop.
                 self.get_logger().warning(
                     f'ROS: {" ".join(str(problem).split())}', throttle_duration_sec=1.0)
         return executor
 
     def end(self, status: int) -> int:
-        """Destroy the node and return the status; end the process if a thread is at work."""
+        """Destroy the node and return the status; exit the process if a thread is busy."""
         busy = any(thread.is_alive() for thread in self._threads)
         self.destroy_node()
         if busy:
-            # A compilation that nobody needs cannot be interrupted, nor be left to run into the
-            # end.
+            # A compilation can be neither interrupted nor left running into the shutdown of the
+            # interpreter.
             sys.stdout.flush()
             os._exit(status)
         return status
 
     def wait(self, seconds: float) -> None:
-        """Wait at most so long for the threads at work."""
+        """Wait at most this long for each thread at work [s]."""
         for thread in list(self._threads):
             thread.join(seconds)
 
     async def change_state(self, transition: int) -> bool:
         """
-        Go through a transition; return whether it succeeded.
+        Perform a transition; return True if it succeeded.
 
         Raises
         ------
         HnnViRosError
-            From the callback; the transition has failed then.
+            Raised by the callback; the transition has failed.
 
         """
         available = {found[0] for found in self._machine.available_transitions}
@@ -276,7 +276,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
             found = getattr(self, _PUBLIC[transition])(before)
             result = await found if isinstance(found, Awaitable) else found
         except GeneratorExit:
-            # The process ends first, and ROS has ended already.
+            # The process is ending, and ROS is already shut down.
             raise
         except BaseException:
             self._end_transition(FAILURE)
@@ -292,12 +292,12 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
 
     @property
     def spinner(self) -> Executor:
-        """Return the executor, which there is while the node is spun."""
+        """Return the executor, which exists while the node is spun."""
         assert self.executor is not None
         return self.executor
 
     async def in_thread(self, work: Callable[[], Any]) -> Any:
-        """Let a thread do the work; return what it returns, raise what it raises."""
+        """Run the work in a thread; return its result or raise its exception."""
         future, executor = Future(), self.spinner
 
         def run() -> None:
@@ -307,7 +307,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                 future.set_exception(problem)
             executor.wake()
 
-        # A daemon: nobody waits for a compilation that is not needed any more.
+        # A daemon thread, since nothing waits for a compilation that is no longer needed.
         thread = threading.Thread(target=run, daemon=True)
         self._threads.append(thread)
         sys.setswitchinterval(THREAD_TURN)
@@ -323,7 +323,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
                                response: ChangeState.Response) -> ChangeState.Response:
         transition = request.transition.id
         if request.transition.label:
-            # The state machine's own look-up raises for an unknown name.
+            # The state machine's own look-up raises for an unknown label.
             transition = next((found[0] for found in self._machine.available_transitions
                                if found[1] == request.transition.label), 0)
         try:

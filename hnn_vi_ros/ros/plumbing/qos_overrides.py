@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""QoS policies that are set from outside, ``qos_overrides.<topic>.publisher.<policy>``."""
+"""QoS policies set by parameters, ``qos_overrides.<topic>.publisher.<policy>``."""
 
 from collections.abc import Callable, Iterable
 from copy import copy
@@ -19,7 +19,7 @@ _NAMED = {'durability': DurabilityPolicy, 'history': HistoryPolicy,
           'reliability': ReliabilityPolicy, 'liveliness': LivelinessPolicy}
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
 POLICIES = (*_NAMED, 'depth', *_DURATIONS)
-# The middleware counts messages with 32 bits, rclpy nanoseconds with 63.
+# The middleware counts messages in 31 bits, and rclpy counts nanoseconds in 63 bits.
 _MOST, _LONGEST = 2**31 - 1, 2**63 - 1
 
 
@@ -30,9 +30,9 @@ class Endpoint(NamedTuple):
     Parameters
     ----------
     topic : str
-        Its name, which may be relative or private.
+        Name of the topic, which may be relative or private.
     kind : str
-        Which of the two.
+        Kind of the endpoint.
 
     """
 
@@ -41,15 +41,15 @@ class Endpoint(NamedTuple):
 
 
 def parameter_names(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
-    """Return the names of all parameters by which the QoS of a node can be set."""
-    # Nothing outlives its lifespan in a subscription.
+    """Return the names of all parameters that can set the QoS of a node."""
+    # A lifespan has no effect on a subscription.
     return [f'{PREFIX}{node.resolve_topic_name(topic)}.{kind}.{policy}'
             for topic, kind in endpoints for policy in POLICIES
             if kind == 'publisher' or policy != 'lifespan']
 
 
 def expected(name: str, value: object) -> str:
-    """Return what a value of a QoS parameter has to be, or nothing if it is that."""
+    """Return the expected form of a QoS parameter, or '' if the value is valid."""
     policy = name.rpartition('.')[2]
     if policy in _NAMED:
         choices = [key for key in _NAMED[policy].short_keys() if key != 'unknown']
@@ -61,14 +61,14 @@ def expected(name: str, value: object) -> str:
 
 
 def create_publisher(node: Node, message_type: type, topic: str, qos: QoSProfile) -> Publisher:
-    """Create a publisher whose QoS the user can set."""
-    # A copy: rclpy writes into the profile, which other topics may share.
+    """Create a publisher whose QoS can be overridden by parameters."""
+    # Copied, because rclpy modifies the profile, which other topics may share.
     return node.create_publisher(message_type, topic, copy(qos), qos_overriding_options=_options())
 
 
 def create_subscription(node: Node, message_type: type, topic: str, callback: Callable[..., None],
                         qos: QoSProfile, **more: Any) -> Subscription:
-    """Create a subscription whose QoS the user can set."""
+    """Create a subscription whose QoS can be overridden by parameters."""
     return node.create_subscription(
         message_type, topic, callback, copy(qos), qos_overriding_options=_options(), **more)
 

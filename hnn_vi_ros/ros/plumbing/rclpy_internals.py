@@ -1,13 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Internals of rclpy that are used; nothing public of it does the same.
+Internals of rclpy that this package uses, for lack of a public alternative.
 
-Its errors RCLError and UnknownROSArgsError have no public name, and neither has the type of a
-node's logger. A managed node's own handler of ``change_state`` lets the error of an illegal
-transition end the process, which is prevented only by an answer of ours from the same service.
-A callback gets one message, and none of the others that wait.
-What its loggers write goes past the streams of Python.
+The errors RCLError and UnknownROSArgsError and the type of a node's logger have no public names.
+The default handler of ``change_state`` lets the error of an illegal transition end the process;
+the only remedy is another callback of the same service. A subscription passes one message to its
+callback, and gives no access to the other waiting ones. Loggers write to the terminal directly
+and not through the streams of Python.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,7 +31,7 @@ _write_to_log = rclpy_implementation.rclpy_logging_rcutils_log
 
 
 def log_plainly() -> None:
-    """Let each entry of the log be one line that any terminal shows; see errors.printable."""
+    """Write each log entry as one line of printable characters; see errors.printable."""
     rclpy_implementation.rclpy_logging_rcutils_log = _write_plainly
 
 
@@ -40,18 +40,18 @@ def _write_plainly(severity: int, name: str, message: str, *place: Any) -> None:
 
 
 def answer_changes(node: 'LifecycleNodeMixin', callback: Callable[..., Any]) -> None:
-    """Let a callback answer the service ``change_state`` of a node."""
+    """Replace the callback of the service ``change_state`` of a node."""
     node._service_change_state.callback = callback
 
 
 def state_machine(node: 'LifecycleNodeMixin') -> Any:
-    """Return the state machine of a node: its state, and what it can be asked for."""
+    """Return the state machine of a node: its state and its available transitions."""
     return node._state_machine
 
 
 def log(node: Node, text: str, level: str) -> None:
     """Log a line; level is INFO, WARN or ERROR."""
-    # On lines of their own: rclpy ties the line of a call to one severity.
+    # On separate lines, since rclpy allows one severity per calling line.
     if level == 'INFO':
         node.get_logger().info(text)
     elif level == 'WARN':
@@ -61,7 +61,7 @@ def log(node: Node, text: str, level: str) -> None:
 
 
 def waiting(subscription: Subscription) -> Iterator[Any]:
-    """Take the messages of a subscription that wait, as its callback would get them."""
+    """Take and yield the waiting messages of a subscription, in the form its callback gets."""
     while True:
         with subscription.handle:
             found = subscription.handle.take_message(subscription.msg_type, subscription.raw)

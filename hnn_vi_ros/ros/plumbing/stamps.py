@@ -1,16 +1,16 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time stamps of messages from outside: checked once, and in the order in which they count."""
+"""Checks of the time stamps of incoming messages: validity and order."""
 
 from collections.abc import Callable
 from typing import Any
 
-# The last time that a stamp can hold [ns].
+# The latest time that a stamp can hold [ns].
 LATEST = 2**31 * 10**9 - 1
 
 
 def nanoseconds(time: Any) -> int:
-    """Return a time or a duration of ROS [ns]; ValueError if it is negative or not normalised."""
+    """Convert a time or duration of ROS to nanoseconds; ValueError if negative or invalid."""
     if time.sec < 0 or time.nanosec >= 10**9:
         raise ValueError(f'a time of {time.sec} s and {time.nanosec} ns: expected at least 0 s '
                          'and less than 10^9 ns')
@@ -19,9 +19,9 @@ def nanoseconds(time: Any) -> int:
 
 class Stamps:
     """
-    Times of the messages of one source, which rise.
+    Check that the times of the messages of one source increase.
 
-    A zero stamp is time 0 if it comes first; after any other message it means the time of arrival.
+    A stamp of zero means time 0 in the first message, and the time of arrival in later ones.
 
     Parameters
     ----------
@@ -40,10 +40,10 @@ class Stamps:
 
     def settle(self, paused: bool) -> None:
         """
-        Go on without an accepted message for long: clocks may have been set back.
+        Relax the check after a long time without an accepted message: clocks may go back.
 
-        The next time must be later than that of the newest message, or only differ from it after
-        a pause in which no message has come.
+        The next time must then be later than that of the newest message. After a pause without any
+        message it must only differ from it.
         """
         self._accepted = -1 if paused else self._newest
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Starting ROS in a process: its arguments, its errors in a line, and signals."""
+"""Start of ROS in a process: its arguments, one-line errors, and signals."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -22,12 +22,12 @@ _SYNTAX = 'parameters are given as: --ros-args -p NAME:=VALUE, remaps as: --ros-
 
 def own_arguments(argv: Sequence[str]) -> list[str]:
     """
-    Return the arguments that are not ROS's.
+    Return the arguments that are not for ROS.
 
     Raises
     ------
     ParameterError
-        ``NAME:=VALUE`` in the manner of launch, which ROS would take for a remap and ignore.
+        ``NAME:=VALUE`` in launch syntax, which ROS would take for a remapping and ignore.
 
     """
     ours = True
@@ -42,12 +42,12 @@ def own_arguments(argv: Sequence[str]) -> list[str]:
 
 def init_ros(argv: Sequence[str]) -> None:
     """
-    Initialise rclpy without its signal handlers, which would end the context at once.
+    Initialise rclpy without its signal handlers, which would shut down the context at once.
 
     Raises
     ------
     ParameterError
-        ROS does not understand its arguments; one line.
+        ROS rejects its arguments; one line.
 
     """
     spare_output()
@@ -58,8 +58,8 @@ def init_ros(argv: Sequence[str]) -> None:
 
 @contextmanager
 def plain_ros_errors() -> Iterator[None]:
-    """Turn what ROS refuses into a ParameterError of one line."""
-    # Its own log of the same error would add further lines.
+    """Convert errors of ROS to a ParameterError of one line."""
+    # The log of rcl would repeat the same error on further lines.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         with warnings.catch_warnings(action='ignore', category=RuntimeWarning):
@@ -79,14 +79,14 @@ def plain_ros_errors() -> Iterator[None]:
                      'keystore: see docs/how-to/security.md, or set ROS_SECURITY_ENABLE=false')
         raise ParameterError(f'ROS: {text}') from problem
     finally:
-        # Unless --log-level has set it.
+        # Undone here, except where --log-level has set another level.
         if get_logger_effective_level('rcl') == LoggingSeverity.FATAL:
             set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
 @contextmanager
 def ros_process(argv: Sequence[str]) -> Iterator[list[int]]:
-    """Initialise ROS until the block ends; yield the list of signals, see ``note_signals``."""
+    """Initialise ROS for the duration of the block; yield the list of ``note_signals``."""
     init_ros(argv)
     try:
         yield note_signals()
@@ -96,9 +96,9 @@ def ros_process(argv: Sequence[str]) -> Iterator[list[int]]:
 
 def note_signals() -> list[int]:
     """
-    Let the signals that end a node end nothing by themselves; return the list they appear in.
+    Record the signals that end a node, without any other effect; return the list of them.
 
-    SIGHUP, of a terminal that is closed, is one of them, unless it is ignored (``nohup``).
+    SIGHUP, which a closed terminal sends, is one of them unless it is ignored (``nohup``).
     """
     received: list[int] = []
     for number in ENDING:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Episodes of a sweep as bags, like those that the simulator records."""
+"""Episodes of a sweep as bags in the format that the simulator records."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,31 +18,31 @@ _NODE = '/hnn_simulator'
 
 
 def main(argv: list[str]) -> int:
-    """Run ``sweep`` for a command line that asks for bags."""
+    """Run ``sweep`` with a command line that requests bags."""
     return running.main(argv, write_bags)
 
 
 def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:
     """
-    Write each episode as a bag, ``episode-000007`` in a folder.
+    Write each episode as a bag in a folder, named like ``episode-000007``.
 
-    It holds what the simulator would record of the scene with the episode's values: ``replay``
-    publishes it and ``replay --verify`` confirms it. What varied is in its scene, and in its
-    attachment ``sweep.yaml``.
+    A bag holds the topics that the simulator would record for the scene with the values of the
+    episode: ``replay`` publishes it and ``replay --verify`` confirms it. The varied values are
+    in its scene and in its attachment ``sweep.yaml``.
 
     Parameters
     ----------
     plan : SweepPlan
-        Of the sweep.
+        Plan of the sweep.
     episodes : iterator of Episode
-        Its trajectories.
+        Trajectories of the sweep.
     folder : Path
-        Of the bags; none of them may exist.
+        Folder for the bags; none of them may exist.
 
     Raises
     ------
     RecordingError
-        A bag exists already, or cannot be written.
+        A bag already exists or cannot be written.
 
     """
     topics = [_topic(*output[:3]) for output in SAMPLED]
@@ -54,7 +54,7 @@ def write_bags(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> No
             'parameters.yaml': dump_yaml({'publish_rate': 1.0 / sampler.tick}).encode(),
             'sweep.yaml': dump_yaml({
                 **plan.record['sweep'], 'index': episode.number, 'values': values}).encode(),
-            # Its noise is not that of a run of the scene by itself.
+            # The noise of an episode differs from that of a separate run of the scene.
             STATE_FILE: state_file(simulation)})
         sink.write_other(_topic(*SCENE[:3]), sampler.stamp, serialize(String(data=report)))
         encode = encode_sample(simulation.hamiltonian.coordinates)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hand out recorded messages at their times, against a steady clock."""
+"""Playback of recorded messages at their times, against a steady clock."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -13,18 +13,18 @@ from hnn_vi_ros.recording import Recorded
 from hnn_vi_ros.ros.topics.messages import CLOCK_PERIOD
 import numpy as np
 
-# Read ahead: so many batches, each of so many messages and bytes at most.
+# Read ahead: number of batches, and the largest number of messages and of bytes in a batch.
 _BATCHES, _MESSAGES, _BYTES = 16, 256, 2**18
-# Timing errors that are kept.
+# Number of timing errors kept for the statistics.
 _ERRORS = 1_000_000
-# What is longer than this many seconds of wall time between two messages looks like a hang.
+# A longer wall time between two messages looks like a hang and is reported [s].
 _SILENCE = 5.0
-# The time a step may take to be done [s].
+# Timeout of a step [s].
 _LONGEST_STEP = 5.0
 
 
 def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
-    """Return what yields what an iterator yields; a thread asks it in advance, from now on."""
+    """Return an iterator over the same items, which a thread reads in advance from now on."""
     reader = ThreadPoolExecutor(1, 'read ahead')
     batches = deque(reader.submit(_batch, messages) for _ in range(_BATCHES))
 
@@ -44,7 +44,7 @@ def read_ahead(messages: Iterator[Recorded]) -> Iterator[Recorded]:
 
 
 def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | None]:
-    """Return the next messages, none at the end, and what kept more from being read."""
+    """Return the next messages, [] at the end, and the exception that ended reading, if any."""
     batch: list[Recorded] = []
     size = 0
     try:
@@ -60,37 +60,37 @@ def _batch(messages: Iterator[Recorded]) -> tuple[list[Recorded], Exception | No
 
 class Player(threading.Thread):
     """
-    Publish messages when they are due, in a thread of its own.
+    Thread that publishes messages when they are due.
 
-    A deadline is reckoned from the start, not from the message before, so that nothing drifts.
+    Deadlines are measured from the start, so that timing errors do not accumulate.
 
     Parameters
     ----------
     read : callable
         Returns the messages from the start on, in the order of their times.
     publish : callable
-        Takes a message.
+        Publishes a message.
     tell_time : callable or None
-        Takes the bag's time [ns], for /clock: every 10 ms of it.
+        Publishes the bag's time [ns] on /clock, for every 10 ms of it.
     first, last : int
-        Times at which playing begins and ends [ns].
+        Times at which playback begins and ends [ns].
     rate : float
         Seconds of the bag per second of wall time.
     loop : bool
-        Whether to begin again at the end.
+        True to begin again at the end.
     paused : bool
-        Whether to begin paused.
+        True to begin paused.
     longest_pause : float
-        Time between two messages of which the rest is skipped [s]; 0 skips nothing.
+        Longest pause between two messages [s]; any excess is skipped; 0 skips nothing.
     tell : callable or None
-        Takes a line about a pause that is waited for, or skipped.
+        Logs a line about a long pause that is waited for or skipped.
 
     Attributes
     ----------
     published : int
-        Messages so far.
+        Number of messages published so far.
     problem : BaseException or None
-        What ended it before its time.
+        Exception that ended the playback early.
 
     """
 
@@ -104,7 +104,7 @@ class Player(threading.Thread):
         self._longest_pause, self._tell = round(longest_pause * 1e9), tell
         self._changed = threading.Condition()
         self._paused, self._stopped, self._stepping = paused, False, False
-        # The bag's time at a time of the steady clock [ns].
+        # Time of the bag, and the time of the steady clock at which it was reached [ns].
         self._position, self._since = first, time.monotonic_ns()
         self._clock_due = 0
         self._errors: deque[int] = deque(maxlen=_ERRORS)
@@ -115,16 +115,16 @@ class Player(threading.Thread):
         """Play until the end, or until it is stopped."""
         try:
             messages = self._read()
-            # Once the first message is there already.
+            # Start the clock after the first message has been read.
             upcoming: Iterator[Recorded] = chain(list(islice(messages, 1)), messages)
             self._since = time.monotonic_ns()
             while True:
-                # Those of the next round are read while this one is played.
+                # The messages of the next round are read while this one is played.
                 messages, upcoming = upcoming, self._read() if self._loop else iter(())
                 if not self._play(messages) or not self._loop:
                     return
                 with self._changed:
-                    # Due now, or a while ago: nothing drifts from round to round either.
+                    # The next round starts at the deadline of this one, so that nothing drifts.
                     self._since = self._deadline(self._last) if not self._paused \
                         else time.monotonic_ns()
                     self._position = self._first
@@ -132,14 +132,14 @@ class Player(threading.Thread):
             self.problem = problem
 
     def stop(self) -> None:
-        """Publish no more, and wait for the end."""
+        """Stop publishing, and wait for the thread to end."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
         self.join()
 
     def set_paused(self, paused: bool) -> None:
-        """Pause, or go on from where it was paused."""
+        """Pause, or resume from where it was paused."""
         with self._changed:
             now = time.monotonic_ns()
             if paused and not self._paused:
@@ -150,7 +150,7 @@ class Player(threading.Thread):
             self._changed.notify_all()
 
     def step(self) -> int | None:
-        """Publish all messages of the next time, which is returned; None if it is not paused."""
+        """Publish all messages of the next time and return that time; None if it is not paused."""
         with self._changed:
             if not self._paused or self._stopped or not self.is_alive():
                 return None
@@ -161,7 +161,7 @@ class Player(threading.Thread):
             return self._position if done else None
 
     def timing_errors(self) -> dict[str, float]:
-        """Return how late messages were [ms]: median, p99 and the largest; empty without any."""
+        """Return the lateness of the messages [ms]: median, p99 and largest; empty without any."""
         if not self._errors:
             return {}
         errors = np.array(self._errors) * 1e-6
@@ -175,11 +175,11 @@ class Player(threading.Thread):
         return self._since + round((stamp - self._position) / self._rate)
 
     def _play(self, messages: Iterator[Recorded]) -> bool:
-        """Play a round from the start to the end; False if it was stopped."""
+        """Play one round from start to end; return False if it was stopped."""
         self._clock_due = max(self._first, 1)
         step, before = None, self._first
         for message in messages:
-            # All messages of a step's time are one step.
+            # A step publishes all messages with the same time.
             if step != message.time:
                 if step is not None:
                     self._end_step(step)
@@ -203,7 +203,7 @@ class Player(threading.Thread):
         return going
 
     def _shorten(self, before: int, after: int) -> None:
-        """Skip what is too long of the pause between two messages, and tell of a long one."""
+        """Skip the excess of a pause between two messages, and report a long one."""
         pause, line = (after - before) * 1e-9, ''
         if 0 < self._longest_pause < after - before:
             skipped = after - before - self._longest_pause
@@ -223,7 +223,7 @@ class Player(threading.Thread):
             self._changed.notify_all()
 
     def _wait(self, stamp: int) -> bool:
-        """Wait until a time of the bag is due, or a step wants it; False if it was stopped."""
+        """Wait until a time of the bag is due or a step is requested; return False if stopped."""
         while True:
             with self._changed:
                 if self._stopped:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run that a bag was recorded from: its scene, its states, its last one."""
+"""Run that a bag was recorded from: its scene, its samples, its last state."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray, String
 
-# No two stamps are further apart [ns].
+# Upper bound on the time between two stamps [ns].
 _LONGEST = 2**63
-# How far back from its end a bag is searched for its last state, each time farther [ns].
+# The last state is searched for in the last part of the bag; increasing lengths of it [ns].
 _BACK = (10**9, 10**11, 2**64)
 
 
@@ -32,20 +32,20 @@ class Resumption:
     """
     The point from which a simulator continues a log.
 
-    Of the run before, the log keeps the state (q, p) and the time. It keeps no solver memory, so
-    that an implicit method's next steps differ by round-off from the steps of an unbroken run;
-    nor the work so far, the random numbers drawn, or the last command.
+    The log keeps the state (q, p) and the time of the run before. It does not keep the memory of
+    the solver, so the next steps of an implicit method differ by round-off from an uninterrupted
+    run. It also lacks the work so far, the random numbers drawn, and the last command.
 
     Parameters
     ----------
     scene : Scene
-        The recorded one, its initial state the last state of the log.
+        Recorded scene, whose initial state is the last state of the log.
     step : int
-        Steps that the run had taken.
+        Number of steps that the run had taken.
     origin : int
-        Stamp of its step 0 [ns].
+        Stamp of step 0 of the run [ns].
     damage : str
-        Report on the parts of the log that could not be read; else empty.
+        Report on the unreadable parts of the log, '' if there are none.
 
     """
 
@@ -59,36 +59,36 @@ class RecordedRun:
     """
     A run of the simulator, read from its own bag or from that of another recorder.
 
-    Others stamp messages with the time at which they came; then only the headers hold simulated
-    time, and nothing says at which step a command acted.
+    Other recorders stamp messages with their times of arrival. Simulated time is then only in the
+    headers, and the bag does not show at which step a command acted.
 
     Parameters
     ----------
     bag : Path
-        A folder with the files of one bag, or one file; one that was cut off will do.
+        A folder with the files of one bag, or one file; a truncated bag is accepted.
     trust_code : bool, optional
-        Whether Python code that its scene names may be run.
+        True to allow the execution of Python code that the scene names.
     node : str, optional
-        Name of the simulator, which must be there where the bag holds several.
+        Name of the simulator; required if the bag holds several.
 
     Attributes
     ----------
     reader : BagReader
-        Of the bag.
+        Reader of the bag.
     node : str
         Full name of the simulator.
     scene : Scene
-        The simulated scene, without the integrator auto.
+        Simulated scene, in which the integrator auto is replaced by the chosen method.
     described : dict
-        The recorded scene, with where its model came from.
+        Recorded scene as a mapping, including the provenance of the model.
     origin, first_step : int
-        Stamp of step 0 [ns], and the step at the scene's initial state.
+        Stamp of step 0 [ns], and number of the step at the initial state of the scene.
 
     Raises
     ------
     RecordingError
-        The bag cannot be read, does not come from the simulator, or holds several and none of
-        that name.
+        The bag cannot be read, does not come from the simulator, or holds several simulators and
+        none of that name.
 
     """
 
@@ -108,38 +108,38 @@ class RecordedRun:
 
     @property
     def names(self) -> dict[int, str]:
-        """Return the last part of each topic's own name, by channel."""
+        """Return the last part of each topic's original name, by channel."""
         return {number: topic.rpartition('/')[2] for topic, number in self._topics.items()}
 
     def reported(self, first: int = 0) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
         """
-        Yield the stamp [ns] of each sample from a log time on, and its values, by name.
+        Yield the stamp [ns] of each sample from a log time on, and its values by name.
 
-        That is q and p, and from ~/state dp/dt, H and the work as well, these as one number each.
+        The values are q and p and, from ~/state, dp/dt and the arrays [H] and [work].
         """
-        # No other channel was asked for.
+        # Only channels of samples are read.
         for state in (sample for _, sample in self.in_order(self.states, first) if sample):
             yield state.stamp, {'q': state.q, 'p': state.p} | ({
                 'dp/dt': state.dp_dt, 'H': np.array([state.energy]),
                 'work': np.array([state.work])} if self.whole else {})
 
     def samples(self, first: int = 0) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """Yield stamp [ns], q and p of each sample from a log time on."""
+        """Yield the stamp [ns], q and p of each sample from a log time on."""
         for stamp, values in self.reported(first):
             yield stamp, values['q'], values['p']
 
     @property
     def whole(self) -> bool:
-        """Return whether the bag holds ~/state; one of before that has ~/q and ~/p."""
+        """Return True if the bag holds ~/state; older bags have ~/q and ~/p instead."""
         return 'state' in self._names
 
     @cached_property
     def states(self) -> dict[int, str]:
-        """Return the channels that samples are made of, and the last parts of their topics."""
+        """Return the channels of the samples, with the last parts of their topics."""
         return {self._topics[f'{self.node}/{name}']: name for name in self._names}
 
     def state(self, message: Recorded) -> State:
-        """Return the sample of a message of ~/state; RecordingError if it holds none."""
+        """Decode a message of ~/state to a sample; RecordingError if it is invalid."""
         try:
             return decode_state(message.data)
         except ValueError as problem:
@@ -147,7 +147,7 @@ class RecordedRun:
                                  f'{message.time} ns cannot be read: {problem}') from problem
 
     def decoded(self, message: Recorded, kind: type) -> Any:
-        """Return a message of a type of ROS; RecordingError if the bytes are none."""
+        """Deserialise a message of a ROS type; RecordingError if the bytes are invalid."""
         try:
             return deserialize_message(message.data, kind)
         except RuntimeError as problem:
@@ -158,10 +158,10 @@ class RecordedRun:
     def in_order(self, channels: Collection[int], first: int = 0
                  ) -> Iterator[tuple[Recorded, State | None]]:
         """
-        Yield messages from a log time on, and the samples that they hold or complete.
+        Yield messages from a log time on, each with the sample that it holds or completes.
 
-        Without ~/state q and p of one log time are a sample, whose rates, H and work are NaN.
-        RecordingError where samples go back in time: then several runs are in the bag.
+        Without ~/state, q and p of one log time form a sample, whose rates, H and work are NaN.
+        RecordingError if the time of samples goes back: the bag then holds several runs.
         """
         stamp, parts = -2**63, dict[str, Recorded]()
         for message in self.reader.messages(channels, first):
@@ -185,15 +185,15 @@ class RecordedRun:
 
     @property
     def stamped(self) -> bool:
-        """Return whether log times are stamps of the simulator, as in its own bags."""
+        """Return True if log times are stamps of the simulator, as in its own bags."""
         return not self.whole or all(self.state(message).stamp == message.time
                                      for message in self.reader.messages(self.states))
 
     def commands(self) -> Iterator[tuple[int, str, Command]]:
         """
-        Yield the step from which on each command acted, its topic, and what it says.
+        Yield the step from which each command acted, its topic, and the command.
 
-        There are none where the bag does not say at which step they did.
+        Nothing is yielded if the bag does not show the steps at which commands acted.
         """
         inputs = {self._topics[name]: (one, one.read) for one in INPUTS if one.read is not None
                   and (name := f'{self.node}{one.topic[1:]}') in self._topics}
@@ -205,18 +205,18 @@ class RecordedRun:
                     command = read(self.decoded(message, one.message_type), message.time)
                 except ValueError as problem:
                     if not self.own:
-                        continue  # Others record as well what the simulator refuses.
+                        continue  # Other recorders also record commands that are refused.
                     raise RecordingError(f'{self.reader.path}: {topic}: {problem}') from problem
                 yield self.step_of(message.time), topic, command
 
     @cached_property
     def own(self) -> bool:
-        """Return whether the simulator recorded the bag: then it holds all samples of the run."""
+        """Return True if the simulator recorded the bag, which then has all samples of the run."""
         return bool(self.reader.attachment('scene.yaml'))
 
     @property
     def spacing(self) -> int | None:
-        """Return the time from sample to sample that was asked for [ns]; None if not recorded."""
+        """Return the requested time between two samples [ns]; None if it was not recorded."""
         if (text := self.reader.attachment('parameters.yaml')) is None:
             return None
         where = f'{self.reader.path}: its parameters'
@@ -227,7 +227,7 @@ class RecordedRun:
                 if spacing < _LONGEST:
                     return spacing
         except (OverflowError, ZeroDivisionError):
-            # No float can count the steps of almost no time between two samples.
+            # The number of steps between two samples, or the stamp, exceeds the range of a float.
             pass
         raise RecordingError(f'{where}: publish_rate is no rate')
 
@@ -236,7 +236,7 @@ class RecordedRun:
         return stamp_of(step, self._step_size, self.origin)
 
     def step_of(self, stamp: int) -> int:
-        """Return the step of a stamp; RecordingError if it is not that of a whole one."""
+        """Return the step of a stamp; RecordingError if the stamp is not that of a whole step."""
         step = round((stamp - self.origin) / nanoseconds_of(self._step_size))
         if self.stamp_of(step) != stamp or step < self.first_step:
             raise RecordingError(
@@ -266,7 +266,7 @@ class RecordedRun:
         return value
 
     def _published_scene(self) -> str:
-        """Return the text of ~/scene, for want of a scene that is kept with the bag."""
+        """Return the text of ~/scene, used for bags without an attached scene."""
         name = f'{self.node}/scene'
         channels = [self._topics[name]] if name in self._topics else []
         text = only_scene(((self.decoded(message, String).data, message.time) for message
@@ -280,19 +280,19 @@ class RecordedRun:
 
 def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tuple[str, ...]]:
     """
-    Return the simulators of a bag, and which of their topics tell of the state.
+    Return the simulators of a bag, and the names of the topics that hold their state.
 
     Parameters
     ----------
     reader : BagReader
-        Of the bag.
+        Reader of the bag.
     topics : dict
-        Its channels by topic; see ``own_topics``.
+        Channels of the bag by topic; see ``own_topics``.
 
     Raises
     ------
     RecordingError
-        There is none.
+        The bag holds no simulator.
 
     """
     schemas = {name: reader.schemas.get(reader.channels[number].schema_id)
@@ -311,7 +311,7 @@ def simulators(reader: BagReader, topics: dict[str, int]) -> tuple[list[str], tu
 
 
 def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
-    """Return the full name of the simulator that was asked for, or of the only one."""
+    """Return the full name of the requested simulator, or of the only one."""
     if not name and len(nodes) == 1:
         return nodes[0]
     wanted = f'/{name.lstrip("/")}'
@@ -324,5 +324,5 @@ def _chosen(nodes: Sequence[str], name: str, where: str) -> str:
 
 
 def resume(bag: str | Path, trust_code: bool = False) -> Resumption:
-    """Return what a simulator needs to go on from the last state of a bag; see RecordedRun."""
+    """Return the point from which a simulator can continue a bag; see RecordedRun."""
     return RecordedRun(expand_user(bag), trust_code).resumption()

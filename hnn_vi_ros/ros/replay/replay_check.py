@@ -18,31 +18,31 @@ from hnn_vi_ros.run import restore_state, STATE_FILE
 from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
-# Relative changes of the initial state: one that is far above round-off and far below the motion,
-# and none. Added to -0.0, 0.0 would change it.
+# Relative changes of the initial state: one far above round-off and far below the motion, and
+# no change, which is -0.0 because adding 0.0 would change a -0.0.
 _SHAKE, _NONE = 2.0**-26, -0.0
-# Rounding of one step, in units of the last place of the largest coordinate or momentum: an
-# implicit equation is solved to some of them, and a network sums up hundreds of terms.
+# Round-off of one step, in units in the last place of the largest coordinate or momentum: the
+# solver stops at a few units, and a network sums hundreds of terms.
 _PLACES = 64.0
 _EPSILON = np.finfo(np.float64).eps
-# A bag may ask for so many steps a sample: at 1 to 3 us each, as many as run in real time at a
-# sample a second; and for so many before another recorder's first sample.
+# Maximum steps per sample, and before the first sample of another recorder. At 1 to 3 us per
+# step, 10^6 steps per sample still run in real time at one sample per second.
 _MOST_STEPS, _MOST_BEFORE = 10**6, 10**8
-# Stamps are rounded to nanoseconds, and so are their differences.
+# Error of a difference of stamps, which are rounded to nanoseconds [ns].
 _ROUNDING = 2
-# Fewer differences, or fewer of them alike, are no grid.
+# Minimum number of differences, and minimum share of equal ones, for an evenly spaced grid.
 _LEAST, _SHARE = 3, 0.5
 
 
 class Verdict(NamedTuple):
-    """Verdict of a comparison: in one line, and whether the log is confirmed."""
+    """Verdict of a comparison: text of one line, and True if the log is confirmed."""
 
     text: str
     good: bool
 
 
 class Difference(NamedTuple):
-    """The first difference: its stamp [ns], what is different, and the two values."""
+    """The first difference: its stamp [ns], the quantity, and the two values."""
 
     stamp: int
     name: str
@@ -51,7 +51,7 @@ class Difference(NamedTuple):
 
 
 class Margin(NamedTuple):
-    """The largest difference, what round-off explains there, the stamp [ns], and the quantity."""
+    """The largest difference, the part explained by round-off, its stamp [ns], the quantity."""
 
     difference: float
     explained: float
@@ -68,9 +68,9 @@ def check_replays(bag: Path, trust_code: bool = False, node: str = '') -> Iterat
     bag : Path
         A folder with the files of one bag, or one file.
     trust_code : bool, optional
-        Whether Python code that a scene names may be run.
+        True to allow the execution of Python code that a scene names.
     node : str, optional
-        The simulator whose run is checked; empty checks all.
+        Name of the simulator whose run is checked; empty checks all.
 
     """
     reader = BagReader(bag)
@@ -82,38 +82,38 @@ def check_replays(bag: Path, trust_code: bool = False, node: str = '') -> Iterat
         try:
             verdict = check_replay(bag, trust_code, found)
         except HnnViRosError as problem:
-            # The others are checked all the same.
+            # Continue with the other simulators.
             verdict = Verdict(str(problem), False)
         yield verdict._replace(text=f'{found}: {verdict.text}')
 
 
 def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict:
     """
-    Simulate the run of a bag again, from its scene and first state, and compare each sample.
+    Simulate the run of a bag again from its scene and first state, and compare each sample.
 
-    A sample is compared in all that ~/state holds, or in q and p for a bag from before ~/state.
+    A sample is compared in all values of ~/state, or in q and p for older bags without ~/state.
 
-    Parts of the bag that cannot be read, and samples that are missing from the even grid on which
-    they come, are reported, and then the log is not confirmed.
+    Unreadable parts of the bag and samples missing from the even grid of stamps are reported, and
+    the log is then not confirmed.
 
     Parameters
     ----------
     bag : Path
         A folder with the files of one bag, or one file.
     trust_code : bool, optional
-        Whether Python code that its scene names may be run.
+        True to allow the execution of Python code that the scene names.
     node : str, optional
-        Name of the simulator, which must be there where the bag holds several.
+        Name of the simulator; required if the bag holds several.
 
     Raises
     ------
     HnnViRosError
-        The bag does not come from the simulator, or what it simulated is not there any more.
+        The bag does not come from the simulator, or a file that the run used is missing.
 
     """
     run = RecordedRun(bag, trust_code, node)
     simulation = _simulation(run)
-    # Now that all that it takes is imported.
+    # Called after the build, which imports the libraries whose versions are compared.
     there, here = run.reader.metadata('hnn_vi_ros'), identity()
     others = {name: there.get(name, 'unknown') for name, value in here.items()
               if there.get(name) != value and (name != 'torch' or name in there)}
@@ -146,13 +146,13 @@ def check_replay(bag: Path, trust_code: bool = False, node: str = '') -> Verdict
 
 
 def _missing(run: RecordedRun, begin: int) -> str:
-    """Return what is to be reported of samples that are missing, or there twice; else empty."""
+    """Return the report on missing or duplicate samples and on damage, '' if there are none."""
     text, stamps = '', [stamp for stamp, _, _ in run.samples()]
     if repeated := [stamp for before, stamp in pairwise(stamps) if stamp == before]:
         text = (f'; BUT {len(repeated)} samples are duplicates, the first at t = '
                 f'{repeated[0] * 1e-9:.9g} s')
     if run.own and stamps:
-        # Others may begin in the middle of a run; the simulator itself records all from here on.
+        # Only the simulator's own bags must begin at the first step; others may begin later.
         stamps.append(run.stamp_of(begin))
     if gaps := missing_stamps(stamps, run.spacing):
         first = gaps[0]
@@ -171,9 +171,9 @@ class Missing(NamedTuple):
     Parameters
     ----------
     after, before : int
-        The stamps around it [ns].
+        Stamps before and after the gap [ns].
     count : int
-        How many stamps are missing in between.
+        Number of missing stamps between them.
 
     """
 
@@ -185,17 +185,17 @@ class Missing(NamedTuple):
 def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = None
                    ) -> list[Missing]:
     """
-    Return the gaps in a grid, whose spacing is the most frequent difference if none is given.
+    Return the gaps in a grid; the default spacing is the most frequent difference.
 
-    Stamps in between, as of single steps in a pause, are not asked for and no harm. Stamps of
-    which less than half are evenly spaced have no gaps.
+    Additional stamps within the grid, such as those of single steps in a pause, are ignored. If
+    less than half of the stamps are evenly spaced, no gaps are returned.
 
     Parameters
     ----------
     stamps : sequence of int
-        In any order [ns].
+        Stamps in any order [ns].
     spacing : int, optional
-        What lies between two of them at most [ns].
+        Largest regular difference between two stamps [ns].
 
     """
     t = np.unique(np.asarray(stamps, dtype=np.uint64))
@@ -208,7 +208,7 @@ def missing_stamps(stamps: Sequence[int] | np.ndarray, spacing: int | None = Non
 
 
 def _frequent(differences: np.ndarray) -> float | None:
-    """Return the most frequent difference; None where less than half are that."""
+    """Return the most frequent difference; None if less than half of them are equal to it."""
     if len(differences) < _LEAST:
         return None
     values, counts = np.unique(differences, return_counts=True)
@@ -218,7 +218,7 @@ def _frequent(differences: np.ndarray) -> float | None:
 
 
 def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
-    """Return a simulation of the bag's beginning, its first state changed by a small part."""
+    """Return a simulation at the start of the bag, its state perturbed by a relative change."""
     simulation = build(run.scene)
     for name, value in simulation.hamiltonian.provenance.items():
         if run.described.get(name, value) != value:
@@ -235,7 +235,7 @@ def _simulation(run: RecordedRun, shake: float = _NONE) -> Simulation:
 
 def _simulated(run: RecordedRun, *simulations: Simulation
                ) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
-    """Yield stamp and values of each sample, with the simulations advanced to it, as driven."""
+    """Yield the stamp and values of each sample, with the simulations advanced to its step."""
     commands = run.commands()
     command = next(commands, None)
     for number, (stamp, values) in enumerate(run.reported(), 1):
@@ -245,7 +245,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
                 f'{run.reader.path}: to verify its sample {number} needs {step - run.first_step} '
                 f'steps of {run.scene.step_size:g} s, expected at most {_MOST_STEPS:.0e} a sample '
                 f'and {_MOST_BEFORE:.0e} before them; is the step_size of its scene right?')
-        # A step publishes its state before it hears commands, which act on the steps after it.
+        # A step publishes its state before it takes commands, which act from the next step on.
         while command is not None and command[0] < step:
             for simulation in simulations:
                 _advance(run, simulation, command[0])
@@ -260,7 +260,7 @@ def _simulated(run: RecordedRun, *simulations: Simulation
 
 
 def _values(simulation: Simulation) -> dict[str, np.ndarray]:
-    """Return the numbers that ~/state would hold for a sample."""
+    """Return the values that ~/state would hold for the current state."""
     rates = momentum_rates(simulation.hamiltonian.rotations, simulation.q, simulation.p,
                            simulation.dH_dq, simulation.dH_dp)
     return {'q': simulation.q, 'p': simulation.p, 'dp/dt': rates,
@@ -279,9 +279,9 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
 
 
 def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:
-    """Let a recorded command act if it did: the simulator records none that it refuses."""
+    """Apply a recorded command; the simulator's own bags hold only accepted commands."""
     try:
-        # Limits of before they were looked at held nothing back.
+        # Own bags may be older than the check of limits, and later ones satisfy them.
         simulation.set_command(command, limited=not run.own)
     except ValueError as problem:
         if run.own:
@@ -289,7 +289,7 @@ def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Comm
 
 
 def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Difference | None]:
-    """Return how many samples agree, one of each stamp, and the first difference after them."""
+    """Return the number of equal samples, counted once per stamp, and the first difference."""
     count, newest = 0, None
     names, momenta = columns(simulation.hamiltonian.coordinates)
     for stamp, values in _simulated(run, simulation):
@@ -310,18 +310,18 @@ def _first_difference(run: RecordedRun, simulation: Simulation) -> tuple[int, Di
 
 def _margin(run: RecordedRun) -> Margin:
     """
-    Return the value whose difference exceeds what round-off explains the most.
+    Return the margin of the value that exceeds the round-off estimate by the largest factor.
 
-    Each step rounds; what it rounds is carried on like a change of the initial state, whose
-    growth a second simulation measures. It changes H by at most that times the largest |dH/dq| +
-    |dH/dp|, the work as much as H or as in the second simulation, and dp/dt as much as there;
-    each of them is rounded by itself besides.
+    The round-off of each step propagates like a change of the initial state, whose growth a second
+    simulation measures. It changes H by at most that times the largest |dH/dq| + |dH/dp|, the work
+    by as much as H or as in the second simulation, and dp/dt by as much as there. The round-off of
+    each of these quantities is added.
     """
     own = _simulation(run)
     try:
         shaken = _simulation(run, _SHAKE)
     except ValueError:
-        # A constraint does not let the state be moved; a growth is then not known.
+        # A constraint does not allow the perturbed state; the growth is then unknown.
         shaken = _simulation(run)
     change = _SHAKE * _size(own)
     sizes, growths = dict.fromkeys(_values(own), 0.0), dict.fromkeys(_values(own), 0.0)
@@ -343,7 +343,7 @@ def _margin(run: RecordedRun) -> Margin:
                 explained += _PLACES * _EPSILON * sizes[kind]
             found = Margin(difference, explained, stamp, kind)
             if np.isnan(difference):
-                # The log holds what is no number: round-off explains none.
+                # The log holds NaN, which round-off does not explain.
                 return found
             if difference and difference * worst.explained >= worst.difference * explained:
                 worst = found
@@ -351,7 +351,7 @@ def _margin(run: RecordedRun) -> Margin:
 
 
 def _size(simulation: Simulation) -> float:
-    """Return the largest coordinate or momentum, 1 where all are zero."""
+    """Return the magnitude of the largest coordinate or momentum, 1 if all are zero."""
     return max(_largest(simulation.q), _largest(simulation.p)) or 1.0
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Publish the topics of a bag again, at their times, or simulate the bag again and compare."""
+"""Node that publishes the topics of a bag at their times; `--verify` simulates it again."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
@@ -35,21 +35,21 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
 _DEPTH = 10
-# rosbag2 writes for ever as the largest time there is.
+# rosbag2 writes an infinite duration as the largest possible one.
 _FOR_EVER = 9_000_000_000
 
 
 def recorded_qos(text: str) -> QoSProfile:
     """
-    Return the QoS with which to publish a recorded topic.
+    Return the QoS profile with which to publish a recorded topic.
 
-    Of several publishers' profiles the first is taken; where a policy is missing, unknown or left
-    to the system, what a publisher has by default: reliable, volatile, keep last 10.
+    The first of several publishers' profiles is used. A policy that is missing, unknown or left to
+    the system has the default of publishers: reliable, volatile, keep last 10.
 
     Parameters
     ----------
     text : str
-        YAML list of profiles, with policies by name or, as older bags have them, by number.
+        YAML list of profiles, whose policies are names or, in older bags, numbers.
 
     """
     first = next(iter(qos_profiles(text)), None)
@@ -62,13 +62,13 @@ def recorded_qos(text: str) -> QoSProfile:
                             ReliabilityPolicy.RELIABLE),
         durability=_policy(DurabilityPolicy, profile.get('durability'),
                            DurabilityPolicy.VOLATILE),
-        # Nobody would assert that a replay lives.
+        # A replay does not assert liveliness manually.
         liveliness=LivelinessPolicy.AUTOMATIC,
         deadline=_duration(profile.get('deadline')), lifespan=_duration(profile.get('lifespan')))
 
 
 def _policy(policies: Any, value: object, default: Any) -> Any:
-    """Return a policy from its name or number, the default if none such can be offered."""
+    """Return a policy by name or number; the default if no publisher can offer it."""
     offered = {policy.short_key: policy for policy in policies
                if policy.name not in ('SYSTEM_DEFAULT', 'UNKNOWN', 'BEST_AVAILABLE')}
     if isinstance(value, int):
@@ -77,7 +77,7 @@ def _policy(policies: Any, value: object, default: Any) -> Any:
 
 
 def _duration(value: object) -> Duration:
-    """Return a time; zero, which means none, for one that is endless or not given."""
+    """Return a duration; an infinite or missing one becomes zero, which means unspecified."""
     if not isinstance(value, dict):
         return Duration()
     seconds, nanoseconds = value.get('sec', 0), value.get('nsec', 0)
@@ -92,25 +92,25 @@ def _is_count(value: object, beyond: int) -> bool:
 
 class ReplayNode(RobustNode):
     """
-    Publish a bag.
+    Node that publishes a bag.
 
     Parameters
     ----------
     bag : Path
         A folder with the files of one bag, or one file.
     values : dict
-        Parameters that were given as options; the others are ROS's.
+        Parameters from command-line options; the others come from ROS.
     arguments : sequence of str
-        The command line, by which these were given.
+        Command line with these options.
 
     Attributes
     ----------
     reader : BagReader
-        Of the bag.
+        Reader of the bag.
     publishers_of : dict
-        The publisher of each channel of it.
+        Publishers by channel of the bag.
     player : Player
-        Which publishes, once ``start_when_discovered`` has started it.
+        Player of the messages, started after the discovery of subscribers.
 
     Raises
     ------
@@ -158,11 +158,11 @@ class ReplayNode(RobustNode):
 
     @property
     def started(self) -> bool:
-        """Return whether playing has begun."""
+        """Return True once the playback has started."""
         return self._timer.is_canceled()
 
     def report(self) -> str:
-        """Return how many messages were published, and how late."""
+        """Summarise the number of published messages and their lateness."""
         player, late = self.player, ''
         if errors := player.timing_errors():
             late = '; late by ' + ', '.join(
@@ -196,7 +196,7 @@ class ReplayNode(RobustNode):
         return publishers
 
     def _heard(self) -> set[str]:
-        """Return the commands that a recorded simulator heard: they would drive one that runs."""
+        """Return the command topics of a recorded simulator, which would drive a running one."""
         topics = own_topics(self.reader)
         heard = {self.reader.channels[number].topic for name, number in topics.items()
                  for one in INPUTS if name.endswith(one.topic[1:])
@@ -207,7 +207,7 @@ class ReplayNode(RobustNode):
         return heard
 
     def _latched(self, first: int) -> Iterator[Recorded]:
-        """Yield what is latched when playing begins: those who subscribe then must have it."""
+        """Yield the latched messages from before the start, for which subscribers then wait."""
         latched = [number for number, publisher in self.publishers_of.items()
                    if publisher.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL]
         if first > self.reader.first:
@@ -263,7 +263,7 @@ def find_type(name: str) -> type:
     """Return the class of a message type, ``'std_msgs/msg/Float64'``; RecordingError if none."""
     package, _, rest = name.partition('/')
     try:
-        # Importing runs code: whatever else a bag names is left alone.
+        # An import runs code, so that only packages of messages are imported.
         if not (package.isidentifier() and has_resource('rosidl_interfaces', package)):
             raise ModuleNotFoundError(f'no package of messages {package!r}')
         found = getattr(import_module(f'{package}.msg'), rest.rpartition('/')[2])
@@ -276,7 +276,7 @@ def find_type(name: str) -> type:
 
 
 def main(argv: list[str]) -> int:
-    """Play a bag, or check its replay, until its end or a signal."""
+    """Play a bag until its end or a signal, or verify it."""
     parser = arguments.replay()
     words = own_arguments(argv)
     options = parser.parse_args(words)
@@ -291,7 +291,7 @@ def main(argv: list[str]) -> int:
             unused = f'--{next(iter(given)).replace("_", "-")}' if given else 'ROS arguments'
             parser.error(f'--verify: publishes nothing, so that {unused} would be without effect; '
                          'leave them out')
-        # Imported here: who only plays does not wait for the compiler.
+        # Imported lazily: playback needs no compiler.
         from hnn_vi_ros.ros.replay.replay_check import check_replays
         good = True
         for verdict in check_replays(options.bag, options.trust_code, options.node):
