@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Control of when a run advances: start, halt, pause, steps by number, reset."""
+"""Control of the progress of a run: start, stop, pause, single steps, reset."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -20,17 +20,17 @@ from rclpy.timer import Timer
 
 # Wall time between two messages on /diagnostics [s].
 _DIAGNOSTICS_PERIOD = 1.0
-# A turn of the executor, which looks through all services, takes about so long [s].
+# Duration of a turn of the executor, which polls all services [s].
 _TURN = 6e-4
-# A service is answered within two seconds: so long it waits for what takes a failing step [s].
+# Longest wait for the compilation that a failing step needs; services answer within 2 s [s].
 _LONGEST_WAIT = 1.0
 
 
 class Answer(NamedTuple):
     """
-    Result of a request, in the terms of std_srvs.
+    Result of a request, with the fields of std_srvs.
 
-    The message of one that moved the run ends in a JSON object: where the run stands by it.
+    If the request moved the run, the message ends in a JSON object with the new step and time.
     """
 
     success: bool
@@ -39,26 +39,26 @@ class Answer(NamedTuple):
 
 class Control:
     """
-    Drive a run by timers of the steady clock.
+    Driver of a run with timers of the steady clock.
 
     Parameters
     ----------
     node : ManagedNode
-        The simulator.
+        The simulator node.
     run : Run
         The run to drive.
     discovery : Discovery
-        The first step waits for it.
+        Discovery of subscribers, which the first step waits for.
     settings : Settings
         The node's parameters.
 
     Attributes
     ----------
     active, paused : bool
-        Whether the node is active, and whether a pause was asked for.
+        True if the node is active; true if a pause was requested.
     stopped : bool
-        Whether the run waits at its initial state to be played, rather than in a pause: a
-        difference that simulation_interfaces makes. Whoever stops it sets this.
+        True if the run waits at its initial state to be started, in contrast to a pause;
+        simulation_interfaces distinguishes the two. Set by the caller that stops the run.
 
     """
 
@@ -68,9 +68,9 @@ class Control:
         self.run.status.paused = self.paused
         self._timers: list[Timer] = []
         self._timer: Timer | None = None
-        # How many nodes of this one's name have been told of.
+        # Number of other nodes with the same name that were reported.
         self._namesakes = 0
-        # Steps of the request that is being worked on, and who waits for its end.
+        # Steps left and steps requested in the current request, and the future of its answer.
         self._left, self._asked = 0, 0
         self._waiting: Future | None = None
         self._progress: Callable[[int, int], None] | None = None
@@ -79,17 +79,17 @@ class Control:
 
     @property
     def running(self) -> bool:
-        """Return whether simulated time advances by itself."""
+        """Return True if simulated time advances by itself."""
         return self.active and not self.paused
 
     @property
     def ticking(self) -> bool:
-        """Return whether the timer runs, and calls at once again after each call."""
+        """Return True if the timer runs and fires again at once after each call."""
         return (self._timer is not None and not self._timer.is_canceled()
                 and self.run.pacer.timer_period < LONGEST_CALL)
 
     def activate(self) -> None:
-        """Go on, for the first time once subscribers that are there have been found."""
+        """Start or resume the run; the first start waits for the discovery of subscribers."""
         self.active, self.stopped = True, False
         self._tell_clock()
         if self.paused:
@@ -99,21 +99,21 @@ class Control:
         self._schedule()
 
     def deactivate(self) -> None:
-        """Stand still and keep everything."""
+        """Pause the run and keep its state."""
         self.active = False
         self._end_request(Answer(False, 'the node was deactivated'))
         self._schedule()
         self.run.recording.flush()
 
     def stop(self) -> None:
-        """Take no more steps, and report how the run has ended."""
+        """Take no more steps, and publish the final diagnostics."""
         self.active = False
         self._end_request(Answer(False, 'the run has ended'))
         if self._timer is not None:
             self.run.publish_diagnostics()
 
     def close(self) -> None:
-        """Take the timers away."""
+        """Destroy the timers."""
         self._end_request(Answer(False, 'the run has ended'))
         self._node.after_clock = lambda: None
         for timer in self._timers:
@@ -121,7 +121,7 @@ class Control:
         self._timers.clear()
 
     def set_paused(self, paused: bool) -> Answer:
-        """Pause or go on; what was missed in a pause is not caught up with."""
+        """Pause or resume; a resumed run does not catch up on the time of the pause."""
         word = 'paused' if paused else 'running' if self.active else 'to run once active'
         self.stopped = False
         if paused != self.paused:
@@ -136,16 +136,16 @@ class Control:
     def request_steps(self, count: int, progress: Callable[[int, int], None] | None = None
                       ) -> Future:
         """
-        Take so many steps in the pause; return what will hold the Answer.
+        Take steps during a pause; return a future of the Answer.
 
         Parameters
         ----------
         count : int
-            How many: what others ask for from now on does not change it.
+            Number of steps; later requests do not change it.
         progress : callable, optional
-            Told after each batch how many were taken, and how many are left. Who hears of
-            progress waits as long as a failing step takes to compile its rescue; others are
-            told to ask again.
+            Called after each batch with the numbers of steps taken and left. With it, the request
+            waits while a failing step compiles its rescue; without it, the answer after a while is
+            to try again.
 
         """
         future = Future()
@@ -162,13 +162,13 @@ class Control:
         return future
 
     def cancel_steps(self, future: Future) -> None:
-        """Take no more steps of the request that this future was returned for."""
+        """Cancel the remaining steps of the request with this future."""
         if self._waiting is future:
             self._end_request(Answer(False, 'cancelled'))
             self._schedule()
 
     def reset(self, time_too: bool) -> Answer:
-        """Go back to the initial state, running or paused as before."""
+        """Return to the initial state; the run stays running or paused."""
         self._end_request(Answer(False, 'the simulation was reset'))
         try:
             self.run.reset(time_too)
@@ -182,7 +182,7 @@ class Control:
                                         reset_time=time_too))
 
     def reset_time(self) -> Answer:
-        """Restart simulated time from the current state; resets go back as before."""
+        """Restart simulated time from the current state; later resets use the previous state."""
         run, start = self.run, self.run.start
         run.start = run.simulation.q.copy(), run.simulation.p.copy()
         try:
@@ -191,7 +191,7 @@ class Control:
             run.start = start
 
     def set_period(self) -> None:
-        """Follow a change of the pace."""
+        """Apply a change of the pace."""
         if self._timer is not None:
             self._timer.timer_period_ns = round(self.run.pacer.timer_period * 1e9)
         if self._led != self.run.pacer.led:
@@ -200,7 +200,7 @@ class Control:
             self._tell_clock()
 
     def _schedule(self) -> None:
-        """Let the timer run while there is something to do, owing nothing as of now."""
+        """Start the timer if there is anything to do, else cancel it; discard any backlog."""
         if self._timer is None:
             return
         self.run.start_clocks()
@@ -210,10 +210,10 @@ class Control:
             self._timer.cancel()
 
     def _start_when_discovered(self) -> None:
-        """Start once discovery is over."""
+        """Start once discovery is complete."""
         if self._discovery.over:
             self._node.destroy_timer(self._timers.pop())
-            # The preparation froze the rest; this freezes the objects made since.
+            # The preparation froze the older objects; this freezes those created since.
             gc.freeze()
             self._warn_of_namesakes()
             self.run.watch()
@@ -222,7 +222,7 @@ class Control:
             self._schedule()
 
     def _publish_diagnostics(self) -> None:
-        # Discovery may take longer than the start.
+        # Nodes of the same name may be discovered after the start.
         self._warn_of_namesakes()
         self.run.publish_diagnostics()
 
@@ -247,16 +247,16 @@ class Control:
             self.run.tell('follows /clock, which use_sim_time asks for', 'INFO')
 
     def _on_clock(self) -> None:
-        """Follow /clock as soon as it goes on."""
+        """Follow /clock as soon as it advances."""
         if self._timer is not None and not self._timer.is_canceled():
             self._on_timer()
 
     def _on_timer(self) -> None:
         """
-        Step for a short while, in batches, so that signals and other callbacks get a turn.
+        Take steps for a short time, in batches, so that signals and other callbacks get a turn.
 
-        Ticks that are shorter than this while are waited for here, and the executor has its turn
-        in a wait that is long enough for it. Commands are heard after each tick.
+        If ticks are shorter than this time, the wait for them is here, and the executor gets its
+        turn during a wait that is long enough. Commands are taken after each tick.
         """
         run, begin = self.run, time.monotonic()
         until = begin + LONGEST_CALL
@@ -280,7 +280,7 @@ class Control:
                 return
 
     def _take_requested(self) -> None:
-        """Take a batch of the steps that were asked for; show where they end."""
+        """Take a batch of the requested steps; publish the state after the last one."""
         taken = self.run.step(self._left)
         if taken is None:
             time.sleep(LONGEST_CALL)
@@ -303,7 +303,7 @@ class Control:
             self._schedule()
 
     def _end_request(self, answer: Answer) -> None:
-        """Answer a request for steps, if there is one, with the number of steps taken."""
+        """Answer the current request for steps, if any, with the number of steps taken."""
         if self._waiting is not None:
             words = [answer.message] * bool(answer.message)
             where = self._where(steps=self._asked - self._left)
@@ -312,7 +312,7 @@ class Control:
             self._node.spinner.wake()
 
     def _where(self, **figures: Any) -> str:
-        """Return figures, and at which step, time [s] and stamp [ns] the run stands, as JSON."""
+        """Return values together with the current step, time [s] and stamp [ns] as JSON."""
         run = self.run
         return json.dumps(figures | {'step': run.simulation.steps, 'time': run.sampler.time,
                                      'stamp': run.sampler.stamp})
@@ -320,7 +320,7 @@ class Control:
 
 class Simulator(ManagedNode):
     """
-    The simulator as its services need it.
+    The simulator node as its services use it.
 
     Attributes
     ----------
@@ -340,4 +340,4 @@ class Simulator(ManagedNode):
     @property
     @abstractmethod
     def refusal(self) -> str:
-        """Return why there is no run to act on."""
+        """Return the reason that there is no run to act on."""

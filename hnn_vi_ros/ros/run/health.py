@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Health of a run: its guards, what becomes of their alarms, and its status in plain words."""
+"""Health of a run: its guards, the publication of their alarms, and its status."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -16,7 +16,7 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import Alarm, EnergyGuard, Guard, Simulation
 
 STEP_FAILED = 'step failed'
-# More samples at a time are told: who controls by them has only the last of each burst.
+# Samples per burst above which to warn: a controller acts on the last sample of a burst only.
 _BURST = 2.5
 # Wall time between two log lines of the same kind [s].
 _REPEATED = 10.0
@@ -24,22 +24,22 @@ _REPEATED = 10.0
 
 class Health:
     """
-    Keep the alarms of a run; report each on /diagnostics, in the bag, the log and the picture.
+    Store of the alarms of a run; reports each on /diagnostics, in the bag, log and picture.
 
     Parameters
     ----------
     stamp_at : callable
         Returns the stamp of a step [ns].
     guards : sequence of Guard
-        What watches it.
+        Guards that watch the run.
     diagnostics : DiagnosticsPublisher
-        Of /diagnostics.
+        Publisher on /diagnostics.
     recording : Recording
-        The files.
+        The open files.
     log : callable
-        Takes a line for the log and its level, INFO, WARN or ERROR.
+        Logs a line with a level, INFO, WARN or ERROR.
     errors : sequence of str
-        Kinds of alarms that are errors; the others are warnings.
+        Kinds of alarms that are errors; all others are warnings.
 
     """
 
@@ -49,15 +49,15 @@ class Health:
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
         self._stamp_at, self._guards, self.errors = stamp_at, guards, errors
         self._diagnostics, self._recording, self._log = diagnostics, recording, log
-        # The newest alarm of each kind in its current form, the step that raised it, how
-        # many there were, and when the log takes the next.
+        # By kind: the newest alarm in its current form, the step that raised it, the number of
+        # alarms, and the time of the next permitted log line.
         self._alarms: dict[str, Alarm] = {}
         self._raised: dict[str, int] = {}
         self._counts: Counter[str] = Counter()
         self._due: dict[str, float] = {}
 
     def add(self, alarm: Alarm, stamp: int) -> None:
-        """Publish an alarm that belongs to a sample, the newest one, of that stamp [ns]."""
+        """Publish an alarm of the newest sample, whose stamp is given [ns]."""
         self._alarms.pop(alarm.kind, None)
         self._alarms[alarm.kind] = alarm
         self._raised[alarm.kind] = alarm.step
@@ -69,51 +69,51 @@ class Health:
         self._recording.event(f'{alarm.kind}: {alarm.message}', word)
         if time.monotonic() >= self._due.get(alarm.kind, -math.inf):
             self._due[alarm.kind] = time.monotonic() + _REPEATED
-            # Its kind is the name under which the page on troubleshooting has its remedy.
+            # The troubleshooting page lists remedies by kind.
             self._log(f'{alarm.kind}: t = {self._time(alarm.step)} s: {alarm.message}', word)
 
     def add_failure(self, failure: StepFailure, step: int, stamp: int) -> None:
-        """Publish that the step after this one failed, after the sample of that stamp [ns]."""
+        """Publish that the step after `step` failed, after the sample of this stamp [ns]."""
         self.add(Alarm(STEP_FAILED, step, failure.relative_residual, math.nan, str(failure), '1'),
                  stamp)
 
     def find(self, kind: str) -> Alarm | None:
-        """Return the newest alarm of a kind, None if there was none."""
+        """Return the newest alarm of a kind, None if there is none."""
         return self._alarms.get(kind)
 
     def status(self, sample: Sample | None = None) -> Status:
         """
-        Return the worst that has happened so far, and the figures of each kind of alarm.
+        Return the status of the worst alarm so far, with the values of each kind of alarm.
 
         Parameters
         ----------
         sample : Sample, optional
-            The newest one, at which the alarms are looked at again.
+            The newest sample, with which the alarms are updated.
 
         """
         if sample is not None:
             self._renew(sample)
-        # The newest wins among equals.
+        # Among equal levels, the newest alarm is reported.
         worst = max(reversed(self._alarms.values()), key=self._level, default=None)
         level, message = OK, 'no alarm'
         if worst is not None:
             level, message = self._level(worst), worst.message
         figures = {f'{alarm.kind}: {key}': value for alarm in self._alarms.values()
                    for key, value in self._figures(alarm).items()}
-        # Results are as good after an overrun as before: it is reported once.
+        # Reported once only, because an overrun does not affect later results.
         self._alarms.pop(OverrunGuard.kind, None)
         return Status('health', level, message, {
             'watched': ', '.join([STEP_FAILED, *(guard.kind for guard in self._guards)]),
             **figures})
 
     def _renew(self, sample: Sample) -> None:
-        """Put in the place of each alarm what its guard says of it now."""
+        """Update each alarm with the current value of its guard."""
         for guard in self._guards:
             if guard.kind in self._alarms and (alarm := guard.renew(sample)) is not None:
                 self._alarms[guard.kind] = alarm
 
     def _time(self, step: int) -> str:
-        """Return the time that a step is stamped with [s]."""
+        """Return the time stamp of a step [s]."""
         return f'{self._stamp_at(step) / 1e9:.9g}'
 
     def _level(self, alarm: Alarm) -> bytes:
@@ -135,20 +135,20 @@ class RunStatus:
     scene : Scene
         The simulated scene, resolved.
     simulation : Simulation
-        Made of it.
+        Simulation of the scene.
     sampler : Sampler
-        Of its samples and their stamps.
+        Sampler, which gives samples and their stamps.
     monitor : Monitor
-        Its measurements.
+        Monitor of energy and timing.
     recording : Recording
-        The files.
+        The open files.
     health : Health
-        The alarms.
+        Store of the alarms.
 
     Attributes
     ----------
     paused : bool
-        Whether the run stands still.
+        True while the run is paused.
 
     """
 
@@ -158,7 +158,7 @@ class RunStatus:
         self._monitor, self._recording, self._health = monitor, recording, health
         self.paused = False
         self._model = _model(scene, simulation)
-        # When the last statuses were published.
+        # Counts at the time of the last statuses.
         self._overruns, self._rescued, self._steps = 0, 0, 0
 
     def statuses(self, pacer: Pacer) -> list[Status]:

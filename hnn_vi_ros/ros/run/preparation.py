@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Prepare a run, which takes long, in another thread than the one that serves."""
+"""Preparation of a run, which takes long and therefore runs in its own thread."""
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -26,7 +26,7 @@ import numpy as np
 
 
 class LogLine(NamedTuple):
-    """A line to log and to show with the samples; level is INFO, WARN or ERROR."""
+    """A line for the log and for display with the samples; level is INFO, WARN or ERROR."""
 
     text: str
     level: str
@@ -35,23 +35,23 @@ class LogLine(NamedTuple):
 def select(scene: Scene, largest_step: float, real_time_factor: float, logger: Logger
            ) -> tuple[Scene, Chosen | None, list[LogLine]]:
     """
-    Return a scene that names its method and step size, the choice, and what to report of it.
+    Choose the method and step size; return the resolved scene, the choice, and log lines on it.
 
     Parameters
     ----------
     scene : Scene
-        With the integrator auto or any other.
+        Scene with the integrator auto or any other.
     largest_step : float
-        A time that the step must divide where the scene names none [s].
+        Time that the step size must divide if the scene does not specify a step size [s].
     real_time_factor : float
-        The pace that is asked for; 0 for as fast as possible.
+        Requested pace; 0 for as fast as possible.
     logger : Logger
-        Told before, since trying methods takes a while.
+        Logger of a line before the calibration, which takes a while.
 
     Raises
     ------
     HnnViRosError
-        No method holds the tolerance, or the scene cannot be built.
+        No method meets the tolerance, or the scene cannot be built.
 
     """
     if isinstance(scene.integrator, AutoChoice):
@@ -64,7 +64,7 @@ def select(scene: Scene, largest_step: float, real_time_factor: float, logger: L
 
 
 def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> list[LogLine]:
-    """Return what to report of a choice at a pace."""
+    """Return log lines on a choice at a pace."""
     lines = [LogLine(choice.explain(tolerance), 'INFO')]
     cost = choice.seconds_per_simulated_second
     if cost * real_time_factor > 1.0:
@@ -76,11 +76,11 @@ def report(tolerance: Tolerance, choice: Choice, real_time_factor: float) -> lis
     return lines
 
 
-# The last stage, from which on there are files.
+# The last stage, which creates the files.
 OPENING = 'opening the files'
-# The picture leaves room for this much simulated time, at the pace of the clock [s].
+# Simulated time that fits into the picture, at a real_time_factor of 1 [s].
 _SEEN = 30.0
-# Wall time between two samples beyond which a pace is taken for a mistake [s].
+# Largest accepted wall time between two samples [s].
 _LONGEST_WAIT = 1e6
 
 
@@ -93,23 +93,23 @@ class Prepared(NamedTuple):
     scene : Scene
         The scene to simulate, resolved.
     chosen : Chosen or None
-        The choice of the integrator auto, if the scene has it.
+        Choice for the integrator auto, if the scene has it.
     simulation : Simulation
-        Made of it, compiled, in its initial state; see ``rescue_ready``.
+        Compiled simulation of the scene in its initial state; see ``rescue_ready``.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p that pictures leave room for.
+        Lowest and highest q and p that fit into pictures.
     report : dict
-        What ``~/scene`` tells.
+        Contents of ``~/scene``.
     recording : Recording
         The open files.
     log_lines : list of LogLine
-        Lines to report.
+        Lines to log.
     origin : int
         Stamp of step 0 [ns].
     members : Members or None
-        Those of an ensemble, if the scene asks for its uncertainty.
+        Members of an ensemble, if the scene specifies an uncertainty.
     twin : Twin or None
-        What compares with a machine, if the scene has an observer.
+        Twin that compares the run with a machine, if the scene has an observer.
 
     """
 
@@ -128,10 +128,10 @@ class Prepared(NamedTuple):
 def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger: Logger,
             begin: Callable[[str], None]) -> Prepared:
     """
-    Load the scene, compile it, look at how it moves, and open the files.
+    Load the scene, compile it, look ahead at its motion, and open the files.
 
-    A run that starts by itself has no files before its first step is due: a process that is
-    killed then leaves as much behind as its bag is old.
+    An autostarted run has no files until its first step is due. If the process is killed, its
+    bag therefore covers the whole time since the creation of the bag.
 
     Parameters
     ----------
@@ -140,16 +140,16 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
     topics : BagTopics
         Topics in the bag.
     discovery : Discovery
-        The first step waits for it.
+        Discovery of subscribers, which the first step waits for.
     logger : Logger
-        It logs progress.
+        Logger of the progress.
     begin : callable
-        Called with a short name for each stage.
+        Called with a short name at the start of each stage.
 
     Raises
     ------
     HnnViRosError
-        A parameter, the scene or its model is not usable, or a file; one line.
+        A parameter, the scene, its model or a file is not usable; one line.
 
     """
     def tell(line: str) -> None:
@@ -184,7 +184,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
         report[KEY] = dict(topics.remapped)
     if settings.autostart:
         _await_subscribers(discovery, begin)
-    # Here, since it takes a while: from now on there are files, to hold all that follows.
+    # Before the files are created, because it takes a while and they must hold all that follows.
     freeze_memory()
     begin(OPENING)
     recording = Recording(logger, scene, simulation, settings, topics, box, report, sampler)
@@ -194,7 +194,7 @@ def prepare(settings: Settings, topics: BagTopics, discovery: Discovery, logger:
 
 
 def _load(settings: Settings) -> tuple[Scene, int, int, str]:
-    """Return the scene, the step and the stamp of step 0 [ns] to go on from, damage of its log."""
+    """Return the scene, the first step, the stamp of step 0 [ns], and damage of a resumed log."""
     step_size, integrator = settings.step_size or None, settings.integrator or None
     if not settings.resume:
         return load_scene(settings.scene).with_overrides(step_size, integrator), 0, 0, ''
@@ -202,7 +202,7 @@ def _load(settings: Settings) -> tuple[Scene, int, int, str]:
         name = 'step_size' if step_size else 'integrator'
         raise ParameterError(f'parameter {name}: cannot be changed in a run that '
                              'is resumed; leave it out, or leave out resume')
-    # Imported here: it reads bags, which few runs begin with.
+    # Imported lazily: only resumed runs read a bag.
     from hnn_vi_ros.ros.replay.recorded_run import resume
     found = resume(settings.resume, settings.trust_code)
     return found.scene, found.step, found.origin, found.damage
@@ -224,17 +224,17 @@ class _Built(NamedTuple):
 
 def _build(scene: Scene, publish_accuracy: bool, logger: Logger, tell: Callable[[str], None]
            ) -> _Built:
-    """Make the simulation and what goes along with it, compiled."""
+    """Return the compiled simulation and its companions."""
     with announced(tell):
         parts = scene.parts()
-    # Outside of what is announced: the loop is looked for, and not compiled, here.
+    # Not announced, since it looks the loop up and does not compile it.
     with compiled_beside(parts), announced(tell):
         simulation = _compile(parts, logger)
     with announced(tell):
         with scene.placed('uncertainty'):
             members = None if scene.uncertainty is None else Members(parts)
         twin = Twin(scene, simulation) if OBSERVATION in simulation.motors.takes else None
-        # What looks into steps, or goes along with them, waits for nothing in the run.
+        # A run with events, accuracy or companions never waits for a compilation.
         alone = not (scene.events or publish_accuracy or members or twin)
         ready = compile_rest(simulation, kept_only if alone else nullcontext)
     return _Built(simulation, members, twin, ready)
@@ -251,14 +251,14 @@ def _compile(parts: Parts, logger: Logger) -> Simulation:
         warnings.simplefilter('always')
         start = time.perf_counter()
         simulation = build(parts)
-        # What guards run is compiled, or found, here, and not while the node is to answer; and
-        # before the loop, which another process may be compiling, and by which paths are tried.
+        # Compile or load the code of the guards here, not while the node must answer; and before
+        # the loop, which may be being compiled by another process and with which paths are tried.
         watch = Watch(simulation, simulation.hamiltonian.barrier, kinds=(
             StateGuard, BandGuard, BoxGuard, EnergyGuard, PoleGuard))
         watch.update(look(simulation))
         _ = watch.alarms
         simulation.compile()
-        # Compile what messages of states and the picture call.
+        # Compile the functions that state messages and the picture call.
         simulation.hamiltonian.energy(simulation.q, simulation.p)
         simulation.hamiltonian.gradient(simulation.q, simulation.p)
     for warning in caught:
@@ -270,7 +270,7 @@ def _compile(parts: Parts, logger: Logger) -> Simulation:
 
 def compile_rest(simulation: Simulation,
                  where: Callable[[], AbstractContextManager[None]] = nullcontext) -> bool:
-    """Compile what a run may need later, or return False: H'', and what takes failed steps."""
+    """Compile H'' and the rescue of failed steps for later; return False if `where` forbids it."""
     try:
         with where():
             simulation.hamiltonian.compile()

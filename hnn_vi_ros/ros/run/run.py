@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A configured run: one scene from its initial state on, its messages, files and figures."""
+"""A configured run: one scene from its initial state, with its messages, files and figures."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -35,27 +35,27 @@ from rclpy.node import Node
 
 class Run:
     """
-    Run of a scene and its sinks; Control decides when it advances.
+    Run of a scene with its outputs; Control decides when it advances.
 
     Parameters
     ----------
     node : Node
-        The simulator.
+        The simulator node.
     topics : Topics
-        Its publishers.
+        Topics of the node.
     prepared : Prepared
-        The scene and its parts.
+        The scene and its compiled parts.
     settings : Settings
         The node's parameters.
     stop : callable
-        Ends the process: its status, and why.
+        Ends the process, given its exit status and the reason.
 
     Attributes
     ----------
     scene, simulation, recording, pacer, sampler
-        The parts that others look at.
+        The parts that are used elsewhere.
     start : tuple of np.ndarray, shape (d,)
-        q and p at which the next reset begins; others may set it.
+        q and p at which the next reset begins; may be assigned.
 
     """
 
@@ -80,11 +80,11 @@ class Run:
             lambda: node.get_clock().now().nanoseconds)
         self.simulation = accompany(
             simulation, [one for one in (self._members, self._twin) if one is not None])
-        # The initial states of the scene itself, of the run since its last reset, and of the next.
+        # The initial states of the scene, of the run since its last reset, and of the next reset.
         self._own_start = self._began_at = self.start = (
             self.simulation.q.copy(), self.simulation.p.copy())
         self._batch, self._last_step, self._waits = 1, math.inf, False
-        # In the sample after the figures are evaluated: both would take longer than a short tick.
+        # True if the guards are due; one sample after the figures, as both exceed a short tick.
         self._look_next = False
         self.sampler = Sampler(self.simulation, settings.publish_rate, prepared.origin)
         clock = PaceClock(node)
@@ -121,7 +121,7 @@ class Run:
             lambda text, first: self.tell(text, 'WARN', first), guards, scale)
 
     def _begin(self, monitor: Monitor) -> None:
-        """Watch and record from an initial state on."""
+        """Start monitoring and recording from the initial state."""
         scene, settings, self._monitor = self.scene, self._settings, monitor
         samples = self.sampler.count(settings.duration)
         self._last_step = self.simulation.steps + samples * self.sampler.every
@@ -129,7 +129,7 @@ class Run:
             f'{scene.name}: {scene.integrator.kind}', f'h = {scene.step_size:g} s',
             *(effect.kind for effect in scene.effects),
             'conservative' if self.simulation.conservative else 'not conservative']), 'INFO')
-        # These belong to the newest sample.
+        # Stamp of the newest sample.
         self._stamp = self.sampler.stamp
         self._health = Health(
             self.sampler.stamp_at, monitor.guards, self._diagnostics, self.recording,
@@ -145,13 +145,13 @@ class Run:
         return [STEP_FAILED, EnergyGuard.kind, *[BoxGuard.kind] * self._settings.stop_outside_box]
 
     def tell(self, text: str, level: str, show: bool = True) -> None:
-        """Log a line, and show it with the samples; level is INFO, WARN or ERROR."""
+        """Log a line, and display it with the samples; level is INFO, WARN or ERROR."""
         log(self._node, text, level)
         if show:
             self.recording.event(text, level)
 
     def watch(self, sample: Sample | None = None, at_once: bool = True) -> None:
-        """Publish what the guards find in a sample, or the state; stop if that was asked for."""
+        """Publish the alarms of a sample, by default the current state; stop if so configured."""
         self._report_alarms(self._monitor.watch(sample or self.sampler.sample(), at_once))
 
     def _report_alarms(self, alarms: Iterable[tuple[Alarm, int]]) -> None:
@@ -162,7 +162,7 @@ class Run:
                 self._stop(1, f'stopped by stop_outside_box at t = {stamp / 1e9:.9g} s')
 
     def publish_diagnostics(self) -> None:
-        """Publish how the run does."""
+        """Publish the status of each component."""
         self._report_alarms(self._monitor.look())
         more = [one.status() for one in (self._spread, self._twin_topic) if one is not None]
         crowd = crowded(self._node, self._topics.sole(
@@ -177,26 +177,26 @@ class Run:
             [*self.status.statuses(self.pacer), *more], self.sampler.stamp, record=False)
 
     def start_clocks(self) -> None:
-        """Owe nothing as of now, and measure the pace from here on."""
+        """Discard any backlog, and measure the pace from now on."""
         self.pacer.restart()
         self._monitor.timing.restart()
         self._status.restart(self.sampler.stamp)
 
     @property
     def at_sample(self) -> bool:
-        """Return whether the next step is the first after a sample."""
+        """Return True if the next step is the first after a sample."""
         return self.simulation.steps % self.sampler.every == 0
 
     def step(self, most: float = math.inf) -> int | None:
         """
-        Take a batch of steps, at most to the next sample, which is handed out then.
+        Take a batch of steps, at most to the next sample, which is then published.
 
         Returns
         -------
         int or None
-            How many; 0 if a step failed. That ends the process, unless messages of others may
-            have brought it about: these must not end a node. None where a step fails and what
-            takes it otherwise is still being compiled: it is tried again by the next call.
+            Number of steps; 0 if a step failed. A failure ends the process, unless incoming
+            messages may have caused it: these must not end a node. None if a step fails whose
+            rescue is still being compiled: the next call tries it again.
 
         """
         simulation, every = self.simulation, self.sampler.every
@@ -217,7 +217,7 @@ class Run:
             self._health.add_failure(
                 failure.dated(self.sampler.time), simulation.steps, self._stamp)
             where = f'at the last good state, t = {self.sampler.time:.9g} s'
-            # Messages of others may have brought it about.
+            # Incoming messages may have caused the failure.
             if self.simulation.motors.takes or self._began_at is not self._own_start:
                 why = self._twin.unstable if self._twin is not None else ''
                 self.tell(f'stands still {where}{why and f": {why}"}; reset it', 'ERROR')
@@ -236,11 +236,11 @@ class Run:
 
     def _hand_out_events(self) -> None:
         """
-        Publish, record, show and log the events since the last call.
+        Publish, record, display and log the events since the last call.
 
-        Each is one message with one status, stamped with its own time. The status' message
-        describes the event; its values are the condition, the direction, the time, the named q and
-        p, and H, with all their digits.
+        Each event is one message with one status, stamped with the time of the event. The status
+        describes the event in its message; its values are the condition, the direction, the time,
+        the named q and p, and H, in full precision.
         """
         if not isinstance(self._watched, WatchedSimulation):
             return
@@ -254,13 +254,13 @@ class Run:
             log(self._node, text, 'INFO')
 
     def _hand_out(self) -> None:
-        """Publish, record and show a sample; the log gets the very bytes that are published."""
+        """Publish, record and display a sample; the log gets the same bytes that are published."""
         begin = time.perf_counter()
         sample = self._sample()
         self._stamp = sample.stamp
         self._monitor.add(sample)
         payloads = self._topics.publish(sample)
-        # What takes long comes behind the messages, which it would delay.
+        # Slow work follows the publication, which it would otherwise delay.
         self.recording.write(sample, payloads)
         look, self._look_next = self._look_next, self._monitor.evaluate()
         if self._look_next:
@@ -280,25 +280,25 @@ class Run:
         return sample if self._members is None else replace(sample, spread=self._members.spread)
 
     def show_state(self) -> None:
-        """Publish and record a state between two samples; what is watched are samples only."""
+        """Publish and record a state between two samples; guards watch samples only."""
         sample = self._sample()
         self._stamp = sample.stamp
-        # Bands belong to samples.
+        # Uncertainty bands are published with samples only.
         self.recording.write(sample, self._topics.publish(replace(sample, spread=None)))
 
     def reset(self, time_too: bool) -> None:
         """
-        Restart in new files; the steps equal any run's from that state.
+        Restart in new files; the steps equal those of any run from that state.
 
         Parameters
         ----------
         time_too : bool
-            Whether the stamps restart as well; else they continue.
+            True to restart the stamps too; otherwise they continue.
 
         Raises
         ------
         ValueError, StepFailure
-            The initial state cannot be used; the one before is then, from the next reset on.
+            The initial state is invalid; the run is unchanged, and resets use the previous one.
 
         """
         self._report_alarms(self._monitor.look())
@@ -314,7 +314,7 @@ class Run:
                 raise problem.dated(origin / 1e9) from problem
             raise
         self._began_at = self.start
-        # The files tell where they begin.
+        # The new files contain the new initial state.
         q, p = (part.tolist() for part in self._began_at)
         self.scene = self.scene.changed({'initial_state': {'q': q, 'p': p}})
         self.sampler = Sampler(self.simulation, self._settings.publish_rate, origin)
@@ -332,7 +332,7 @@ class Run:
         self.watch()
 
     def apply(self, settings: Settings) -> None:
-        """Go on with changed parameters."""
+        """Apply changed parameters."""
         if settings.real_time_factor != self._settings.real_time_factor:
             self.pacer.set_pace(settings.real_time_factor)
             self.start_clocks()
@@ -345,7 +345,7 @@ class Run:
         self._health.errors = self._errors()
 
     def close(self) -> bool:
-        """Close the files and say where they are, without ROS; return whether all is in them."""
+        """Close and report the files, without ROS; return True if they are complete."""
         self._status.close()
         complete = self.recording.close()
         self.recording.report()
