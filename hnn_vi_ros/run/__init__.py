@@ -4,8 +4,8 @@
 """
 One run without ROS: sampling, pace, monitoring, files of a run, companions.
 
-The command ``hnn run`` and the simulator node share it. ``companions`` are ensemble members and
-twins that go along with a run. Topics and services are in ``ros``.
+The command ``hnn run`` and the simulator node both use it. ``companions`` holds the ensemble
+members and twins that accompany a run. Topics and services are in ``ros``.
 """
 
 from typing import TYPE_CHECKING

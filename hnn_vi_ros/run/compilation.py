@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The loop of a scene, compiled in another process while this one compiles H.
+Compilation of the loop of a scene in another process, while this one compiles H.
 
-Threads would not help: numba compiles one function at a time. Whichever process begins with a
-function first compiles it; the other waits for it, and finds it on disk.
+Threads would not help, since numba compiles one function at a time. The process that first needs
+a function compiles it; the other one waits, and loads the result from the disk cache.
 """
 
 from collections.abc import Iterator
@@ -25,15 +25,15 @@ _CODE = f'from {__name__} import help_out; help_out()'
 @contextmanager
 def compiled_beside(parts: Parts) -> Iterator[None]:
     """
-    Have the loop over steps compiled by another process meanwhile, where it is not on disk yet.
+    Compile the loop over steps in another process during the context, if it is not cached on disk.
 
-    The process ends with this context, and with this process. It hears no signals of a terminal.
-    To be called outside of the main thread, whose compilations run in others.
+    The process ends with this context, and with this process. It gets no signals of a terminal.
+    Call it outside of the main thread, whose compilations run in other processes.
 
     Parameters
     ----------
     parts : Parts
-        Of the scene.
+        Parts of the scene.
 
     """
     if usable_processors() < 2 or _is_kept(parts):
@@ -42,7 +42,7 @@ def compiled_beside(parts: Parts) -> Iterator[None]:
     with Popen([sys.executable, '-P', '-c', _CODE], stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL,
                start_new_session=True) as process:
         try:
-            # One that fails leaves all to this process, which says what is wrong.
+            # If the other process fails, this one compiles everything and reports the error.
             with suppress(pickle.PicklingError, OSError, AttributeError, TypeError):
                 assert process.stdin is not None
                 pickle.dump(parts.scene, process.stdin)
@@ -62,7 +62,7 @@ def _is_kept(parts: Parts) -> bool:
 
 
 def help_out() -> None:
-    """Compile the loop of the scene that comes by standard input, until that ends."""
+    """Compile the loop of the scene on standard input; exit when the input ends."""
     scene = pickle.load(sys.stdin.buffer)
 
     def end() -> None:

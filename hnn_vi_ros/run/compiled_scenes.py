@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compile what scenes run, on all cores, so that their first start finds it on disk."""
+"""Compile the functions of scenes on all cores into the disk cache, for a fast first start."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,7 @@ from hnn_vi_ros.scene import load_scene
 from hnn_vi_ros.simulation import (
     build, ignore_sigint_in_children, resolve, simulate, usable_processors, worker_processes)
 
-# Processes, of 0.3 GB each: of more of them several would wait for the same.
+# Maximum number of processes, of 0.3 GB each: more would wait for the same functions.
 _MOST = 8
 
 
@@ -28,11 +28,11 @@ class CompiledScene:
     Parameters
     ----------
     name : str
-        As it was given.
+        Name as given.
     seconds : float
-        The wall time that it took [s].
+        Wall time of the compilation [s].
     problem : str
-        Why it cannot be compiled; empty where it was.
+        Reason that it cannot be compiled; empty on success.
 
     """
 
@@ -43,20 +43,20 @@ class CompiledScene:
 
 def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[CompiledScene]:
     """
-    Compile what scenes run, in as many processes as there are cores, up to eight.
+    Compile the functions of scenes, in one process per core and at most eight.
 
     Parameters
     ----------
     names : sequence of str
-        Shipped names or files.
+        Names of shipped scenes, or files.
     rescue : bool, optional
-        Whether to compile also what takes steps that fail: half of the time, and a run that finds
-        it missing compiles it beside itself.
+        True to compile the rescue of failed steps too, which takes half of the time. A run
+        without a cached rescue compiles it in the background.
 
     Yields
     ------
     CompiledScene
-        As they are done.
+        Results in the order of completion.
 
     """
     with worker_processes(min(usable_processors(), _MOST, len(names))) as pool:
@@ -67,7 +67,7 @@ def compile_scenes(names: Sequence[str], rescue: bool = True) -> Iterator[Compil
 
 
 def _in_turns(names: Sequence[str]) -> list[str]:
-    """Return the names so that one of each method comes first: processes share what follows."""
+    """Return the names with one per method first, as later ones share its compiled functions."""
     turns: Counter[str] = Counter()
     places = []
     for name in names:
@@ -83,7 +83,7 @@ def _compile(name: str, rescue: bool) -> CompiledScene:
     begin, problem = time.perf_counter(), ''
     try:
         with warnings.catch_warnings():
-            # They would be about the motion; nothing is simulated here.
+            # Warnings about the motion do not matter, because no step is simulated.
             warnings.simplefilter('ignore')
             scene = resolve(load_scene(name))[0]
             simulate(scene, 0.0)

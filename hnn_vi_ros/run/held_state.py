@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""All that the next steps of a simulation depend on, as a file that a bag keeps."""
+"""The complete state of a simulation, which determines its next steps, as a file in a bag."""
 
 from io import BytesIO
 
@@ -10,40 +10,40 @@ from hnn_vi_ros.simulation import Simulation
 import safetensors
 import safetensors.numpy
 
-# In bags that do not begin at the initial state of their scene: with (q, p) alone, what a solver
-# remembers, the random numbers drawn and a command that is held would be lost.
+# Kept in bags that do not begin at the initial state of their scene: (q, p) lacks the memory of
+# the solver, the random numbers drawn, and a command that is being held.
 STATE_FILE = 'state.safetensors'
 
 
 def state_file(simulation: Simulation) -> bytes:
-    """Return the state of a simulation, to its last bit."""
+    """Return the state of a simulation in full precision."""
     return safetensors.numpy.save(simulation.snapshot())
 
 
 def restore_state(simulation: Simulation, data: bytes, where: str, shift: float = -0.0) -> None:
     """
-    Let a simulation go on from a state, bit by bit as the one that it was taken of.
+    Restore a state, so that the simulation continues bit by bit like the saved one.
 
     Parameters
     ----------
     simulation : Simulation
-        Of the same scene.
+        Simulation of the same scene.
     data : bytes
-        Of the file.
+        Contents of the file.
     where : str
-        What holds it, for errors.
+        Name of the container of the file, for errors.
     shift : float
-        Added to each coordinate and momentum; -0.0 changes none, 0.0 the sign of -0.0.
+        Added to each coordinate and momentum; -0.0 changes none, 0.0 changes the sign of -0.0.
 
     Raises
     ------
     RecordingError
-        It is no state of this simulation.
+        The file is not a state of this simulation.
 
     """
     own = simulation.snapshot()
     try:
-        # What claims a million arrays has none of them made.
+        # Check the header first, so that a malformed one cannot allocate a million arrays.
         safetensors_header(BytesIO(data))
         found = safetensors.numpy.load(data)
     except (safetensors.SafetensorError, ValueError, KeyError) as problem:
@@ -52,8 +52,8 @@ def restore_state(simulation: Simulation, data: bytes, where: str, shift: float 
             name: (array.shape, array.dtype) for name, array in own.items()}:
         raise RecordingError(f'{where}: its {STATE_FILE} is that of another simulation; '
                              'was it recorded by another version?')
-    # No number in a file may point beyond the methods, each with its memories: `way` is the
-    # number of the active method.
+    # No number in a file may be out of the range of the methods, each of which has memories:
+    # `way` is the number of the active method.
     methods = {name.partition('.')[0] for name in own if name.startswith('memory')}
     if found['steps'] < 0 or f'memory{found["way"]}' not in methods | {'memory0'}:
         raise RecordingError(f'{where}: its {STATE_FILE} is damaged')

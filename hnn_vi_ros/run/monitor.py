@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Monitor of a run: its timing, the record of its energy, its tolerance, guards."""
+"""Monitor of a run: timing, energy record, tolerance and guards."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -14,37 +14,37 @@ from hnn_vi_ros.simulation import (
     StateGuard, time_scale, Tolerance, Waiting)
 import numpy as np
 
-# A drift is a slope over so many blocks at least, and so many times in which the state changes
-# by its size: some three periods of an oscillation.
+# A drift is a slope over at least this many blocks, and over this many times in which the state
+# changes by its size: about three periods of an oscillation.
 _BLOCKS, _TIMES = 100, 20.0
 _HOUR = 3600.0
 
 
 class EnergyRecord:
     """
-    Follow the energy error, its drift, the band of the modified energy, and a tolerance.
+    Record of the energy error, its drift, the band of the modified energy, and the tolerance.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     tick : float
-        Simulated time from sample to sample [s].
+        Simulated time between two samples [s].
     tolerance : Tolerance, optional
         The scene's tolerance, if it has one.
 
     Attributes
     ----------
     band : float
-        Largest abs(H~ - H~0) so far [J]; NaN where no modified energy is known or work is done.
+        Largest abs(H~ - H~0) so far [J]; NaN if no modified energy is known or work is done.
     drift_per_hour : float
-        Slope of the energy error, as last evaluated [1/h] or [J/h]; NaN until it is known.
+        Slope of the energy error at the last evaluation [1/h] or [J/h]; NaN until it is known.
     unit : str
-        Of the energy error: ``'1'``, or ``'J'`` where H0 is zero.
+        Unit of the energy error: ``'1'``, or ``'J'`` if H0 is zero.
     tolerance : Tolerance or None
         The scene's tolerance.
     largest : float
-        The largest error so far, in the measure of the tolerance; see ``_error``.
+        Largest error so far, in the measure of the tolerance; see ``_error``.
 
     """
 
@@ -60,13 +60,13 @@ class EnergyRecord:
         self._tick, self._samples = tick, 0
         self._least = _TIMES * time_scale(
             InitialValueProblem(simulation.hamiltonian, (), simulation.q, simulation.p))
-        # Lowest and highest error of each block of so many samples, and of the one that is open.
+        # Lowest and highest error of each block of _length samples, and of the unfinished block.
         self._low: list[float] = []
         self._high: list[float] = []
         self._length, self._open = 1, (math.inf, -math.inf)
 
     def add(self, sample: Sample) -> bool:
-        """Take the next sample; return whether it is beyond the tolerance, up to its horizon."""
+        """Add the next sample; return True if the tolerance is exceeded within its horizon."""
         error = sample.energy_error
         deviation = abs(sample.modified_energy - self._modified0)
         if deviation > self.band:
@@ -82,7 +82,7 @@ class EnergyRecord:
         return self.largest > self.tolerance.error
 
     def evaluate(self) -> None:
-        """Renew the drift."""
+        """Update the drift."""
         middle = 0.5 * (np.array(self._low) + np.array(self._high))
         run = (middle.size - 1) * self._length * self._tick
         if middle.size >= _BLOCKS and run >= self._least:
@@ -93,7 +93,7 @@ class EnergyRecord:
         self._high.append(self._open[1])
         self._open = (math.inf, -math.inf)
         if len(self._low) == 2 * _BLOCKS:
-            # Twice as long from now on: the memory does not grow.
+            # Double the block length, so that the memory does not grow.
             self._low = list(map(min, self._low[::2], self._low[1::2]))
             self._high = list(map(max, self._high[::2], self._high[1::2]))
             self._length *= 2
@@ -102,11 +102,11 @@ class EnergyRecord:
         """
         Return the error of a sample in the measure of the tolerance.
 
-        With that of the energy the band of the modified energy counts, the larger of the two,
-        over the energy scale of the tolerance.
-        On the path, a coordinate or momentum deviates by at least what makes up for the error of
-        H: that error over the sum of abs(dH_dq) and abs(dH_dp) where H is steepest. Where work is
-        done these are no derivatives of H, and no such bound is known.
+        For energy_error, it is the energy error or the band of the modified energy, whichever is
+        larger, relative to the energy scale of the tolerance.
+        For path_error, it is a lower bound on the deviation of a coordinate or momentum: the error
+        of H over the largest sum of abs(dH_dq) and abs(dH_dp) so far. If work is done, these are
+        not derivatives of H, no such bound is known, and the error is 0.
         """
         error = abs(sample.energy_error) * self._size
         if tolerance.kind == 'energy_error':
@@ -119,44 +119,44 @@ class EnergyRecord:
         return error / self._steepest if self._steepest else 0.0
 
 
-# Samples that guards look at together, at most: more would cost little less for each.
+# Most samples that guards process together: the cost per sample hardly falls beyond that.
 _MOST = 256
-# Wall time between two warnings of the same thing [s].
+# Wall time between two warnings that the tolerance is exceeded [s].
 _REPEATED = 10.0
 
 
 class Monitor:
     """
-    Measure a run, and watch it.
+    Monitor that measures a run and applies its guards.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     every : int
-        Steps from sample to sample.
+        Number of steps between two samples.
     tick : float
-        Simulated time from sample to sample [s].
+        Simulated time between two samples [s].
     tolerance : Tolerance, optional
         The scene's tolerance, if it has one.
     warn : callable
-        Told when the tolerance is exceeded, now and then while it is: the text, and whether it is
-        the first time.
+        Called when the tolerance is exceeded, and repeatedly while it stays so, with the text and
+        with True the first time.
     guards : iterable of Guard, optional
-        What must hold.
+        Conditions that must hold.
     scale : SampledScale, optional
-        By which those measure energies; NaN is told where none does.
+        Energy scale of the guards; without it, energy_scale is NaN.
 
     Attributes
     ----------
     guards : list of Guard
-        What must hold; more can be appended.
+        Conditions that must hold; more can be appended.
     timing : Timing
-        What steps and samples cost.
+        Cost of steps and samples.
     energy : EnergyRecord
         Record of the energy.
     newest : Sample or None
-        The newest one.
+        The newest sample.
 
     """
 
@@ -168,27 +168,27 @@ class Monitor:
         self.newest: Sample | None = None
         self._scale = scale
         self.guards = list(guards)
-        # Samples that the guards have not looked at, and what they have found meanwhile.
+        # Samples that the guards have not processed, and alarms that were found in the meantime.
         self._room = partial(Waiting, _MOST * simulation.q.size)
         self._waiting = self._room()
         self._queued: Sample | None = None
         self._accounted = math.nan
         self._found: list[tuple[Alarm, int]] = []
-        # Those that must be asked at each sample.
+        # Guards that must be evaluated at each sample.
         self._each: list[StateGuard] = []
-        # Accounted energies between which a sample can wait.
+        # Range of accounted energies in which a sample may wait.
         self._lowest, self._highest = math.inf, -math.inf
         self._simulation, self._warn = simulation, warn
         self._warned, self._due = False, 0.0
 
     def advance(self, n: int, most: float = math.inf) -> tuple[int, float]:
         """
-        Take n steps of the simulation, with its errors, or fewer where they take longer [s].
+        Advance the simulation by n steps, or by fewer if they take longer than `most` [s].
 
         Returns
         -------
         tuple of (int, float)
-            How many were taken, and the wall time that this took [s].
+            Number of steps taken, and their wall time [s].
 
         """
         simulation = self._simulation
@@ -200,26 +200,26 @@ class Monitor:
 
     def watch(self, sample: Sample, at_once: bool = True) -> list[tuple[Alarm, int]]:
         """
-        Let the guards look at the next sample, the initial one first.
+        Pass the next sample to the guards, beginning with the initial one.
 
-        Looking at many samples together costs a fraction for each, and finds the same. So a
-        sample waits for others, unless the energy has jumped or a guard must look at each.
+        Many samples together cost a fraction of the time per sample and give the same alarms. A
+        sample therefore waits for others, unless the energy jumps or a guard needs each sample.
 
         Parameters
         ----------
         sample : Sample
-            The next one.
+            The next sample.
         at_once : bool, optional
-            Whether it, and what waits, is looked at now.
+            True to process this sample and all waiting ones now.
 
         Returns
         -------
         list of (Alarm, int)
-            What was found, and in the sample after how many steps.
+            Alarms, each with the step of the sample that raised it.
 
         """
         self._queue(sample)
-        # Written so that NaN is looked at.
+        # The negated comparison is also true for NaN.
         if at_once or self._found or self._waiting.full or not (
                 self._lowest <= self._accounted <= self._highest):
             return self.look()
@@ -233,7 +233,7 @@ class Monitor:
                 self._found += _ask(self._each, sample)
 
     def look(self) -> list[tuple[Alarm, int]]:
-        """Let the guards look at all samples so far; return what they have found."""
+        """Apply the guards to all samples so far; return their alarms."""
         found, self._found = self._found, []
         waiting, self._waiting = self._waiting, self._room()
         of_blocks = [guard for guard in self.guards if isinstance(guard, BlockGuard)]
@@ -249,13 +249,13 @@ class Monitor:
 
     @property
     def energy_scale(self) -> float:
-        """Return the size of the energies in play as of the newest sample, NaN before it [J]."""
+        """Return the energy scale up to the newest sample [J]; NaN if there is none."""
         if self.newest is not None:
             self._queue(self.newest)
         return math.nan if self._scale is None else self._scale.ahead(self._waiting)
 
     def add(self, sample: Sample) -> None:
-        """Look at the next sample."""
+        """Add the next sample to the energy record, and warn if the tolerance is exceeded."""
         self.newest = sample
         if self.energy.add(sample) and time.monotonic() >= self._due:
             self._due = time.monotonic() + _REPEATED
@@ -264,9 +264,9 @@ class Monitor:
 
     def evaluate(self) -> bool:
         """
-        Renew the figures if they are due; return whether they were.
+        Update the figures if they are due; return True if they were.
 
-        Takes half of a tick at 1 kHz: to be called where nobody waits for a message.
+        Takes half of a tick at 1 kHz, so call it only after a sample's messages are sent.
         """
         evaluated = self.timing.evaluate()
         if evaluated:
@@ -274,7 +274,7 @@ class Monitor:
         return evaluated
 
     def over_tolerance(self) -> str:
-        """Say by how much the tolerance is exceeded, and what to do about it."""
+        """Return a message on the exceeded tolerance, with the remedy."""
         tolerance = self.energy.tolerance
         assert tolerance is not None, 'it is exceeded'
         least = 'at least ' if tolerance.kind == 'path_error' else ''

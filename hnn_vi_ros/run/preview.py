@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Look ahead at the first moments of a run: where it goes."""
+"""Preview of the motion at the beginning of a run."""
 
 import time
 
@@ -9,22 +9,22 @@ from hnn_vi_ros.recording import Bounds, box_of
 from hnn_vi_ros.simulation import Simulation
 import numpy as np
 
-# Wall time that looking ahead may take, but for the batch of steps that exceeds it [s].
+# Wall time of the preview, which the last batch of steps may exceed [s].
 _LONGEST = 0.1
 
 
 def look_ahead(simulation: Simulation, seconds: float) -> Bounds:
     """
-    Return the lowest and highest q and p of the first moments of a run, with a margin.
+    Return the lowest and highest q and p at the beginning of a run, with a margin.
 
-    It is simulated on from the initial state, and goes back to it as if nothing had been.
+    The run is simulated from the initial state, and the initial state is then restored.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     seconds : float
-        Simulated time to look ahead [s]; less where that takes long or a step fails.
+        Simulated time of the preview [s]; shortened if it takes long or a step fails.
 
     """
     simulation.compile()

@@ -22,12 +22,12 @@ class EffectCosts:
     Parameters
     ----------
     total : float
-        Of the whole scene [s].
+        Time of the whole scene [s].
     bare : float
-        Of its Hamiltonian and integrator alone [s]; NaN where they cannot run alone.
+        Time of its Hamiltonian and integrator alone [s]; NaN if they cannot run alone.
     added : dict of str to float
-        For each effect, by its label, what the scene takes longer with it than without it [s];
-        NaN where the scene cannot run without it.
+        Time that each effect adds to the scene, by label [s]; NaN if the scene cannot run
+        without the effect.
 
     """
 
@@ -38,24 +38,24 @@ class EffectCosts:
 
 def measure_effects(parts: Parts, batches: int = 15, batch_time: float = 0.02) -> EffectCosts:
     """
-    Measure the scene, its bare integrator, and the scene without each of its effects in turn.
+    Measure the scene, its bare integrator, and the scene without each of its effects.
 
-    Each variant is compiled as a scene of its own. They take turns, so that whatever else the
-    machine does hits all of them; a share is the median of the differences in the same turn.
+    Each variant is compiled as a separate scene. The variants run in turns, so that other load on
+    the machine affects all of them; a cost is the median of the differences within a turn.
 
     Parameters
     ----------
     parts : Parts
-        Parts of the scene to measure, from its initial state on.
+        Parts of the scene, which is run from its initial state.
     batches : int, optional
-        Turns.
+        Number of turns.
     batch_time : float, optional
-        About how long the whole scene runs in each turn [s].
+        Approximate wall time of the whole scene in each turn [s].
 
     Raises
     ------
     HnnViRosError
-        The scene itself cannot be built or fails.
+        The whole scene cannot be built or fails.
 
     """
     scene, effects = parts.scene, parts.effects
@@ -87,7 +87,7 @@ def _calibrate(simulation: Simulation, scene: Scene, batch_time: float) -> int:
 
 
 def _try_to_run(parts: Parts, steps: int) -> Simulation | None:
-    """Build and warm up some of the parts; None where it cannot do without the rest."""
+    """Build and warm up a scene with some of the parts; return None if it needs the others."""
     try:
         simulation = build(parts)
         simulation.compile()
@@ -98,7 +98,7 @@ def _try_to_run(parts: Parts, steps: int) -> Simulation | None:
 
 
 def _run(simulation: Simulation, scene: Scene, steps: int) -> float:
-    """Take steps from the initial state on; return the wall time they took [s]."""
+    """Take steps from the initial state; return their wall time [s]."""
     simulation.restart(scene.initial_state.q, scene.initial_state.p)
     start = time.perf_counter()
     simulation.advance(steps)
@@ -106,7 +106,7 @@ def _run(simulation: Simulation, scene: Scene, steps: int) -> float:
 
 
 def _place(file: Path) -> str:
-    """Return where a file is; its name alone once the working directory has been removed."""
+    """Return the absolute path of a file; its name if the working directory was removed."""
     try:
         return str(file.absolute())
     except FileNotFoundError:
@@ -116,22 +116,22 @@ def _place(file: Path) -> str:
 def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
                  explain: bool = False, chosen: Chosen | None = None) -> dict[str, Any]:
     """
-    Return what ~/scene and the log tell: the scene with all defaults, and where it begins.
+    Return the contents of ~/scene and of the log: the scene with all defaults, and its start.
 
-    What auto chose, where H and the scene come from, and whether H is conserved are among it.
+    These include the choice of auto, the origins of H and the scene, and the conservation of H.
 
     Parameters
     ----------
     scene : Scene
         The simulated scene.
     simulation : Simulation
-        Made of it, in its initial state, whose step is told: what else a run needs that is to be
-        had again.
+        Simulation of the scene in its initial state, whose step is reported, since a
+        reproduction of the run needs it.
     origin : int
         Stamp of step 0 [ns].
     explain : bool
-        Whether to measure the wall time of a step, and what each effect adds; compiles a kernel
-        for each. Without it equal runs tell the same.
+        True to measure the wall time of a step and of each effect, which compiles a kernel for
+        each. False makes the reports of equal runs equal.
     chosen : Chosen or None
         The choice of the integrator auto, if it made one.
 
@@ -150,5 +150,5 @@ def scene_report(scene: Scene, simulation: Simulation, origin: int = 0,
 
 
 def _microseconds(seconds: float) -> float | None:
-    """Return a time to the nanosecond, beyond which all is noise; None if it was not measured."""
+    """Round a time to nanoseconds, below which all is noise; None if it was not measured."""
     return None if math.isnan(seconds) else round(1e6 * seconds, 3)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Folder of a run's files, which overwrites nothing, and the report of how to open them."""
+"""Folder of the files of a run, which overwrites nothing, and lines on how to open the files."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,7 +17,7 @@ from hnn_vi_ros.files import numbered
 
 
 def bag_lines(bag: Path) -> list[str]:
-    """Return lines that say where a bag is, and the commands that open it."""
+    """Return lines with the path of a bag and the commands that open it."""
     bag = _from_here(bag)
     file = bag / f'{bag.name}_0.mcap'
     line = f'bag        {bag}'
@@ -30,30 +30,30 @@ def bag_lines(bag: Path) -> list[str]:
 
 
 def picture_lines(picture: Path) -> list[str]:
-    """Return lines that say where a recording of the viewer is, and the command that opens it."""
+    """Return lines with the path of a viewer recording and the command that opens it."""
     picture = _from_here(picture)
     return [f'recording  {picture}', f'  open it  {_command(_rerun(), picture)}'
             if picture.exists() else '  was removed']
 
 
 def report_files(lines: Sequence[str]) -> None:
-    """Print what is to be said of all files."""
+    """Print the lines on all files."""
     if lines:
         sys.stdout.write('\n'.join(lines) + '\n')
         sys.stdout.flush()
 
 
 def _from_here(path: Path) -> Path:
-    """Return a path relative to the working directory, if it lies there."""
+    """Return a path relative to the working directory if it is inside, else unchanged."""
     try:
         return path.relative_to(Path.cwd())
     except (ValueError, FileNotFoundError):
-        # It lies elsewhere, or the working directory was removed.
+        # The path is elsewhere, or the working directory was removed.
         return path
 
 
 def _rerun() -> Path | str:
-    """Return the viewer that is installed with this interpreter, or its name on the PATH."""
+    """Return the viewer installed with this interpreter, or its name on the PATH."""
     beside = Path(sys.prefix) / 'bin' / 'rerun'
     if not beside.exists():
         return 'rerun'
@@ -71,7 +71,7 @@ def _command(*words: object) -> str:
 
 def create_run_folder(scene: str, home: Path) -> Path:
     """
-    Create ``runs/<scene>-<UTC time>`` in a folder, with a number if it is taken.
+    Create ``runs/<scene>-<UTC time>`` in a folder; append a number if the name is taken.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def create_run_folder(scene: str, home: Path) -> Path:
     try:
         runs.mkdir(exist_ok=True)
         for folder in numbered(runs / f'{scene}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}'):
-            # Not looked for before: another process may make it in between.
+            # Not checked beforehand, because another process may create the folder in between.
             with suppress(FileExistsError):
                 folder.mkdir()
                 break
@@ -97,9 +97,9 @@ def create_run_folder(scene: str, home: Path) -> Path:
 @final
 class RunFiles:
     """
-    Names of a run's files: those that are asked for, or in a folder of the run's own.
+    Names of the files of a run: as requested, or in the folder of the run.
 
-    Later ones of a name get a number: nothing is ever overwritten.
+    Later files of the same name get a number, so that nothing is overwritten.
     """
 
     def __init__(self) -> None:
@@ -109,16 +109,16 @@ class RunFiles:
 
     def free(self, asked: str, default: str, scene: str) -> Path:
         """
-        Return an absolute path for a file.
+        Return a free absolute path for a file.
 
         Parameters
         ----------
         asked : str
-            The user's name for it; empty for a default.
+            Path given by the user; empty for the default.
         default : str
-            Its name in the run's folder, which is made then.
+            Name in the folder of the run, which is created if needed.
         scene : str
-            Name of the scene, for the folder.
+            Name of the scene, used in the name of the folder.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class RunFiles:
 
 
 def _working_folder() -> Path:
-    """Return the absolute path that others are relative to; an empty one if it was removed."""
+    """Return the working directory, an empty path if it was removed."""
     try:
         return Path.cwd()
     except FileNotFoundError:

@@ -11,52 +11,52 @@ from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import Simulation
 
 _MOST_STEPS = 1e9
-# The last second that a time stamp of ROS holds.
+# The last second that a ROS time stamp can hold.
 _LAST_SECOND = 2**31 - 1
 
 
 @cache
 def nanoseconds_of(step_size: float) -> Fraction:
-    """Return h in its decimal form, not its rounded binary one [ns]."""
+    """Convert a step size from its decimal form, not its rounded binary one, to nanoseconds."""
     return Fraction(repr(step_size)) * 10**9
 
 
 def stamp_of(step: int, step_size: float, origin: int = 0) -> int:
-    """Return the stamp of a step from that of step 0 [ns]: a count of steps, never a sum."""
+    """Return the stamp of a step [ns], from the number of steps and not from a sum of times."""
     return origin + round(step * nanoseconds_of(step_size))
 
 
 def steps_between(rate: float, step_size: float) -> int:
-    """Return the steps from sample to sample at a rate [Hz] and a step size [s]."""
+    """Return the number of steps between samples at a rate [Hz] and a step size [s]."""
     return max(1, round(1.0 / (rate * step_size)))
 
 
 class Sampler:
     """
-    Take samples of a simulation.
+    Sampler of a simulation.
 
     Parameters
     ----------
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     rate : float
-        Samples per simulated second that are asked for [Hz].
+        Requested samples per simulated second [Hz].
     origin : int
         Stamp of the initial state [ns].
 
     Attributes
     ----------
     every : int
-        Steps from sample to sample.
+        Number of steps between two samples.
     tick : float
-        Simulated time from sample to sample [s].
+        Simulated time between two samples [s].
     deviation : str
-        Warning of a rate that the step size does not allow; else empty.
+        Warning if the step size does not allow the requested rate; else empty.
 
     Raises
     ------
     ParameterError
-        Too many steps lie between two samples.
+        There are too many steps between two samples.
 
     """
 
@@ -77,7 +77,7 @@ class Sampler:
             f'every {self.every} steps, {1.0 / self.tick:g} Hz')
 
     def count(self, duration: float) -> float:
-        """Return how many samples a duration [s] asks for, as far as stamps go; 0 is for ever."""
+        """Return the number of samples in a duration [s], limited by stamps; 0 means no end."""
         left = self._left()
         samples = min(round(duration / self.tick), left) if duration else left
         if samples == 0:
@@ -88,13 +88,13 @@ class Sampler:
 
     @property
     def end(self) -> str:
-        """Return why no more samples are taken after those that were counted."""
+        """Return the reason that no more samples follow the counted ones."""
         return 'the duration is over' if self._left() else (
             f'the next sample would be stamped beyond {_LAST_SECOND} s, the last that ROS can '
             'tell; reset with reset_time, or begin anew')
 
     def _left(self) -> int:
-        """Return how many samples can still be stamped."""
+        """Return the number of samples that can still be stamped."""
         step = self._simulation.steps
         left = _LAST_SECOND * 10**9 - self._origin
         return max(0, (left // nanoseconds_of(self._simulation.step_size) - step) // self.every)
@@ -106,7 +106,7 @@ class Sampler:
 
     @property
     def time(self) -> float:
-        """Return the stamp of the state [s]: the time to report, in whatever form."""
+        """Return the stamp of the state [s], which is the time for all reports."""
         return self.stamp / 1e9
 
     def stamp_at(self, step: int) -> int:
@@ -118,7 +118,7 @@ class Sampler:
         return (self._origin + round(time * 1e9), math.floor(time / self._simulation.step_size))
 
     def sample(self) -> Sample:
-        """Return the state, and the energies that belong to it."""
+        """Return a sample of the state with its energies."""
         simulation = self._simulation
         (energy, modified), work = simulation.energies, simulation.work
         balance = energy - self._energy0 - work

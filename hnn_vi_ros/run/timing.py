@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run against the wall clock: its pace, the time of its steps, and a line that shows both."""
+"""Timing of a run against the wall clock: its pace, the cost of steps, and a status line."""
 
 from collections import deque
 from collections.abc import Callable
@@ -14,41 +14,41 @@ from hnn_vi_ros.recording import Sample
 from hnn_vi_ros.simulation import Alarm, Observed, StateGuard
 import numpy as np
 
-# More debt than this is given up: the run is then slower than asked, but loses no step [s]. A
-# clock that others set may be ten times as fast, so that a short stall makes more of it.
+# Largest backlog; more is dropped, so that the run is slower than requested but loses no step [s].
+# An external clock may run ten times as fast, so that a short stall causes a larger backlog.
 LARGEST_DEBT, LARGEST_DEBT_TO_OTHERS = 1.0, 10.0
-# One timer call works at most this long: a request may wait for two of them [s].
+# Maximum duration of a timer call; a request may wait for two of them [s].
 LONGEST_CALL = 0.01
-# What a stall held up is caught up with by ticks that are this share of their time apart: those
-# who listen hear a faster pace for a while, and no burst. Shorter ticks [s] cannot be slept for.
+# After a stall, ticks are spaced by this share of their time: subscribers see a faster pace for a
+# while and no burst. Shorter ticks than this cannot be slept for [s].
 _APART, _SHORTEST = 0.75, 5e-4
-# Advances of a clock of others, of which the median is taken.
+# Number of advances of an external clock from which the median is taken.
 _ADVANCES = 100
-# A clock that is set in steps of a tick is due at the tick, however its sums are rounded.
+# Tolerance on round-off [ticks]: a clock that is set in steps of a tick is due at each tick.
 _ROUNDING = 1e-6
 
 
 class Pacer:
     """
-    Count the ticks that are due, so that a timer call that came late or never costs none.
+    Counter of the ticks that are due, so that late or skipped timer calls lose no tick.
 
     Parameters
     ----------
     tick : float
         Simulated time of one tick [s].
     real_time_factor : float
-        Simulated seconds per wall second; 0 for as fast as possible.
+        Simulated seconds per second of the clock; 0 for as fast as possible.
     now : callable
-        A steady clock [s], or one that others set: that of ``/clock``.
+        A steady clock [s], or an external one such as ``/clock``.
     led : callable
-        Whether others set it now.
+        Returns True while the clock is external.
 
     Attributes
     ----------
     asked : float
-        The real-time factor that is asked for; 0 for as fast as possible.
+        Requested real-time factor; 0 for as fast as possible.
     overruns : int
-        Times that the debt grew beyond ``largest_debt`` and was given up.
+        Number of times that the backlog exceeded ``largest_debt`` and was dropped.
 
     """
 
@@ -59,13 +59,13 @@ class Pacer:
         self.set_pace(real_time_factor)
 
     def set_pace(self, real_time_factor: float) -> None:
-        """Go on from now at another pace; see ``restart``."""
+        """Change the pace from now on; see ``restart``."""
         self.asked = real_time_factor
         self._wall_per_tick = self._tick / real_time_factor if real_time_factor > 0.0 else 0.0
         self.restart()
 
     def restart(self) -> None:
-        """Owe nothing as of now: what passed before, as in a pause, is not caught up with."""
+        """Discard the backlog: time that has passed, as in a pause, is not caught up on."""
         self._origin, self._done = self._now(), 0
         self._newest, self._earliest = self._origin, -math.inf
         self._advances: deque[float] = deque(maxlen=_ADVANCES)
@@ -73,10 +73,10 @@ class Pacer:
     @property
     def timer_period(self) -> float:
         """
-        Wall time from one timer call to the next [s].
+        Wall time between two timer calls [s].
 
-        Shorter ticks are waited for within the calls, which then follow each other at once. Who
-        is led is called for each message of the clock, and by the timer if steps are left then.
+        Shorter ticks are waited for within a call; calls then follow each other at once. An
+        external clock triggers a call with each message, the timer one if steps are left then.
         """
         if self.led:
             return LONGEST_CALL
@@ -84,33 +84,33 @@ class Pacer:
 
     @property
     def led(self) -> bool:
-        """Return whether a clock that others set is followed."""
+        """Return True while an external clock is followed."""
         return self._led()
 
     @property
     def burst(self) -> float:
-        """Return how many ticks the clock of others advances at a time, in the median."""
+        """Return the median number of ticks per advance of the external clock."""
         return float(np.median(self._advances)) / self._wall_per_tick if self._advances else 0.0
 
     @property
     def largest_debt(self) -> float:
-        """Return the debt beyond which it is given up [s]."""
+        """Return the backlog beyond which it is dropped [s]."""
         return LARGEST_DEBT_TO_OTHERS if self.led else LARGEST_DEBT
 
     @property
     def wait(self) -> float:
-        """Return the wall time until the next tick is due [s]; endless if others decide that."""
+        """Return the wall time until the next tick is due [s]; inf with an external clock."""
         if self.led:
             return math.inf
         due = self._origin + (self._done + 1) * self._wall_per_tick
         return max(due, self._earliest) - self._now()
 
     def due(self) -> bool:
-        """Return whether one more tick is due; if so, it counts as taken."""
+        """Return True if another tick is due, which then counts as taken."""
         if self._wall_per_tick:
             now = self._now()
             if now < self._newest:
-                # Only a clock that others set goes back: simulated time does not.
+                # Only an external clock can go back; simulated time continues.
                 self.restart()
             if self.led and now > self._newest:
                 self._advances.append(now - self._newest)
@@ -122,7 +122,7 @@ class Pacer:
                 self._origin += (owed - 1.0) * self._wall_per_tick
                 self.overruns += 1
             if _SHORTEST <= self._wall_per_tick < LONGEST_CALL and not self.led:
-                # One call takes one longer tick, and who is led follows at once.
+                # A call takes only one of the longer ticks; an external clock is followed at once.
                 self._earliest = now + _APART * self._wall_per_tick
         self._done += 1
         return True
@@ -130,12 +130,12 @@ class Pacer:
 
 class OverrunGuard(StateGuard):
     """
-    The run keeps up with the clock.
+    A guard that raises an alarm when the run falls behind the clock.
 
     Parameters
     ----------
     pacer : Pacer
-        Which counts the overruns.
+        Counter of the overruns.
 
     """
 
@@ -163,7 +163,7 @@ class OverrunGuard(StateGuard):
         return None
 
 
-# Batches of steps, and samples, that the figures are taken over.
+# Number of batches of steps, and of samples, in the statistics.
 WINDOW = 512
 # Wall time between two evaluations of the figures [s].
 _PERIOD = 0.25
@@ -171,21 +171,21 @@ _PERIOD = 0.25
 
 class Figures(NamedTuple):
     """
-    Figures measured lately; NaN where nothing was yet.
+    Recent measurements; NaN before the first one.
 
     Parameters
     ----------
     microseconds_per_step_median, microseconds_per_step_p99 : float
-        Wall time of a step [us]: half and 99 % of the steps take no longer.
+        Median and 99 % quantile of the wall time of a step [us].
     gradients_per_step : float
-        Gradients and Hessian-vector products in a step, on average.
+        Mean number of gradients and Hessian-vector products in a step.
     microseconds_per_sample : float
-        Wall time that publishing, recording and showing a sample takes on average [us].
+        Mean wall time of publishing, recording and displaying a sample [us].
     largest_real_time_factor : float
-        Simulated seconds per wall second that this machine could hold, steps and samples costing
-        what they do; at a faster pace they often cost less.
+        Simulated seconds per wall second that this machine can sustain at the current cost of
+        steps and samples, which often falls at a faster pace.
     real_time_factor : float
-        Simulated seconds per wall second since the evaluation before.
+        Simulated seconds per wall second since the previous evaluation.
 
     """
 
@@ -199,21 +199,21 @@ class Figures(NamedTuple):
 
 class Timing:
     """
-    Measure steps and samples over a sliding window.
+    Statistics of the cost of steps and samples over a sliding window.
 
     Parameters
     ----------
     every : int
-        Steps from sample to sample.
+        Number of steps between two samples.
     tick : float
-        Simulated time from sample to sample [s].
+        Simulated time between two samples [s].
     now : callable
         A steady clock [s].
 
     Attributes
     ----------
     figures : Figures
-        As last evaluated.
+        Result of the last evaluation.
 
     """
 
@@ -226,20 +226,20 @@ class Timing:
         self.figures = Figures()
 
     def restart(self) -> None:
-        """Measure the pace from now on: what passed before, as in a pause, does not count."""
+        """Measure the pace from now on, without the time before, such as a pause."""
         self._last = self._now(), self._count
 
     def add_batch(self, steps: int, seconds: float, gradients: int) -> None:
-        """Note how long a batch of steps took, and how many gradients."""
+        """Record the number of steps, the wall time [s] and the number of gradients of a batch."""
         self._batches.append((steps, seconds, gradients))
 
     def add_sample(self, seconds: float) -> None:
-        """Note how long it took to publish, record and show a sample."""
+        """Record the time of publishing, recording and displaying a sample [s]."""
         self._samples.append(seconds)
         self._count += 1
 
     def evaluate(self) -> bool:
-        """Renew the figures between two samples, if it is time to; return whether it was."""
+        """Update the figures if they are due; return True if they were."""
         now = self._now()
         if now < self._due or not self._batches:
             return False
@@ -260,31 +260,31 @@ class Timing:
 
 def quantiles(values: np.ndarray, weights: np.ndarray, shares: tuple[float, ...]) -> list[float]:
     """
-    Return the smallest values that are not exceeded by these shares of the weight.
+    Return the weighted quantiles: smallest values not exceeded by these shares of the weight.
 
     Parameters
     ----------
     values, weights : np.ndarray, shape (n,)
-        One batch each: the mean over its steps, and their number.
+        Mean of each batch over its steps, and number of steps.
     shares : tuple of float
-        From 0 to 1.
+        Shares from 0 to 1.
 
     """
     order = np.argsort(values)
     below = np.cumsum(weights[order])
-    # A share of a sum is rounded: less than a whole step is no reason to take the next value.
+    # A share is rounded: less than a whole step must not select the next value.
     places = np.searchsorted(below, np.array(shares) * below[-1] - 1e-6)
     return values[order[np.minimum(places, values.size - 1)]].tolist()
 
 
 class StatusLine:
     """
-    Show time, energy and pace: rewritten in place on a terminal, else logged now and then.
+    Line with time, energy and pace, rewritten in place on a terminal and else logged regularly.
 
     Parameters
     ----------
     log : callable
-        Takes the lines when standard output is no terminal.
+        Logs the lines if standard output is not a terminal.
     now : callable
         A steady clock [s].
 
@@ -298,12 +298,12 @@ class StatusLine:
         self.restart(0)
 
     def restart(self, stamp: int) -> None:
-        """Measure the pace from now and this stamp on [ns]: a pause or a reset has no pace."""
+        """Measure the pace from now and from this stamp [ns], as after a pause or a reset."""
         now = self._now()
         self._last, self._next = (now, stamp), now + self._interval
 
     def show(self, sample: Sample, overruns: int) -> None:
-        """Show a sample, if it is time to."""
+        """Display a sample if the line is due."""
         now = self._now()
         if now < self._next:
             return
@@ -320,7 +320,7 @@ class StatusLine:
             self._log(text)
 
     def close(self) -> None:
-        """Leave the line on the terminal: what is printed next begins a line of its own."""
+        """End the line on the terminal, so that later output begins a new line."""
         if self._shown:
             self._shown = False
             sys.stdout.write('\n')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The members of an ensemble as companions of its mean, and how far they come apart."""
+"""The members of an ensemble as companions of its mean, and their spread."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,33 +20,33 @@ import numpy as np
 
 
 class Companion(Protocol):
-    """Companion of a simulation, which never disturbs it: it raises nothing."""
+    """Companion of a simulation; it raises no errors that would disturb the simulation."""
 
     def advance(self, n: int) -> None:
-        """Take as many steps as the simulation did."""
+        """Take the same number of steps as the simulation."""
 
     def set_command(self, command: Command) -> None:
-        """Take a command that the simulation has taken."""
+        """Set a command that the simulation has accepted."""
 
     def begin(self, simulation: Simulation) -> None:
         """Restart from the state of the simulation, at its step."""
 
 
 def accompany(simulation: Simulation, companions: Sequence[Companion]) -> Simulation:
-    """Return a simulation with its companions, in its place; itself if there are none."""
+    """Return the simulation wrapped with its companions; unchanged if there are none."""
     return cast(Simulation, Accompanied(simulation, companions)) if companions else simulation
 
 
 class Accompanied:
     """
-    A simulation with companions, which step with it and meet the same commands.
+    A simulation with companions, which take the same steps and the same commands.
 
     Parameters
     ----------
     simulation : Simulation
-        All that is not listed below is its own.
+        The simulation; attributes that are not listed below are forwarded to it.
     companions : sequence of Companion
-        What goes along.
+        Its companions.
 
     """
 
@@ -58,7 +58,7 @@ class Accompanied:
         return getattr(self._simulation, name)
 
     def advance(self, n: int, until: float = math.inf) -> int:
-        """Take n steps, or fewer, and return how many, or raise; see Simulation."""
+        """Take n steps or fewer and return the number taken, or raise; see Simulation."""
         taken = self._simulation.advance(n, until)
         for companion in self._companions:
             companion.advance(taken)
@@ -76,7 +76,7 @@ class Accompanied:
         self._begin()
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
-        """Go back to a snapshot; companions go on from its state."""
+        """Restore a snapshot; companions restart from its state."""
         self._simulation.restore(snapshot)
         self._begin()
 
@@ -93,17 +93,17 @@ class SpreadTrajectory:
     Parameters
     ----------
     mean : Trajectory
-        Of the mean Hamiltonian.
+        Trajectory of the mean Hamiltonian.
     members : tuple of Trajectory
-        Of each member, from the same initial state; where momenta are the members' own, from the
-        same q and q', with p and energy of its own.
+        Trajectory of each member from the same initial state. If members have their own
+        momenta, they start from the same q and q', with their own p and energy.
     spread_q, spread_p : np.ndarray, shape (n, d)
         Half-widths of the bands around q and p of the mean: the standard deviation over the
-        members, times the factors of the card (1 if it was not calibrated), where p is that of
-        the mean for a member's q and q'. Infinite from where a member failed.
+        members times the factors of the card (1 without a calibration). Here p is the momentum
+        of the mean for a member's q and q'. Infinite from the failure of a member on.
     level : float or None
-        Share of errors that the bands cover in motions like the calibration's; None without a
-        calibration.
+        Share of errors that the bands cover in motions like those of the calibration; None
+        without a calibration.
 
     """
 
@@ -116,12 +116,12 @@ class SpreadTrajectory:
 
 def ensemble_card(parts: Parts) -> EnsembleCard:
     """
-    Return the card of the ensemble that a scene runs the mean of.
+    Return the card of the ensemble whose mean is the Hamiltonian of a scene.
 
     Raises
     ------
     ModelError, SceneError
-        Its Hamiltonian is no such mean.
+        The Hamiltonian is not the mean of an ensemble.
 
     """
     scene, hamiltonian, *_ = parts
@@ -140,10 +140,10 @@ def ensemble_card(parts: Parts) -> EnsembleCard:
 
 def member_scenes(scene: Scene, count: int) -> list[Scene]:
     """
-    Return the scene with each of the first members of its ensemble in place of the mean.
+    Return the scene with the mean replaced by each of the first members of its ensemble.
 
-    So in effects that take friction or an input map from the same file. Initial states are that
-    of the mean; see ``members_of``.
+    Effects with friction or an input map from the same file are replaced too. Initial states
+    remain those of the mean; see ``members_of``.
     """
     choice, files = scene.hamiltonian.model_dump(), scene.model_files()
 
@@ -160,7 +160,7 @@ def member_scenes(scene: Scene, count: int) -> list[Scene]:
 
 
 def members_of(parts: Parts) -> list[Parts]:
-    """Return each member in place of the mean; where momenta are its own, p is that of same q'."""
+    """Return the parts of each member; if it has its own momenta, p is that of the same q'."""
     scene, count = parts.scene, len(ensemble_card(parts).members)
     members = [own.parts() for own in member_scenes(scene, count)]
     if measured_momenta(parts.hamiltonian):
@@ -172,26 +172,26 @@ def members_of(parts: Parts) -> list[Parts]:
 
 
 def measured_momenta(hamiltonian: Hamiltonian) -> bool:
-    """Return whether members of an ensemble have the momenta of their mean."""
+    """Return True if the members of an ensemble have the same momenta as their mean."""
     checkpoint: Checkpoint = getattr(hamiltonian, 'checkpoint')  # noqa: B009
     return FAMILIES[checkpoint.card.family].measured_momenta
 
 
 def same_velocity(of: Hamiltonian, other: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
     """
-    Return the momenta of another Hamiltonian for the velocities that p has by one.
+    Return the momenta of another Hamiltonian that give the same velocities.
 
     Parameters
     ----------
     of, other : Hamiltonian
-        Of p, and of the result.
+        The Hamiltonian of `p`, and the one of the returned momenta.
     q, p : np.ndarray, shape (..., d)
-        States.
+        States of `of`.
 
     Raises
     ------
     StateError
-        A velocity has no momentum.
+        No momentum gives a velocity.
 
     """
     return momentum(other, q, of.gradient(q, p)[1], p)
@@ -204,7 +204,7 @@ def deviation(members: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
     Parameters
     ----------
     members : array, shape (N, ...)
-        Values of each; one that is not finite makes the spread infinite.
+        Values of each member; a non-finite one makes the spread infinite.
 
     """
     values = np.asarray(members)
@@ -224,35 +224,35 @@ def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: fl
     Parameters
     ----------
     scene : Scene, str or Path
-        See ``simulate``; its Hamiltonian is an ensemble.
+        Scene as in ``simulate``, whose Hamiltonian is an ensemble.
     duration : float
-        Simulated time [s]; an event of the scene at which the mean stops ends the members as well.
+        Simulated time [s]; an event that stops the mean also ends the members.
     step_size, integrator, initial_state, effects
-        In place of the scene's; see ``simulate``.
+        Overrides of the scene's values; see ``simulate``.
     **options
         Further arguments of ``simulate``.
 
     Returns
     -------
     SpreadTrajectory
-        The mean, the members, and the band.
+        The mean, the members and the bands.
 
     Raises
     ------
     HnnViRosError, ValueError, TypeError
-        See ``simulate``; the Hamiltonian is no mean of an ensemble. A member whose step fails
-        does not raise: its band is infinite from there on.
+        As in ``simulate``, or the Hamiltonian is not the mean of an ensemble. A member whose
+        step fails does not raise: the bands are infinite from there on.
 
     """
     parts = changed_parts(scene, step_size, integrator, initial_state, effects)
     card = ensemble_card(parts)
     mean, own = simulate(parts, duration, **options), members_of(parts)
     if parts.scene.events:
-        # They may have ended the mean before.
+        # An event may have ended the mean early.
         duration = min(duration, float(mean.t[-1]))
         options |= {'times': mean.t} if 'times' in options else {}
     with warnings.catch_warnings():
-        # The mean raises all alarms; the band shows a member that leaves its box.
+        # The mean raises all alarms; the bands show members that leave the box.
         warnings.simplefilter('ignore', AlarmWarning)
         members = [_or_failed(partial(simulate, one, duration, **options), mean) for one in own]
     of_q, of_p = np.split(np.array(card.factors or [1.0, 1.0]), 2)
@@ -267,14 +267,14 @@ def simulate_spread(scene: Scene | str | Path, duration: float, *, step_size: fl
 
 
 def _by_mean(mean: Hamiltonian, member: Hamiltonian, found: Trajectory) -> np.ndarray:
-    """Return the momenta that the mean has for the velocities of a member; NaN if it failed."""
+    """Return the momenta of the mean for the velocities of a member; NaN if it failed."""
     if not np.isfinite(found.p).all():
         return found.p
     return same_velocity(member, mean, found.q, found.p)
 
 
 def _or_failed(simulated: Callable[[], Trajectory], like: Trajectory) -> Trajectory:
-    """Return a trajectory; of one that failed, none of whose numbers is finite."""
+    """Return the trajectory; one of NaN if the simulation failed."""
     try:
         return simulated()
     except StepFailure:
@@ -286,29 +286,28 @@ class Members:
     """
     The members of the ensemble of a scene; see Companion.
 
-    One whose step fails stands still from then on, and the spread is infinite. Where momenta are a
-    member's own, p = M_k(q) q', it begins at q and q' of the mean, and its q and q' are compared,
-    as the momenta that the mean has for them.
+    A member whose step fails stops there, and the spread becomes infinite. If members have their
+    own momenta, p = M_k(q) q', they start at q and q' of the mean. The spread then compares q and
+    the momenta of the mean for q and q'.
 
     Parameters
     ----------
     parts : Parts
-        Of a scene; its Hamiltonian is the mean of an ensemble.
+        Parts of a scene whose Hamiltonian is the mean of an ensemble.
 
     Attributes
     ----------
     count : int
-        How many members there are.
+        Number of members.
     factors : np.ndarray, shape (2 d,), or None
-        Factors on the standard deviations of q, then of p; None where the card
-        knows none.
+        Factors on the standard deviations of q, then of p; None if the card has none.
     level : float or None
-        Share of errors that these bands cover.
+        Share of errors that these bands cover; None if the card has no factors.
 
     Raises
     ------
     SceneError
-        The Hamiltonian is no mean of an ensemble.
+        The Hamiltonian is not the mean of an ensemble.
 
     """
 
@@ -321,7 +320,7 @@ class Members:
             # The mean has already raised the warnings about the scene.
             warnings.simplefilter('ignore')
             self._simulations = [build(own) for own in members_of(parts)]
-            # One compiles for all: they have one type.
+            # All members have the same type, so that compiling one compiles all.
             self._simulations[0].compile()
             self._simulations[0].compile_rescue()
             self._mean = None if measured_momenta(parts.hamiltonian) else \
@@ -358,7 +357,7 @@ class Members:
 
     @property
     def failed(self) -> int:
-        """Return how many members stand still."""
+        """Return the number of members that have stopped."""
         return len(self._failed)
 
     @property
@@ -370,7 +369,7 @@ class Members:
         return spread if self.factors is None else self.factors * spread
 
     def _state(self, own: Simulation) -> tuple[np.ndarray, np.ndarray]:
-        """Return q and p of a member; where p is its own, that of the mean for its velocity."""
+        """Return q and p of a member; own momenta are converted to those of the mean."""
         if self._mean is None:
             return own.q, own.p
         try:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of a simulation with the machine that it is the twin of, while both run."""
+"""Comparison of a simulation with the machine that it models, while both run."""
 
 from collections import deque
 from collections.abc import Callable
@@ -16,13 +16,13 @@ from hnn_vi_ros.scene import Scene
 from hnn_vi_ros.simulation import build, Simulation
 import numpy as np
 
-# A prediction is valid until sum_i (error of q_i)^2 / var_i reaches this (M. Lutter, J. Peters,
-# 2021).
+# Valid prediction time: the error is valid below this value of sum_i (error of q_i)^2 / var_i
+# (M. Lutter, J. Peters, 2021).
 VALID = 0.01
-# A prediction that is still valid after this time ends all the same [s], and predictions of
+# Time after which a still valid prediction is ended [s], and number of ended predictions from
 # which the median is taken.
 _LONGEST, _KEPT = 2.0, 1000
-# Times that are no further apart are the same [s].
+# Times that differ by at most this are equal [s].
 _SAME = 1e-9
 
 
@@ -33,15 +33,15 @@ class Report(NamedTuple):
     Parameters
     ----------
     delay : float
-        From now to when it was made [s].
+        Time of the observation relative to now [s].
     error : np.ndarray, shape (n,)
-        Observed less simulated coordinates.
+        Observed minus simulated coordinates.
     prediction_error : np.ndarray, shape (n,)
-        Observed less predicted ones, of the oldest prediction; NaN while there is none.
+        Observed minus predicted coordinates of the oldest prediction; NaN if there is none.
     normalised : float
         sum_i (error of the prediction of q_i)^2 / var_i [1].
     running : float
-        For how long that prediction has run [s].
+        Age of that prediction [s].
 
     """
 
@@ -53,53 +53,53 @@ class Report(NamedTuple):
 
 
 class Prediction:
-    """A simulation without an observer, which begins at an observation."""
+    """A simulation without an observer, which starts from an observation."""
 
     def __init__(self, simulation: Simulation):
         self.simulation = simulation
-        # When it began [s]; None while it waits.
+        # Start time [s]; None while it waits.
         self.began: float | None = None
 
 
 class Twin:
     """
-    Compare a simulation, and predictions made along with it, with observations; see Companion.
+    Comparison of a simulation, and of predictions, with observations; see Companion.
 
-    A prediction is another simulation of the scene without its observer, under the same commands.
-    It begins at an observation, at even times, and ends where its error is no longer valid, or
-    after two seconds. Those that begin at even times are a fair sample: if each began where the
-    one before has ended, hard instants would count too little or too much.
+    A prediction is another simulation of the scene without its observer, with the same commands.
+    It starts from an observation, at regular times, and ends when its error is no longer valid or
+    after two seconds. Regular start times give an unbiased sample: if each prediction started at
+    the end of the one before, hard instants would have too little or too much weight.
 
     Parameters
     ----------
     scene : Scene
-        Resolved, with an observer.
+        Resolved scene with an observer.
     simulation : Simulation
-        Of it.
+        Simulation of the scene.
 
     Attributes
     ----------
     names : list of str
         Names of the observed coordinates.
     newest : Report or None
-        Of the last observation.
+        Report on the last observation.
     timeout : float
-        How long an observation holds [s].
+        Time for which an observation is held [s].
     heard : callable
         Called with each report.
     times : deque of float
-        Valid prediction times of the last thousand predictions that ended [s].
+        Valid prediction times of the last thousand ended predictions [s].
     failed : int
-        Predictions that could not begin or go on.
+        Number of predictions that could not start or continue.
     outside : float
-        Share of the observations outside of what the model has seen; NaN where that is not known.
+        Share of observations outside of the model's training domain; NaN if that is unknown.
     beyond : str
-        What went furthest beyond.
+        Quantity that went furthest outside.
 
     Raises
     ------
     SceneError
-        Its gain is too large for the step at the initial state.
+        The gain is too large for the step size at the initial state.
 
     """
 
@@ -132,7 +132,7 @@ class Twin:
         self._forget()
 
     def _forget(self) -> None:
-        """Know nothing of the machine."""
+        """Discard all observations and predictions."""
         self.newest: Report | None = None
         self.failed = 0
         self._before: tuple[float, np.ndarray] | None = None
@@ -155,7 +155,7 @@ class Twin:
         for prediction in self._active():
             if prediction.began is not None and (
                     self._now - prediction.began > _LONGEST + self.timeout):
-                # For how long it was valid nobody has seen.
+                # Without observations, its valid time is unknown.
                 prediction.began = None
                 continue
             try:
@@ -164,7 +164,7 @@ class Twin:
                 prediction.began, self.failed = None, self.failed + 1
 
     def set_command(self, command: Command) -> None:
-        """See Companion; an observation is compared."""
+        """See Companion; observations are compared."""
         if isinstance(command, Observation):
             self._observe(command)
             return
@@ -173,7 +173,7 @@ class Twin:
 
     @property
     def unstable(self) -> str:
-        """Return that the gain is too large for the state of the simulation; nothing if not."""
+        """Return a message if the gain is too large for the state of the simulation, else ''."""
         own, h = self._simulation, self._simulation.step_size
         inverse = own.hamiltonian.inverse_mass(own.q, own.p)[
             np.ix_(self._places, self._places)]
@@ -188,7 +188,7 @@ class Twin:
 
     @property
     def running(self) -> list[float]:
-        """Return for how long each prediction has been valid that has not ended [s]."""
+        """Return the age of each running prediction [s]."""
         return [self._now - began for one in self._active() if (began := one.began) is not None]
 
     @property
@@ -198,15 +198,15 @@ class Twin:
 
     @property
     def outside(self) -> float:
-        """Return the share of the observations outside of what the model has seen."""
+        """Return the share of observations outside of the model's training domain."""
         return self._outside / self._count if self._domain is not None and self._count else np.nan
 
     def valid_time(self, outside: bool) -> float:
-        """Return the median of predictions along which the machine stayed inside, or not [s]."""
+        """Return the median [s] over predictions in which the machine left the domain, or not."""
         return float(np.median(self._times[outside])) if self._times[outside] else np.nan
 
     def _look(self, position: np.ndarray, velocity: np.ndarray, now: float) -> None:
-        """Compare an observation with what the model has seen."""
+        """Compare an observation with the training domain of the model."""
         if self._domain is None:
             return
         q, v = self._simulation.q.copy(), self._simulation.dH_dp.copy()
@@ -223,7 +223,7 @@ class Twin:
         return float(self._simulation.steps * self._simulation.step_size)
 
     def _active(self) -> list[Prediction]:
-        """Return the predictions that run, the oldest first."""
+        """Return the running predictions, the oldest first."""
         return [one for _, one in sorted(
             ((one.began, one) for one in self._predictions if one.began is not None),
             key=lambda pair: pair[0])]
@@ -231,7 +231,7 @@ class Twin:
     def _observe(self, seen: Observation) -> None:
         position, velocity = select(seen, self.names)
         if self._before is not None:
-            # Angles that turn over go on from the last observation.
+            # Unwrap angles relative to the last observation.
             position = position - whole_turns(position - self._before[1], self._turning)
         velocity = self._velocity(position, velocity, seen.delay)
         self._count += 1
@@ -244,10 +244,10 @@ class Twin:
         error, normalised, age = found[0] if found else (
             np.full(len(self.names), np.nan), np.nan, 0.0)
         now = self._now + seen.delay
-        # From a velocity that nobody knows nothing can be predicted.
+        # A prediction needs the velocity.
         if now >= self._due - _SAME and np.isfinite(velocity).all():
             self._predict(position, velocity, seen.delay)
-            # At even times, whatever the rate of the observations.
+            # At regular times, independent of the rate of the observations.
             late = self._due <= now - self._every
             self._due = (now if late else self._due) + self._every
         self.newest = Report(seen.delay, self._error(position, self._simulation, seen.delay),
@@ -256,7 +256,7 @@ class Twin:
 
     def _judge(self, prediction: Prediction, error: np.ndarray, delay: float
                ) -> tuple[float, float]:
-        """Return normalised error and age of a prediction, and end it where that is due."""
+        """Return normalised error and age of a prediction; end it if it is invalid or old."""
         assert prediction.began is not None, 'it runs'
         age = max(0.0, self._now + delay - prediction.began)
         with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
@@ -274,7 +274,7 @@ class Twin:
         return self._square / self._count
 
     def _velocity(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> np.ndarray:
-        """Return velocities, by the observation before where none were; NaN without."""
+        """Return the velocities; missing ones from the last observation, NaN without one."""
         now, before = self._now + delay, self._before
         self._before = now, position
         if before is None or not 0.0 < now - before[0] <= self.timeout:
@@ -285,13 +285,13 @@ class Twin:
         return np.where(np.isnan(velocity), between, velocity)
 
     def _error(self, position: np.ndarray, simulation: Simulation, delay: float) -> np.ndarray:
-        """Return observed less simulated coordinates, at a time near now."""
+        """Return observed minus simulated coordinates, extrapolated to the observation."""
         q, v = simulation.q[self._places], simulation.dH_dp[self._places]
         error: np.ndarray = position - (q + delay * v)
         return error - whole_turns(error, self._turning)
 
     def _predict(self, position: np.ndarray, velocity: np.ndarray, delay: float) -> None:
-        """Begin a prediction at an observation; take unobserved numbers from the simulation."""
+        """Start a prediction from an observation and, for unobserved values, the simulation."""
         waiting = [one for one in self._predictions if one.began is None]
         if not waiting:
             return
