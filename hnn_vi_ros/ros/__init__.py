@@ -4,7 +4,7 @@
 """
 ROS 2: nodes, topics, services, parameters, replay.
 
-The only room that imports rclpy and messages. What a run does without ROS is in ``run``.
+The only package that imports rclpy and messages. The parts of a run without ROS are in ``run``.
 """
 
 from typing import TYPE_CHECKING

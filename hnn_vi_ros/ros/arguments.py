@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of the nodes; import nothing of ROS, so that help comes at once."""
+"""Command-line parsers of the nodes; imports nothing of ROS, so that help appears at once."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -102,7 +102,7 @@ def listener() -> Parser:
 
 
 def _details(interface: str, table: Sequence[Specification]) -> str:
-    """Return what a node offers, and its parameters."""
+    """Return the help text on the interface of a node and its parameters."""
     entries = []
     for item in table:
         entries += [f'  {item.name}', fill(

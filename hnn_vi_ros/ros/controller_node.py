@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The controller node: hears the state of a machine or a simulator, and commands it by a task."""
+"""The controller node: commands a machine or a simulator by a task, from its state."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -41,33 +41,33 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-# Commands whose plans' times count for the figures of diagnostics, which come so often [s].
+# Number of commands whose plan times enter the diagnostics, and the period of these [s].
 _RECENT, _REPORT = 1000, 1.0
-# States whose lags, from their stamps to when they come, are compared.
+# Number of states whose lags, from time stamp to arrival, are compared.
 _LAGS = 20
-# Times from command to command, of which the median [periods] is told if it is more.
+# Number of intervals between commands, and the median above which to warn [periods].
 _GAPS, _SELDOM = 100, 1.5
-# A state may be so much earlier than a period after the last one that was answered [1].
+# Tolerated earliness of a state relative to the end of the period [periods].
 _EARLY = 0.01
-# Most calls that compile a controller, the time of one that does [s], and how many that do not
-# show that all is compiled.
+# Most calls that compile a controller, the least time of such a call [s], and the number of fast
+# calls that show that all is compiled.
 _WARM_CALLS, _COMPILING, _FAST_CALLS = 20, 0.5, 4
 
-# As sensors are heard. Of those that wait the newest is answered: a plan begins at no older state,
-# and of states in parts each counts.
+# Sensor-like QoS. The newest of the waiting states is answered, so that no plan begins at an older
+# one; the depth keeps all parts of a state.
 _STATES = QoSProfile(depth=20, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return q and v of joint states, or of the simulator's ~/state, which has momenta.
+    Return q and v from joint states, or from ~/state of the simulator, which has momenta.
 
     Parameters
     ----------
     message : JointState
-        With every coordinate once, in any order, and possibly more.
+        Message with every coordinate once, in any order, and possibly with others.
     hamiltonian : Hamiltonian
-        H of d coordinates.
+        Hamiltonian of d coordinates.
 
     Raises
     ------
@@ -91,14 +91,14 @@ def state_of(message: JointState, hamiltonian: Hamiltonian) -> tuple[np.ndarray,
 
 class ControllerNode(ManagedNode):
     """
-    Answer states with the commands of a task.
+    Node that answers states with the commands of a task.
 
-    A command answers one state, and is sent when the task says; what comes late acts late.
+    A command answers one state and is sent at the time that the task sets; a late one acts late.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command line, by which parameters were given.
+        Command line with the parameters.
 
     Raises
     ------
@@ -124,12 +124,12 @@ class ControllerNode(ManagedNode):
         self._active = False
 
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Read the task, compile its controller, and open the topics; serve meanwhile."""
+        """Read the task, compile its controller, and open the topics; serve in the meantime."""
         settings, begin = self.settings, time.monotonic()
         assignment: Assignment = await self.in_thread(
             lambda: _warm(assign(settings.task, settings.scene)))
         self._assignment = assignment
-        # States that a task of long periods does not answer are no silence.
+        # For a task with a long period, the states between two answers are not a silence.
         self._silence = max(assignment.task.silence, assignment.task.period)
         self._time = assignment.task.plan_time or assignment.task.period
         self._commands = create_publisher(
@@ -147,10 +147,10 @@ class ControllerNode(ManagedNode):
         self._states = f'{self._simulator}/state' if turning else 'joint_states'
         self._answered = math.inf
         self._stamp, self._stamps = 0, Stamps(self._now)
-        # Why joints stay missing is known before their silence is told.
+        # A timeout of half the silence gives the reason for missing joints before the report.
         self._joiner = ObservationJoiner(
             columns(assignment.hamiltonian.coordinates)[0], 0.5 * self._silence, self._now)
-        # A simulator that was reset publishes its scene: its stamps may be older from now on.
+        # A reset simulator publishes its scene again, and its stamps may then be older.
         self._hearing.hear(Input(f'{self._simulator}/scene', String, frozenset(), None, NEWEST),
                            lambda message: self._stamps.reset())
         self._hearing.hear(Input(self._states, JointState, frozenset(), None, _STATES),
@@ -171,13 +171,13 @@ class ControllerNode(ManagedNode):
         self._forget()
         self._stamps.reset()
         self._active, self._silent, self._refused = True, False, False
-        # Wall times at which the last state came, and the last one that was answered [s].
+        # Wall times of the arrival of the last state, and of the last answered one [s].
         self._heard = self._answered = math.inf
         self.get_logger().info(f'answers {self._states} on {self._topic}')
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send zeros, and answer no more."""
+        """Send zeros, and stop answering."""
         self._rest()
         self._active = False
         return SUCCESS
@@ -193,7 +193,7 @@ class ControllerNode(ManagedNode):
         return SUCCESS
 
     def finish(self, received: Sequence[int]) -> int:
-        """Send zeros if commands may act, and let them arrive; return the exit status."""
+        """Send zeros if the node is active, wait for delivery, and return the exit status."""
         if self._active:
             self._rest()
         wait_for_delivery(self, self._publishers, received)
@@ -208,7 +208,7 @@ class ControllerNode(ManagedNode):
         return int(self.get_clock().now().nanoseconds)
 
     def _forget(self) -> None:
-        """Answer the next state, whatever was before."""
+        """Discard what is known of earlier states, so that the next one is answered."""
         self._assigned.prediction.forget()
         self._due = -1
         self._next: tuple[int, np.ndarray, np.ndarray] | None = None
@@ -226,13 +226,13 @@ class ControllerNode(ManagedNode):
         self._refused = False
 
     def _answer(self) -> None:
-        """Answer the newest state, unless that was done, or it comes too soon."""
+        """Answer the newest state, unless that was done or the period has not passed."""
         if self._next is None:
             return
         (stamp, q, v), self._next = self._next, None
         begin, assigned = self._heard, self._assigned
         if stamp < self._stamp:
-            # The simulator has begun anew, or the clock was set back.
+            # The simulator has restarted, or the clock was set back.
             self._forget()
         if stamp < self._due:
             return
@@ -247,7 +247,7 @@ class ControllerNode(ManagedNode):
             raise ValueError(f'the controller has no command for q = {q.tolist()}, '
                              f'v = {v.tolist()}')
         spent = time.monotonic() - begin
-        # States come late by chance; the least late of the recent ones tells when this one was.
+        # Arrivals are delayed at random; the smallest recent lag gives the time of the state.
         self._lags.append(begin - t)
         sooner = min(begin, t + min(self._lags)) + assigned.task.plan_time - time.monotonic()
         if sooner > 0.0:
@@ -258,7 +258,7 @@ class ControllerNode(ManagedNode):
         if self._silent:
             self.get_logger().info(f'{self._states}: states again, after '
                                    f'{begin - self._answered:.3g} s', throttle_duration_sec=1.0)
-        # A long plan is no silence.
+        # Measured after the plan, since a long plan is not a silence.
         self._answered, self._silent = time.monotonic(), False
         self._times.append(spent)
         self._sent += 1
@@ -267,7 +267,7 @@ class ControllerNode(ManagedNode):
             self._send_plan(t + assigned.prediction.delay)
 
     def _send_plan(self, begin: float) -> None:
-        """Publish the states of the last plan, which begins at a time [s]; none without one."""
+        """Publish the states of the last plan, which begins at a time [s]; empty without one."""
         hamiltonian, controller = self._assigned.hamiltonian, self._assigned.controller
         message = JointTrajectory(joint_names=columns(hamiltonian.coordinates)[0])
         message.header.stamp = Time(nanoseconds=min(round(begin * 1e9), LATEST)).to_msg()
@@ -296,7 +296,7 @@ class ControllerNode(ManagedNode):
         self._send(np.zeros(len(self._assigned.task.inputs)))
 
     def _watch(self) -> None:
-        """Stop or hold, and say so once, when no state comes any more."""
+        """Send zeros or hold the last command if no state comes, and log that once."""
         if not self._active or time.monotonic() - self._answered < self._silence:
             return
         cause = self._cause
@@ -316,7 +316,7 @@ class ControllerNode(ManagedNode):
 
     @property
     def _cause(self) -> str:
-        """Return why states that come are not answered; nothing where none come."""
+        """Return the reason that incoming states are not answered; '' if none come."""
         if time.monotonic() - self._heard >= self._silence:
             return ''
         why = self._hearing.reasons.get(self._states, '') if self._refused else (
@@ -325,7 +325,7 @@ class ControllerNode(ManagedNode):
 
     @property
     def _stranger(self) -> str:
-        """Return that commands go to another node than states come from; nothing if not."""
+        """Return a warning if states come from another node than commands go to, else ''."""
         sources = nodes_of(self.get_publishers_info_by_topic(self._states))
         commanded = nodes_of(self.get_subscriptions_info_by_topic(self._topic))
         if not sources or {*sources} & {*commanded} or self._answered == math.inf:
@@ -335,13 +335,13 @@ class ControllerNode(ManagedNode):
                 f'{listed(commanded) or "no node"}: is the parameter simulator right?')
 
     def _report(self) -> None:
-        """Publish how the controller does."""
+        """Publish the status of the controller."""
         assigned, controller = self._assigned, self._assigned.controller
         late, self._reported_late = self._late - self._reported_late, self._late
         ignored = self._hearing.ignored[self._states]
         level, message = OK, f'{assigned.task.controller.kind}: {controller.mode}'
         stranger = self._warn_of_stranger(self._stranger)
-        # Whether they come in parts is known once one was answered.
+        # After the first answer, it is known if states come in parts.
         whole = self._answered < math.inf and not self._joiner.joins
         crowd = self._warn_of_crowd(crowded(self, [
             *[self._states] * whole, self._topic, *[CLOCK_TOPIC] * follows_clock(self)]))
@@ -364,7 +364,7 @@ class ControllerNode(ManagedNode):
         elif seldom:
             level, message = WARN, seldom
         elif stranger:
-            # Right where a broadcaster publishes the states, as with ros2_control.
+            # Expected if a broadcaster publishes the states, as with ros2_control.
             message += f'; {stranger}'
         times = np.array(self._times) if self._times else np.full(1, np.nan)
         self._diagnostics.publish([Status('control', level, message, {
@@ -380,16 +380,16 @@ class ControllerNode(ManagedNode):
 
 
 def _warm(assignment: Assignment) -> Assignment:
-    """Call the controller before the first state, until nothing is left to compile."""
+    """Call the controller before the first state, until everything is compiled."""
     q, p = (np.array(one) for one in (assignment.scene.initial_state.q,
                                       assignment.scene.initial_state.p))
     v = assignment.hamiltonian.gradient(q, p)[1]
     fast = 0
     for k in range(-_WARM_CALLS, 0):
         begin, t = time.monotonic(), k * assignment.task.period
-        # Where the state is not the one that was planned, plans begin anew.
+        # A state off the plan forces the controller to plan again.
         assignment.controller(*assignment.prediction(t, q, v + 0.1 * (k % 3)), t)
-        # A plan with a budget ends when that is spent by a compilation, before all is compiled.
+        # A compilation uses up the budget of a plan, which then ends before all is compiled.
         fast = fast + 1 if time.monotonic() - begin < _COMPILING else 0
         if fast == _FAST_CALLS:
             break
@@ -397,7 +397,7 @@ def _warm(assignment: Assignment) -> Assignment:
 
 
 def main(argv: list[str]) -> int:
-    """Control until the node is shut down, or a signal arrives."""
+    """Control until the node is shut down or a signal arrives."""
     command_lines.controller().parse_args(own_arguments(argv))
     with ros_process(argv) as received:
         node = ControllerNode(argv)

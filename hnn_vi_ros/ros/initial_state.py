@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Initial states that others publish on ~/initial_state, and the answers on ~/state_set."""
+"""Initial states received on ~/initial_state, and the answers on ~/state_set."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,16 +20,16 @@ from sensor_msgs.msg import JointState
 def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
                   ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return q and p of a joint state: position = q, velocity = dH/dp, effort is not used.
+    Convert a joint state to q and p: position = q, velocity = dH/dp, effort is not used.
 
     Parameters
     ----------
     message : JointState
-        With every coordinate once, in any order.
+        Message with every coordinate once, in any order.
     hamiltonian : Hamiltonian
-        H, whose momenta belong to the velocities.
+        Hamiltonian that gives the momenta of the velocities.
     p0 : np.ndarray, shape (d,)
-        Where the search for p begins.
+        Start of the search for p.
 
     Returns
     -------
@@ -62,27 +62,27 @@ def initial_state(message: JointState, hamiltonian: Hamiltonian, p0: np.ndarray
     return q, p
 
 
-# Characters of an answer.
+# Maximum length of an answer [characters].
 _LONGEST = 1000
 
 
 def hear_initial_states(node: Node, topics: Topics, run: Run, reset: Callable[[], Answer | None]
                         ) -> None:
     """
-    Take states for the next reset, and tell who sent them what came of it.
+    Accept states for the next reset, and publish an answer to each.
 
-    An answer is one status: whether the state was taken, and why not; q and p, with all digits.
+    An answer is one status: accepted or not, with the reason, and q and p in full precision.
 
     Parameters
     ----------
     node : Node
-        The simulator.
+        The simulator node.
     topics : Topics
-        Its publishers and subscriptions.
+        Publishers and subscriptions of the node.
     run : Run
-        What begins at the states.
+        Run that begins at the states.
     reset : callable
-        Resets at once, or returns None where that is not asked for.
+        Resets at once, or returns None if that is not requested.
 
     """
     answers = DiagnosticsPublisher(node, partial(topics.send, STATE_SET), run.scene.name)

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Description of the launch files.
+Launch descriptions.
 
-One node with each of its parameters as an argument; or a simulated robot with what drives and
-shows it in ROS.
+One describes a node with each of its parameters as an argument; the other describes a simulated
+robot with the nodes that drive and display it.
 """
 
 from collections.abc import Sequence
@@ -44,22 +44,22 @@ def describe_node(executable: str, name: str, table: Sequence[Specification],
     Parameters
     ----------
     executable : str
-        Of this package.
+        Executable of this package.
     name : str
-        The node's name, unless another one is given as an argument.
+        Name of the node, which the argument ``name`` overrides.
     table : sequence of Specification
-        The node's parameters.
+        Parameters of the node.
     words : sequence of (str, str), optional
-        Names and descriptions of arguments that the executable takes on its command line.
+        Names and descriptions of command-line arguments of the executable.
     managed : bool, optional
-        Whether the launch system goes through the transitions of a lifecycle node: configure when
-        the process has started, activate when it is configured. Parameter ``autostart`` is false
-        then.
+        True if the launch system performs the transitions of a lifecycle node: configure when
+        the process has started, and activate when the node is configured. Parameter
+        ``autostart`` is then false.
 
     """
     table = [item for item in table if not (managed and item.name == 'autostart')]
     arguments = [
-        # Empty means not given: then a parameter file counts, and after it the default.
+        # Empty means not given: a parameter file then applies, or else the default.
         *((item.name, '', f'{item.description} (default: {_text(item.default)})')
           for item in table),
         ('name', name, 'name of the node'), *_COMMON]
@@ -83,7 +83,7 @@ def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
     """
     Return warnings of misspelt arguments, which ``ros2 launch`` ignores.
 
-    They are not refused: a launch file that includes this one may have arguments of its own.
+    They are not errors: a launch file that includes this one may have arguments of its own.
     """
     words = [word.partition(':=')[0] for word in argv if ':=' in word]
     return [LogInfo(msg=f'argument {word} is none of this node{hint}') for word in words
@@ -92,15 +92,15 @@ def _misspelt(argv: Sequence[str], known: Sequence[str]) -> list[Any]:
 
 def _entities(given: dict[str, str], executable: str, table: Sequence[Specification],
               words: Sequence[str], managed: bool) -> list[Any]:
-    """Return the node as its arguments have it, with what watches it before it."""
+    """Return the node with its arguments, preceded by the event handlers that watch it."""
     types = {item.name: type(item.default) for item in table} | {'use_sim_time': bool}
-    # Typed: else a scene named 2024 would be read as an integer.
+    # Typed values: otherwise a scene named 2024 would be read as an integer.
     parameters: dict[str, Any] = {
         name: ParameterValue(LaunchConfiguration(name), value_type=kind)
         for name, kind in types.items() if given[name] != ''}
     if managed:
         parameters['autostart'] = False
-    # Not among the parameters, where a file that is not there would only be a warning.
+    # Passed to ROS directly, since launch only warns of a missing file among the parameters.
     file = ['--params-file', given['params_file']] if given['params_file'] else []
     node = (LifecycleNode if managed else Node)(
         package='hnn_vi_ros', executable=executable, output='screen', name=given['name'],
@@ -111,7 +111,7 @@ def _entities(given: dict[str, str], executable: str, table: Sequence[Specificat
 
 
 def _watch(node: Any) -> Any:
-    """Return what ends the launch with status 1 if the process of a node does not end with 0."""
+    """Return a handler that ends the launch with status 1 if a node's exit status is not 0."""
     def on_exit(event: Any, context: Any) -> None:
         if event.returncode != 0 and not context.is_shutdown:
             raise RuntimeError(f'{event.process_name} has ended with status {event.returncode}')
@@ -120,13 +120,13 @@ def _watch(node: Any) -> Any:
 
 
 def _transitions(node: Any) -> list[Any]:
-    """Return what configures a lifecycle node when it has started, and then activates it."""
+    """Return handlers that configure a lifecycle node at its start and then activate it."""
     def change(transition: int) -> list[EmitEvent]:
         return [EmitEvent(event=ChangeState(
             lifecycle_node_matcher=matches_action(node), transition_id=transition))]
 
     def fail(context: Any) -> None:
-        # An exception is the one way in which a launch file gives `ros2 launch` a status.
+        # Only an exception in a launch file gives `ros2 launch` an exit status.
         raise RuntimeError('the node could not be configured; it says above why')
 
     return [
@@ -142,7 +142,7 @@ def _transitions(node: Any) -> list[Any]:
 
 
 def _text(value: object) -> str:
-    """Return a default in YAML; an empty string as the word empty."""
+    """Return a default in YAML, and an empty string as the word empty."""
     return 'empty' if value == '' else yaml.safe_dump(value).splitlines()[0]
 
 
@@ -164,8 +164,8 @@ def describe_robot() -> Any:
     """
     Return the launch description of a robot that ros2_control drives.
 
-    Missing packages are left out and named; without ros2_control, the simulator's own joint
-    states move the picture.
+    Missing packages are reported and their nodes omitted; without ros2_control, the joint states
+    of the simulator move the picture.
     """
     folder = Path(get_package_share_directory('hnn_vi_ros')) / 'config' / 'robots'
     return LaunchDescription([
@@ -175,9 +175,9 @@ def describe_robot() -> Any:
 
 
 def _robot_entities(given: dict[str, str]) -> list[Any]:
-    """Return the nodes as the arguments have them, and what is said of those left out."""
+    """Return the nodes with their arguments, and messages on the omitted ones."""
     description = {'robot_description': Path(given['robot']).read_text(encoding='utf-8')}
-    # What runs beside the simulator where its packages are installed, and what is lost else.
+    # Required packages of further nodes, the effect of their absence, and the nodes.
     beside = (
         (['robot_state_publisher'], 'no frames are published', [
             Node(package='robot_state_publisher', executable='robot_state_publisher',
@@ -203,7 +203,7 @@ def _robot_entities(given: dict[str, str]) -> list[Any]:
 
 
 def _missing(packages: Sequence[str]) -> list[str]:
-    """Return which packages are not installed."""
+    """Return the packages that are not installed."""
     missing = []
     for package in packages:
         try:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The example subscriber: prints the energy of a running simulator once a second."""
+"""An example subscriber: prints the energy of a running simulator once a second."""
 
 from hnn_vi_ros.ros import arguments
 from hnn_vi_ros.ros.node_parameters import refuse_unknown
@@ -11,7 +11,7 @@ from std_msgs.msg import Float64
 
 
 class Listener(RobustNode):
-    """Print every hundredth energy."""
+    """Subscriber that logs every hundredth energy."""
 
     def __init__(self) -> None:
         super().__init__('hnn_listener', automatically_declare_parameters_from_overrides=True)

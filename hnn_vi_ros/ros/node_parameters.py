@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a node: those given at its start, declared, checked, and changed later."""
+"""Parameters of a node: their declaration, check and later changes."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
 
-# What rclpy declares in every node.
+# Parameters that rclpy declares in every node.
 ROS_OWN = ('use_sim_time', 'start_type_description_service')
 _SECTION = 'ros__parameters'
 
@@ -28,27 +28,27 @@ _SECTION = 'ros__parameters'
 def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterable[Endpoint],
                    arguments: Sequence[str]) -> None:
     """
-    Refuse parameters that a node was given and does not have, before they run the default.
+    Refuse unknown parameters that were given to a node, instead of running with the defaults.
 
-    A parameter file may hold a section for several nodes, whose name is a wildcard (``/**``).
-    A parameter there that the node lacks belongs to another node: it is reported if it looks like
-    a misspelling, and left. So is a section named nearly like the node, if none is its own.
+    A parameter file may contain a section for several nodes, whose name is a wildcard (``/**``).
+    An unknown parameter there belongs to another node: it is only reported if it looks like a
+    misspelling. The same holds for a section named nearly like the node, if none matches it.
 
     Parameters
     ----------
     node : Node
-        Whose own parameters are declared.
+        Node whose own parameters are declared.
     table : iterable of Specification
-        Its own parameters.
+        Parameters of the node.
     endpoints : iterable of Endpoint
-        Its topics, whose QoS can be set.
+        Topics of the node, whose QoS can be set.
     arguments : sequence of str
-        The command line, which names the parameter files.
+        Command line, which names the parameter files.
 
     Raises
     ------
     ParameterError
-        It was given one that it does not have, or a QoS policy that does not exist; one line.
+        A given parameter or QoS policy does not exist; one line.
 
     """
     own = [*(item.name for item in table), *ROS_OWN]
@@ -63,7 +63,7 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
             raise ParameterError(f'parameter {name} = {value!r}: expected true or false')
         if name in own:
             continue
-        # Those of QoS are declared by rclpy, with their topic.
+        # QoS parameters are declared by rclpy together with their topics.
         node.undeclare_parameter(name)
         if name in policies:
             if wanted := expected(name, value):
@@ -80,10 +80,10 @@ def refuse_unknown(node: Node, table: Iterable[Specification], endpoints: Iterab
 
 
 def _remedy(name: str, own: Sequence[str], policies: Sequence[str]) -> tuple[str, str]:
-    """Return the known name that an unknown one is near, if any, and what there is."""
+    """Return the hint at a similar known name, if any, and the list of valid names."""
     if not name.startswith(PREFIX):
         return did_you_mean(name, own), f'; it has: {", ".join(own)}'
-    # In the name of a topic there is no point.
+    # Names of topics contain no dots.
     topic, _, policy = name.removeprefix(PREFIX).partition('.')
     known: dict[str, list[str]] = {}
     for each in policies:
@@ -103,10 +103,10 @@ def _warn_of_misspelt_node(node: Node, sections: Sequence[str]) -> None:
 
 
 def _sections(arguments: Sequence[str]) -> Iterator[tuple[str, object]]:
-    """Yield the name of each node in parameter files, not where it is, and its parameters."""
+    """Yield the base name and the parameters of each node in the parameter files."""
     for option, path in pairwise(arguments):
         if option == '--params-file':
-            # ROS has read it already, and refused what is no parameter file. Only names count.
+            # ROS has already read and checked the file; only the names are used.
             with open(path, 'rb') as stream:
                 content, _ = parse_mapping(stream.read(MAX_YAML_BYTES + 1), path, ParameterError)
             yield from _sections_in(content, '')
@@ -121,7 +121,7 @@ def _sections_in(content: Mapping[Any, object], node: str) -> Iterator[tuple[str
 
 
 def _flat(parameters: object, prefix: str) -> Iterator[str]:
-    """Yield the names of parameters; ``a: {b: 1}`` means ``a.b``."""
+    """Yield the names of nested parameters; ``a: {b: 1}`` means ``a.b``."""
     for key, value in parameters.items() if isinstance(parameters, Mapping) else ():
         if isinstance(value, Mapping):
             yield from _flat(value, f'{prefix}{key}.')
@@ -136,14 +136,14 @@ _DOUBLES = {item.name for item in PARAMETERS if isinstance(item.default, float)}
 
 def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     """
-    Declare every parameter of a class of settings and return the values, checked.
+    Declare all parameters of a class of settings; return their checked values.
 
     Parameters
     ----------
     node : Node
-        Whose parameters they are; what was given is declared automatically.
+        Node that owns the parameters; given values have been declared automatically.
     settings : type
-        Such as Settings: its fields are declared by ``parameter``.
+        Class such as Settings, whose fields are declared with ``parameter``.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
     for specification in specifications(settings):
         name, given = specification.name, specification.default
         if node.has_parameter(name):
-            # It is checked before it has a descriptor: errors of rclpy take several lines.
+            # Checked before it is declared with a descriptor: errors of rclpy take several lines.
             given = node.get_parameter(name).value
             node.undeclare_parameter(name)
         values[name] = specification.check(given)
@@ -164,7 +164,7 @@ def declare_parameters(node: Node, settings: type[_Declared]) -> _Declared:
 
 
 def node_name(node: Node, role: str, name: str) -> str:
-    """Return the full name of another node, given relative to a node; ParameterError if none."""
+    """Return the full name of another node, which may be relative; ParameterError if invalid."""
     try:
         validate_topic_name(name)
         return expand_topic_name(name, node.get_name(), node.get_namespace())
@@ -175,25 +175,25 @@ def node_name(node: Node, role: str, name: str) -> str:
 
 class Parameters:
     """
-    The parameters of a node: declared, checked, and changed only where they may.
+    The parameters of a node: declared, checked, and changed only when permitted.
 
-    Changes that are asked for together are checked together: all of them or none are made.
+    Changes that are requested together are checked together: either all or none are made.
 
     Parameters
     ----------
     node : Node
-        Whose parameters they are.
+        Node that owns the parameters.
     check : callable
-        Raises ParameterError if changed settings do not fit the run, if there is one.
+        Raises ParameterError if changed settings do not fit the current run, if any.
     apply : callable
-        Lets the run, if there is one, go on with changed settings.
+        Applies changed settings to the current run, if any.
 
     Attributes
     ----------
     settings : Settings
-        What they are worth.
+        Values of the parameters.
     configured : bool
-        Whether a configured run uses them.
+        True if a configured run uses them.
 
     Raises
     ------
@@ -224,7 +224,7 @@ class Parameters:
         self._apply_to_run(self.settings)
 
     def _changed(self, parameters: Sequence[Parameter]) -> Settings:
-        """Return all with changes, or raise ParameterError; other parameters are ROS's."""
+        """Return the changed settings, or raise ParameterError; ignore parameters of ROS."""
         changes: dict[str, Any] = {}
         for parameter in parameters:
             specification = _BY_NAME.get(parameter.name)
@@ -245,7 +245,7 @@ class Parameters:
 
 
 def _check_clock(settings: Settings, follows: bool) -> None:
-    """Raise ParameterError if a simulator would follow a clock that it cannot."""
+    """Raise ParameterError if the settings do not allow the simulator to follow /clock."""
     if follows and settings.publish_clock:
         raise ParameterError('parameter use_sim_time = true: the simulator cannot follow the '
                              '/clock that it publishes; set it, or publish_clock, to false')
@@ -255,7 +255,7 @@ def _check_clock(settings: Settings, follows: bool) -> None:
 
 
 def _with_doubles(parameters: list[Parameter]) -> list[Parameter]:
-    """Return them with doubles where integers were given for them."""
+    """Convert integers that were given for double parameters to doubles."""
     return [Parameter(item.name, Parameter.Type.DOUBLE, float(item.value))
             if item.type_ == Parameter.Type.INTEGER and item.name in _DOUBLES else item
             for item in parameters]
@@ -274,7 +274,7 @@ def _descriptor(item: Specification) -> ParameterDescriptor:
         descriptor.integer_range = [
             IntegerRange(from_value=int(item.smallest), to_value=int(item.largest))]
     elif isinstance(item.default, float):
-        # An integer given for a double must work; the range is checked separately.
+        # Dynamic typing accepts an integer for a double; the range is checked separately.
         descriptor.dynamic_typing = True
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=item.smallest, to_value=item.largest)]

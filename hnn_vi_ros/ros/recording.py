@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The sinks of a run: opened, written to, and given up together."""
+"""The sinks of a run, such as bag and picture: opened, written to, and closed together."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -25,18 +25,18 @@ from std_msgs.msg import String
 
 class Beginning(NamedTuple):
     """
-    Beginning of a sink's recording.
+    Start of a sink's recording.
 
     Parameters
     ----------
     scene : Scene
-        With the initial state from which the simulation continues.
+        Scene with the initial state from which the simulation continues.
     simulation : Simulation
-        In its state of now.
+        Simulation in its current state.
     report : dict
-        What ``~/scene`` tells.
+        Contents of ``~/scene``.
     sampler : Sampler
-        Whose stamps count.
+        Sampler of the time stamps.
 
     """
 
@@ -48,18 +48,18 @@ class Beginning(NamedTuple):
 
 class Sink(ABC):
     """
-    Something that a run is written to or shown by.
+    A destination that a run is recorded to or displayed by.
 
-    Any method may raise RecordingError, which names the loss: the sink then gets no calls until
-    it is opened again. Between ``open`` and ``close`` come samples and whatever
-    else a sink cares for.
+    Any method may raise RecordingError, which names the loss: the sink is then not called until
+    it is opened again. Samples and other data are passed between ``open`` and ``close``; a sink
+    implements the methods that it needs.
 
     Attributes
     ----------
     name : str
-        By which /diagnostics tells where it goes.
+        Key of the target in /diagnostics.
     target : Path, str or int
-        Where it goes while it is open: a path, a URL or a port.
+        Destination while the sink is open: a path, a URL or a port.
     greeting : str
         Line to log once all sinks are open; empty for none.
 
@@ -71,41 +71,41 @@ class Sink(ABC):
 
     @abstractmethod
     def open(self, begin: Beginning) -> bool:  # noqa: A003
-        """Begin, again after ``close`` as well; return whether the sink wants anything."""
+        """Begin, also again after ``close``; return True if the sink wants any data."""
 
     @abstractmethod
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
-        """Take a sample, and the messages that were published of it."""
+        """Record a sample and its published messages."""
 
     @abstractmethod
     def close(self) -> None:
-        """Complete what was begun; makes no ROS call."""
+        """Complete the recording; makes no ROS call."""
 
     def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        """Take a message that does not come with each sample."""
+        """Record a message that is not part of each sample."""
         return
 
     def event(self, text: str, level: str, at: tuple[int, int] | None) -> None:
-        """Take a line at a stamp [ns] and a step; level is INFO, WARN or ERROR."""
+        """Record a line of text at a stamp [ns] and a step; level is INFO, WARN or ERROR."""
         return
 
     def timing(self, figures: Figures) -> None:
-        """Take what steps cost lately, and the pace, at the newest sample."""
+        """Record the recent cost of steps, and the pace, at the newest sample."""
         return
 
     def flush(self) -> None:
-        """Pass on samples that are held back, when no sample follows for a while."""
+        """Write out buffered samples, when no sample follows for a while."""
         return
 
     def files(self) -> list[str]:
-        """Return lines that name the files made since ``open``, and how to open them."""
+        """Return lines with the files created since ``open``, and how to open them."""
         return []
 
 
 @final
 class BagOutput(Sink):
     """
-    MCAP bags: one from the beginning on, if it is asked for, and others when they are.
+    MCAP bags: one from the start if `record` is set, and others on request.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class BagOutput(Sink):
     topics : BagTopics
         Topics in the bag.
     files : RunFiles
-        Which gives them names.
+        Provider of file names.
 
     """
 
@@ -122,7 +122,7 @@ class BagOutput(Sink):
 
     def __init__(self, settings: Settings, topics: BagTopics, files: RunFiles):
         self._settings, self._topics, self._files = settings, topics, files
-        # From the next beginning on.
+        # Takes effect at the next start of a recording.
         self.wanted = settings.record
         self._bags: list[Path] = []
         self._begin: Beginning
@@ -137,19 +137,19 @@ class BagOutput(Sink):
         return self.wanted
 
     def start(self) -> None:
-        """Begin one more bag, in the state of now."""
+        """Start another bag in the current state."""
         scene, simulation, report, sampler = self._begin
         bag = self._files.free(self._settings.record_path, 'bag', scene.name)
         described = dump_yaml(report)
         attachments = {
             'scene.yaml': described.encode(),
             'parameters.yaml': dump_yaml(asdict(self._settings)).encode()}
-        # Steps that were taken, a command that is held already: what the topics do not hold.
+        # Data that the topics lack: the state after earlier steps, and a command that is held.
         state, held = state_file(simulation), simulation.snapshot()['live.command']
         if state != self._begun_at or held.any():
             attachments[STATE_FILE] = state
         sink = McapSink(bag, self._topics.tick, attachments, distribution() or 'unknown')
-        # Stamped with the state that the bag begins at, from which on it acts.
+        # Stamped with the first state of the bag, from which it applies.
         sink.write_other(self._topics.scene, sampler.stamp, serialize(String(data=described)))
         sink.flush()
         self._sink, self.target, self.wanted = sink, bag, True
@@ -174,23 +174,23 @@ class BagOutput(Sink):
 
 VIEWER_URL = 'rerun+http://127.0.0.1:9876/proxy'
 SERVER_PORT = 9876
-# Samples that the picture shows, per second of wall time.
+# Samples displayed per second of wall time.
 _FRAME_RATE = 30.0
 
 
 @final
 class PictureOutput(Sink):
     """
-    A rerun recording: to a file, to a viewer, or to those that connect.
+    A rerun recording: to a file, to a viewer, or to viewers that connect.
 
     Parameters
     ----------
     settings : Settings
         The node's parameters.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p that the picture leaves room for.
+        Lowest and highest q and p that fit into the picture.
     files : RunFiles
-        Which gives it a name.
+        Provider of a file name.
 
     """
 
@@ -202,8 +202,8 @@ class PictureOutput(Sink):
         if settings.rerun_sink == 'serve':
             self.greeting = f'rerun viewers can connect to {VIEWER_URL}'
         if settings.rerun_sink != 'none':
-            # Imported here: a run without a picture starts without the viewer's libraries. One
-            # that lacks them ends before anything is recorded.
+            # Imported lazily: a run without a picture needs no viewer libraries. An error about
+            # missing ones is raised before anything is recorded.
             with optional('rerun', f'rerun_sink = {settings.rerun_sink} (none does without)'):
                 from hnn_vi_ros.recording import RerunSink
             self._make = RerunSink
@@ -252,13 +252,13 @@ class Recording:
     """
     Sinks of the samples of a run besides ROS, such as a bag and a picture.
 
-    A sink that fails is given up with an error in the log; the simulation continues, and
-    ``close`` says that something is missing.
+    A sink that fails is closed with an error in the log; the simulation continues, and ``close``
+    reports that data are missing.
 
     Parameters
     ----------
     logger : Logger
-        The node's.
+        Logger of the node.
     scene : Scene
         The simulated scene.
     simulation : Simulation
@@ -268,18 +268,18 @@ class Recording:
     topics : BagTopics
         Topics in the bag.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p that the picture leaves room for.
+        Lowest and highest q and p that fit into the picture.
     report : dict
-        What ~/scene tells, and the bag.
+        Contents of ~/scene and of the bag's scene.
     sampler : Sampler
-        Whose stamps count.
+        Sampler of the time stamps.
 
     Attributes
     ----------
     samples : int
-        Samples that were handed in since the files were opened.
+        Number of samples since the files were opened.
     problem : str
-        Why something is missing; empty as long as nothing is.
+        Reason for missing data; empty if nothing is missing.
 
     Raises
     ------
@@ -295,7 +295,7 @@ class Recording:
         self.problem = ''
         files = RunFiles()
         self._bag = BagOutput(settings, topics, files)
-        # A new sink is one more here.
+        # To add a sink, add it here.
         self._sinks: tuple[Sink, ...] = (self._bag, PictureOutput(settings, box, files))
         self._open: list[Sink] = []
         try:
@@ -311,11 +311,11 @@ class Recording:
         Parameters
         ----------
         scene : Scene
-            With the initial state from which the simulation continues.
+            Scene with the initial state from which the simulation continues.
         report : dict
-            What ~/scene tells from now on.
+            New contents of ~/scene.
         sampler : Sampler
-            Whose stamps count from now on.
+            New sampler of the time stamps.
 
         """
         self.close(ended=False)
@@ -323,7 +323,7 @@ class Recording:
         self._begin(Beginning(scene, self._simulation, report, sampler), self._give_up)
 
     def start_bag(self) -> str:
-        """Begin a new bag and return its absolute path, or raise RecordingError."""
+        """Start a new bag and return its absolute path, or raise RecordingError."""
         if self._bag in self._open:
             raise RecordingError(f'{self._bag.target}: is being recorded already')
         self._bag.start()
@@ -344,44 +344,44 @@ class Recording:
         return str(self._bag.target)
 
     def flush(self) -> None:
-        """Hand the files to the operating system, where no sample follows for a while."""
+        """Flush the files to the operating system, when no sample follows for a while."""
         self._each(lambda sink: sink.flush())
 
     def write(self, sample: Sample, payloads: Sequence[bytes]) -> None:
-        """Record and show one sample."""
+        """Record and display one sample."""
         self.samples += 1
         self._each(lambda sink: sink.write(sample, payloads))
 
     def write_other(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        """Record a message that does not come with each sample."""
+        """Record a message that is not part of each sample."""
         self._each(lambda sink: sink.write_other(topic, stamp, payload))
 
     def event(self, text: str, level: str, at: tuple[int, int] | None = None) -> None:
-        """Show a line with the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
+        """Display a line with the samples, at a stamp and a step; level is INFO, WARN or ERROR."""
         self._each(lambda sink: sink.event(text, level, at))
 
     def timing(self, figures: Figures) -> None:
-        """Show what steps cost lately, and the pace, at the newest sample."""
+        """Display the recent cost of steps, and the pace, at the newest sample."""
         self._each(lambda sink: sink.timing(figures))
 
     @property
     def targets(self) -> dict[str, str]:
-        """Return where each open sink goes."""
+        """Return the destination of each open sink."""
         return {sink.name: str(sink.target) for sink in self._open}
 
     def close(self, ended: bool = True) -> bool:
-        """Close what is open, at the end or to continue; return whether all was recorded."""
+        """Close the open sinks, finally or to continue; return True if everything was recorded."""
         self._each(lambda sink: sink.close(), ended)
         self._open.clear()
         return not self.problem
 
     def report(self) -> None:
-        """Print where the files are, and the command that opens each."""
+        """Print the paths of the files, and the command that opens each."""
         report_files([line for sink in self._sinks for line in sink.files()])
 
     def _begin(self, begin: Beginning,
                give_up: Callable[[RecordingError], None] | None = None) -> None:
-        """Open what is wanted; without someone who takes them, errors are raised."""
+        """Open the sinks; pass errors to `give_up`, or raise them if it is None."""
         self.samples = 0
         for sink in self._sinks:
             try:
@@ -396,7 +396,7 @@ class Recording:
                 self._logger.info(sink.greeting)
 
     def _each(self, act: Callable[[Sink], None], ended: bool = False) -> None:
-        """Do something with each open sink; one that fails is given up."""
+        """Call a function with each open sink; remove a sink that fails."""
         for sink in tuple(self._open):
             try:
                 act(sink)

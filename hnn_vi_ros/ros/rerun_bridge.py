@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Show a running simulator, or a bag, in rerun from another process."""
+"""Node that displays a running simulator or a bag in rerun, in a separate process."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -40,34 +40,34 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-# The picture leaves room for this much simulated time [s].
+# Simulated time that fits into the picture [s].
 _SEEN = 30.0
-# The viewer counts no farther.
+# Largest step number that the viewer accepts.
 _MOST_STEPS = 2.0**63
 
 
 class BridgePicture:
     """
-    Show samples, in the viewer.
+    Display of samples in the viewer.
 
     Parameters
     ----------
     scene : Scene
-        As ~/scene or a log describes it.
+        Scene as described by ~/scene or a log.
     target : Path, str or int
-        See RerunSink.
+        Destination; see RerunSink.
     name : str
-        Of the recording.
+        Name of the recording.
 
     Raises
     ------
     HnnViRosError
-        The scene's model is not there, or the target cannot be opened.
+        The model of the scene is missing, or the target cannot be opened.
 
     """
 
     def __init__(self, scene: Scene, target: Target, name: str):
-        # It stays in its initial state.
+        # The simulation stays in its initial state.
         self._simulation = simulation = build(scene)
         self._hamiltonian = hamiltonian = simulation.hamiltonian
         self._energy0, self._modified = simulation.energy, simulation.modified_energy is not None
@@ -80,7 +80,7 @@ class BridgePicture:
             conservative=simulation.conservative, modified=self._modified)
 
     def show(self, state: State) -> None:
-        """Show a sample; without ~/state its energy is that of the scene's own H."""
+        """Display a sample; without ~/state its energy is computed with the scene's H."""
         simulation, hamiltonian = self._simulation, self._hamiltonian
         h, energy0 = simulation.step_size, self._energy0
         dH_dq, dH_dp = map(np.asarray, hamiltonian.gradient(state.q, state.p))
@@ -107,14 +107,14 @@ class BridgePicture:
 
     def tell(self, message: DiagnosticArray, simulator: str) -> None:
         """
-        Show alarms, and what steps cost, at the newest sample, and events at their own times.
+        Display alarms and the cost of steps at the newest sample, and events at their own times.
 
         Parameters
         ----------
         message : DiagnosticArray
-            Of any node.
+            Diagnostics of any node.
         simulator : str
-            Full name of the one that is shown.
+            Full name of the displayed simulator.
 
         """
         for status in message.status:
@@ -133,7 +133,7 @@ class BridgePicture:
                 self._sink.timing((median, p99), pace)
 
     def plan(self, message: JointTrajectory) -> None:
-        """Show a controller's plan; ValueError if it is not one of this scene."""
+        """Display a controller's plan; ValueError if it does not fit the scene."""
         order = places_of(self._hamiltonian.coordinates, message.joint_names, 'joint_names')
         d = len(order)
         points = [(point.positions, point.velocities) for point in message.points]
@@ -146,12 +146,12 @@ class BridgePicture:
             self._hamiltonian, q, v, np.zeros_like(v)) if len(q) else v)
 
     def close(self) -> None:
-        """Send what is left; RecordingError if it is not taken."""
+        """Send the remaining data; RecordingError if that fails."""
         self._sink.close()
 
 
 def target_of(settings: BridgeSettings) -> Target:
-    """Return where parameters say that the picture goes, or raise ParameterError."""
+    """Return the destination of the picture set by the parameters, or raise ParameterError."""
     path = settings.rerun_path
     if settings.rerun_sink == 'connect':
         return path or VIEWER_URL
@@ -166,27 +166,27 @@ def target_of(settings: BridgeSettings) -> Target:
 
 
 _QUEUE = QoSProfile(depth=1000)
-# At the end, held samples may take this long to show [s].
+# Time limit for the display of queued samples at the end [s].
 _LONGEST_END = 3.0
 
 
 class RerunBridge(RobustNode):
     """
-    Show the topics of a simulator.
+    Node that displays the topics of a simulator.
 
     A sample is a message of ~/state.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command line, by which parameters were given.
+        Command line with the parameters.
     trust_code : bool, optional
-        Whether Python code that a scene names may be run; the parameter's value if it is set.
+        True to allow the execution of Python code that a scene names; sets the parameter.
 
     Attributes
     ----------
     problem : HnnViRosError or None
-        Why nothing can be shown any more.
+        Error that ended the display.
 
     """
 
@@ -207,13 +207,13 @@ class RerunBridge(RobustNode):
         self._picture: BridgePicture | None = None
 
     def listen(self) -> None:
-        """Subscribe to the scene, the state, and what is told of it."""
+        """Subscribe to the scene, the state, plans, diagnostics and events."""
         for topic, (kind, take, qos, raw) in self._topics.items():
             self._hearing.hear(Input(topic, kind, frozenset(), None, qos), take, raw)
         self.get_logger().info(f'waiting for {next(iter(self._topics))}')
 
     def _find_topics(self) -> dict[str, tuple[type, Callable[..., None], QoSProfile, bool]]:
-        """Return message type, callback, QoS and whether bytes are wanted, by topic."""
+        """Return message type, callback, QoS and use of raw bytes, by topic."""
         simulator, controller = (node_name(self, role, getattr(self._settings, role))
                                  for role in ('simulator', 'controller'))
 
@@ -230,7 +230,7 @@ class RerunBridge(RobustNode):
             EVENTS.topic.replace('~', simulator): (DiagnosticArray, tell, EVENTS.qos, False)}
 
     def show_bag(self, bag: Path) -> int:
-        """Show all samples of a bag; return their number."""
+        """Display all samples of a bag; return their number."""
         run = RecordedRun(bag, self._settings.trust_code)
         picture = BridgePicture(run.scene, self.target, bag.resolve().name)
         self._picture = picture
@@ -245,25 +245,25 @@ class RerunBridge(RobustNode):
         return picture.samples
 
     def close(self) -> None:
-        """Send what is left."""
+        """Send the remaining data."""
         if self._picture is not None:
             self._picture.close()
             self._picture = None
 
     def _on_scene(self, message: String) -> None:
-        """Begin a picture; a scene that is published again, or another, begins a new one."""
+        """Begin a new picture, unless the text of the scene is unchanged."""
         if message.data == self._described:
             return
         self._described = message.data
         try:
             scene, _ = described_scene(message.data, '~/scene', self._settings.trust_code)
         except RecordingError as problem:
-            # Anybody may have sent it: the picture continues.
+            # Any node may have sent it, so the picture continues.
             self.get_logger().error(str(problem))
             return
         with self._end_if_lost():
             self.close()
-            # After the first, a file that is not there yet.
+            # After the first picture, use a file name that does not exist yet.
             target = next(target for target in self._targets if target == self.target
                           or not (isinstance(target, Path) and target.exists()))
             self._picture = BridgePicture(scene, target, 'bridge')
@@ -272,14 +272,14 @@ class RerunBridge(RobustNode):
             self.get_logger().info(f'showing {simulator} on {shown}')
 
     def _show(self, show: Callable[..., None], *what: Any) -> None:
-        """Hand something to a method of BridgePicture, if there is a picture."""
+        """Pass an object to a method of BridgePicture, if there is a picture."""
         if self._picture is not None:
             with self._end_if_lost():
                 show(self._picture, *what)
 
     @contextmanager
     def _end_if_lost(self) -> Iterator[None]:
-        """Note why nothing can be shown any more."""
+        """Store the error that ends the display."""
         try:
             yield
         except HnnViRosError as problem:
@@ -287,7 +287,7 @@ class RerunBridge(RobustNode):
 
 
 def main(argv: list[str]) -> int:
-    """Show a simulator until a signal, or a bag until it is shown."""
+    """Display a simulator until a signal, or all of a bag."""
     options = arguments.rerun_bridge().parse_args(own_arguments(argv))
     with ros_process(argv) as received:
         node = RerunBridge(argv, options.trust_code)
@@ -306,7 +306,7 @@ def main(argv: list[str]) -> int:
 def _show_simulator(node: RerunBridge, received: list[int]) -> None:
     node.listen()
     executor = spin(node, lambda: received or node.problem)
-    # What had come by the end is shown, unless that takes long or another signal comes.
+    # Display the messages received by then, unless that takes long or another signal comes.
     deadline, signals = time.monotonic() + _LONGEST_END, len(received)
     while len(received) == signals and node.problem is None and time.monotonic() < deadline:
         if not take_once(executor):

@@ -25,12 +25,12 @@ from std_srvs.srv import SetBool, Trigger
 
 ACTION = 'SimulateSteps'
 _FAILED = 'RESULT_OPERATION_FAILED'
-# Least wall time between two feedbacks [s]; thousands of steps a second would flood the client.
+# Least wall time between two feedback messages [s], as each step would flood the client.
 _PERIOD = 0.02
 
 
 _INTERFACES = 'simulation_interfaces'
-# What each interface that is served here adds to the features that are reported.
+# Interfaces served here, and the features that each adds to the reported ones.
 INTERFACES = {
     'GetSimulatorFeatures': (),
     'GetSimulationState': ('SIMULATION_STATE_GETTING',),
@@ -48,7 +48,7 @@ INTERFACES = {
 
 
 def service_name(interface: str) -> str:
-    """Return the name under which an interface is served, relative to the node's."""
+    """Return the service name of an interface, relative to the node."""
     return re.sub('(?<!^)(?=[A-Z])', '_', interface).lower()
 
 
@@ -56,14 +56,14 @@ def offer_simulation_interfaces(simulator: Simulator, group: CallbackGroup) -> N
     """
     Create the services if simulation_interfaces can be imported.
 
-    Its versions differ: what the installed one does not have is neither served nor reported.
+    Its versions differ: interfaces missing from the installed one are neither served nor reported.
 
     Parameters
     ----------
     simulator : Simulator
-        That offers them.
+        Simulator node that offers the services.
     group : CallbackGroup
-        Which they belong to.
+        Callback group of the services.
 
     """
     try:
@@ -72,7 +72,7 @@ def offer_simulation_interfaces(simulator: Simulator, group: CallbackGroup) -> N
     except ModuleNotFoundError as problem:
         if not (problem.name or '').startswith(_INTERFACES):
             raise
-        # Not installed: std_srvs do the same under other names.
+        # Not installed: services of std_srvs do the same under other names.
         return
     offered = {name: kind for name in INTERFACES
                if (kind := getattr(types, name, None) or getattr(actions, name, None))}
@@ -89,31 +89,31 @@ def offer_simulation_interfaces(simulator: Simulator, group: CallbackGroup) -> N
 
 class SimulationServices:
     """
-    Answer what is asked of the simulation and of worlds.
+    Handlers of simulation_interfaces.
 
-    A handler fills in its response and returns a message, usually none; it refuses by WorldError.
+    A handler fills in its response and may return a message; it raises WorldError to refuse.
 
     Parameters
     ----------
     messages : module
         ``simulation_interfaces.msg``.
     simulator : Simulator
-        What they act on.
+        Simulator node that the services act on.
     offered : mapping
-        The interfaces that are served, by name.
+        Interfaces that are served, by name.
 
     """
 
     def __init__(self, messages: ModuleType, simulator: Simulator, offered: Mapping[str, Any]):
         self._simulator, self._messages, self._offered = simulator, messages, offered
-        # The goal of the action that steps are taken for, and what will hold their end.
+        # The goal of the running action, and the future of its answer.
         self._goal: tuple[Any, Future] | None = None
         kinds = messages.SimulatorFeatures
         self._features = sorted(getattr(kinds, feature) for name in offered
                                 for feature in INTERFACES[name] if hasattr(kinds, feature))
 
     def answering(self, name: str) -> Callable[[Any, Any], Awaitable[Any]]:
-        """Return the callback of a service, which reports what its handler raises."""
+        """Return the callback of a service, which reports the errors of its handler."""
         handler = getattr(self, name)
 
         async def answer(request: Any, response: Any) -> Any:
@@ -127,17 +127,17 @@ class SimulationServices:
         return answer
 
     def get_simulator_features(self, request: Any, response: Any) -> None:
-        """Return what is supported."""
+        """Return the supported features."""
         response.features.features = self._features
         response.features.custom_info = (
             f'hnn_vi_ros {__version__}: worlds and spawnables are scenes, one at a time')
 
     def get_simulation_state(self, request: Any, response: Any) -> None:
-        """Return whether simulated time advances, and whether there is a world at all."""
+        """Return the state: playing, paused, stopped, or without a world."""
         response.state.state = self._now()
 
     def set_simulation_state(self, request: Any, response: Any) -> None:
-        """Play, pause, stop, which is to pause and to reset all, or end the process."""
+        """Play, pause, stop (which pauses and resets state and time), or end the process."""
         wanted, states = request.state.state, self._messages.SimulationState
         if wanted == states.STATE_QUITTING:
             self._simulator.stop(0, 'quit by set_simulation_state')
@@ -157,7 +157,7 @@ class SimulationServices:
             control.stopped = True
 
     def reset_simulation(self, request: Any, response: Any) -> None:
-        """Reset state, time or both, which is the default; there are no spawned entities."""
+        """Reset state, time or both (the default); there are no spawned entities."""
         scopes, scope = type(request), request.scope
         control = self._control('RESULT_INCORRECT_STATE')
         if scope in (scopes.SCOPE_DEFAULT, scopes.SCOPE_ALL):
@@ -173,14 +173,14 @@ class SimulationServices:
         _done(await self._control(_FAILED).request_steps(int(request.steps)))
 
     async def get_spawnables(self, request: Any, response: Any) -> str:
-        """List the scenes: what can be had here, though one at a time and by load_world."""
+        """List the scenes as spawnables, though load_world loads them, and one at a time."""
         found, problems = await self._simulator.in_thread(
             lambda: find_worlds(request.sources, True))
         response.spawnables = [self._spawnable(world) for world in found]
         return '; '.join(problems)
 
     async def get_available_worlds(self, request: Any, response: Any) -> str:
-        """List the scenes whose tags match; none of them is anywhere but on this machine."""
+        """List the scenes with matching tags; all of them are on this machine."""
         found, problems = await self._simulator.in_thread(lambda: find_worlds(
             request.additional_sources, request.continue_on_error))
         response.worlds = [self._resource(world) for world in found
@@ -188,16 +188,16 @@ class SimulationServices:
         return '; '.join(problems)
 
     def get_current_world(self, request: Any, response: Any) -> None:
-        """Return which scene is loaded."""
+        """Return the loaded scene."""
         if self._simulator.run is None:
             raise WorldError('NO_WORLD_LOADED', self._simulator.refusal)
         world = world_of(self._simulator.run.scene)
-        # No URI leads to the scene in a bag.
+        # A scene in a bag has no URI.
         response.world = self._resource(
             world._replace(uri='') if self._simulator.settings.resume else world)
 
     async def load_world(self, request: Any, response: Any) -> None:
-        """Simulate another scene: through cleanup, configure and activate to a stopped run."""
+        """Load another scene by cleanup, configure and activate; the run is then stopped."""
         source = getattr(request, 'world_resource', request)
         if not source.uri:
             raise WorldError(*(
@@ -210,17 +210,17 @@ class SimulationServices:
         response.world = self._resource(world_of(scene))
 
     async def unload_world(self, request: Any, response: Any) -> None:
-        """Close the files and forget the scene: the transition cleanup."""
+        """Close the files and discard the scene, by the transition cleanup."""
         if self._simulator.state == State.PRIMARY_STATE_UNCONFIGURED:
             raise WorldError('NO_WORLD_LOADED', self._simulator.refusal)
         await self._unload()
 
     async def simulate_steps(self, goal: ServerGoalHandle) -> Any:
         """
-        Take the steps of a goal of the action; a second goal is answered at once, as a service is.
+        Take the steps of an action goal; a second goal is answered at once, as by the service.
 
-        Every goal is accepted: by the definition, one that cannot be reached is answered by a
-        result that says why, which a rejection could not do.
+        Every goal is accepted: by the definition of the action, one that cannot be reached gets a
+        result with the reason, which a rejection could not contain.
         """
         control = self._simulator.control
         if control is None:
@@ -229,12 +229,12 @@ class SimulationServices:
         if not future.done():
             self._goal = goal, future
             if goal.is_cancel_requested:
-                # Since before it began.
+                # Cancelled before it began.
                 control.cancel_steps(future)
         return self._finish(goal, await future)
 
     def _feedback(self, goal: ServerGoalHandle) -> Callable[[int, int], None]:
-        """Return what reports progress to a client: after the first batch, and the last."""
+        """Return a callback that reports progress: after the first batch and the last."""
         last = -math.inf
 
         def tell(done: int, left: int) -> None:
@@ -247,7 +247,7 @@ class SimulationServices:
         return tell
 
     def cancel_steps(self, goal: ServerGoalHandle) -> CancelResponse:
-        """Take no more steps of this goal; what was taken is not taken back."""
+        """Cancel the remaining steps of a goal; steps already taken remain."""
         if self._goal is not None and self._goal[0] == goal and self._simulator.control:
             self._simulator.control.cancel_steps(self._goal[1])
         return CancelResponse.ACCEPT
@@ -264,7 +264,7 @@ class SimulationServices:
                           '' if answer.success else answer.message)
 
     def _control(self, code: str) -> Control:
-        """Return the control of the run; WorldError with this code while there is none."""
+        """Return the control of the run; WorldError with this code if there is none."""
         if self._simulator.control is None:
             raise WorldError(code, self._simulator.refusal)
         return self._simulator.control
@@ -273,7 +273,7 @@ class SimulationServices:
         control, states = self._simulator.control, self._messages.SimulationState
         if control is None:
             loading = self._simulator.state == State.TRANSITION_STATE_CONFIGURING
-            # Versions before worlds could be loaded know no state without one.
+            # Versions without worlds have no state for a missing one.
             return getattr(states, 'STATE_LOADING_WORLD' if loading else 'STATE_NO_WORLD',
                            states.STATE_STOPPED)
         if control.running:
@@ -281,7 +281,7 @@ class SimulationServices:
         return states.STATE_STOPPED if control.stopped else states.STATE_PAUSED
 
     async def _unload(self) -> None:
-        """Go to unconfigured from wherever that can be done from at once."""
+        """Change to unconfigured, if that is possible at once; else raise WorldError."""
         simulator = self._simulator
         if simulator.state == State.PRIMARY_STATE_ACTIVE:
             await simulator.change_state(Transition.TRANSITION_DEACTIVATE)
@@ -317,7 +317,7 @@ class SimulationServices:
         return resource
 
     def _fill(self, response: Any, code: str, message: str) -> Any:
-        # That of the features has no result.
+        # The response with the features has no result.
         if hasattr(response, 'result'):
             kind = getattr(type(response), code, None)
             response.result.result = getattr(self._messages.Result, code) if kind is None else kind
@@ -326,13 +326,13 @@ class SimulationServices:
 
 
 def _done(answer: Answer, code: str = _FAILED) -> None:
-    """Raise WorldError where an answer is a refusal."""
+    """Raise WorldError if an answer is a refusal."""
     if not answer.success:
         raise WorldError(code, answer.message)
 
 
 def _matches(wanted: Any, tags: tuple[str, ...]) -> bool:
-    """Return whether a world's tags are what a TagsFilter asks for."""
+    """Return True if the tags of a world satisfy a TagsFilter."""
     if not wanted.tags:
         return True
     enough = all if wanted.filter_mode == type(wanted).FILTER_MODE_ALL else any
@@ -341,16 +341,16 @@ def _matches(wanted: Any, tags: tuple[str, ...]) -> bool:
 
 def offer_services(simulator: Simulator) -> None:
     """
-    Create the services, with simulation_interfaces where it is installed.
+    Create the services, including simulation_interfaces if that is installed.
 
     Parameters
     ----------
     simulator : Simulator
-        That offers them.
+        Simulator node that offers the services.
 
     """
     def record(method: str, words: str) -> Answer:
-        """Begin or complete a bag; the answer is its absolute path."""
+        """Start or complete a bag; the answer is its absolute path."""
         assert simulator.run is not None, 'it has a control'
         try:
             path = getattr(simulator.run.recording, method)()
@@ -367,7 +367,7 @@ def offer_services(simulator: Simulator) -> None:
             return response
         return answer
 
-    # They have a group of their own: a long call of ~/step keeps no other waiting.
+    # The services share a reentrant group, so that a long call of ~/step does not block others.
     group = ReentrantCallbackGroup()
     for name, kind, handler in (
             ('~/set_pause', SetBool, lambda control, request: control.set_paused(request.data)),

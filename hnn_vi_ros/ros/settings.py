@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters of the nodes: a class for each node declares, checks and documents them.
+Parameters of the nodes: a class for each node declares, checks and documents them.
 
-Imports nothing of ROS: help is written from it as well.
+Imports nothing of ROS, since the help texts are generated from it too.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -14,33 +14,33 @@ from hnn_vi_ros.errors import ParameterError
 
 Value = str | bool | int | float
 
-# When a parameter can be changed.
+# Times at which a parameter can be changed.
 START, UNCONFIGURED, ALWAYS = 'at the start', 'unconfigured', 'always'
-# Characters of a string.
+# Maximum length of a string [characters].
 _LONGEST = 4096
 
 
 @dataclass(frozen=True)
 class Specification:
     """
-    One parameter.
+    Declaration of one parameter.
 
     Parameters
     ----------
     name : str
-        Its ROS name.
+        ROS name.
     default : str, bool, int or float
-        Its default, whose type is the parameter's.
+        Default, whose type is the type of the parameter.
     description : str
-        Its purpose.
+        Purpose.
     unit : str
         Unit of a number.
     smallest, largest : float
         Range of a number, both ends included.
     choices : tuple of str
-        Valid values of a string; empty if any will do.
+        Valid values of a string; empty if any string is valid.
     changes : str
-        When it can be set: when the node starts, while it is unconfigured, or always.
+        When it can be set: at the start of the node, while it is unconfigured, or always.
 
     """
 
@@ -54,7 +54,7 @@ class Specification:
     changes: str = UNCONFIGURED
 
     def check(self, value: object) -> Value:
-        """Return the value in the parameter's type, or raise ParameterError."""
+        """Convert a value to the type of the parameter, or raise ParameterError."""
         kind = type(self.default)
         if kind is float and type(value) is int:
             value = float(value)
@@ -69,7 +69,7 @@ class Specification:
 
     @property
     def expected(self) -> str:
-        """Say what a valid value is."""
+        """Return a description of valid values."""
         if type(self.default) in (int, float):
             kind = 'a whole number' if type(self.default) is int else 'a number'
             return (f'expected {kind} from {self.smallest:g} to {self.largest:g}'
@@ -80,7 +80,7 @@ class Specification:
 
 
 def parameter(default: Value, *words: Any, **more: Any) -> Any:
-    """Return the field of a parameter, whose name is the field's; see Specification."""
+    """Return the field of a parameter, which has the name of the field; see Specification."""
     return field(default=default, metadata={'item': Specification('', default, *words, **more)})
 
 
@@ -91,7 +91,7 @@ def specifications(settings: type) -> tuple[Specification, ...]:
 
 @dataclass(frozen=True)
 class Settings:
-    """The parameters of the simulator node: what each is worth, and all that is said of it."""
+    """Parameters of the simulator node: defaults, ranges, descriptions."""
 
     autostart: bool = parameter(
         True, 'configure and activate without being asked to; false leaves that to a lifecycle '
@@ -154,7 +154,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """The parameters of the rerun bridge."""
+    """Parameters of the rerun bridge."""
 
     simulator: str = parameter('hnn_simulator', 'name of the simulator node')
     controller: str = parameter(
@@ -172,7 +172,7 @@ class BridgeSettings:
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """The parameters of the replay node."""
+    """Parameters of the replay node."""
 
     rate: float = parameter(1.0, 'seconds of the bag per second of wall time', '1', 1e-3, 1e3)
     loop: bool = parameter(False, 'begin again at the end')
@@ -195,7 +195,7 @@ class ReplaySettings:
 
 @dataclass(frozen=True)
 class ControllerSettings:
-    """The parameters of the controller."""
+    """Parameters of the controller node."""
 
     autostart: bool = parameter(
         True, 'configure and activate without being asked to; false leaves that to a lifecycle '
@@ -211,7 +211,7 @@ class ControllerSettings:
 
 
 PARAMETERS = specifications(Settings)
-# The other nodes take theirs when they start.
+# The parameters of the other nodes can be set only at their start.
 BRIDGE_PARAMETERS, CONTROLLER_PARAMETERS, REPLAY_PARAMETERS = (
     tuple(replace(item, changes=START) for item in specifications(settings))
     for settings in (BridgeSettings, ControllerSettings, ReplaySettings))
@@ -225,7 +225,7 @@ def shown(value: Value) -> str:
 
 
 def help_of(item: Specification) -> str:
-    """Return what the help of an executable says of a parameter: meaning, values, default."""
+    """Return the help text of a parameter: meaning, values, default."""
     limited = item.choices or type(item.default) in (int, float)
     values = f' ({item.expected.removeprefix("expected ")})' if limited else ''
     return f'{item.description}{values}; default: {shown(item.default).strip("`")}'

@@ -27,25 +27,25 @@ from hnn_vi_ros.simulation import Simulation
 from lifecycle_msgs.msg import State
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-# Wall time between two lines about a configuration that takes long [s].
+# Wall time between two log lines during a long configuration [s].
 _PROGRESS = 5.0
-# The end waits this long for files that are being opened [s].
+# Wait at the end for files that are being opened [s].
 _OPENING_TIME = 5.0
 
 
 class SimulatorNode(Simulator):
     """
-    Simulate a scene at a given pace, publish it, record it and show it.
+    Node that simulates a scene at a given pace, and publishes, records and displays it.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        The command line, by which parameters were given.
+        Command line with the parameters.
 
     Attributes
     ----------
     topics : Topics or None
-        The node's publishers and subscriptions.
+        Publishers and subscriptions of the node; None while it is not configured.
 
     Raises
     ------
@@ -65,14 +65,14 @@ class SimulatorNode(Simulator):
 
     @property
     def refusal(self) -> str:
-        """Return why there is no run to act on."""
+        """Return the reason that there is no run to act on."""
         if self.state == State.TRANSITION_STATE_CONFIGURING:
             return f'configuring: {self._stage}; call again when the node is configured'
         return 'the node is not configured: use the transition configure first'
 
     @property
     def settings(self) -> Settings:
-        """Return the parameters."""
+        """Return the values of the parameters."""
         return self._declared.settings
 
     @property
@@ -80,13 +80,13 @@ class SimulatorNode(Simulator):
         return self.control is not None and self.control.ticking
 
     async def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load, compile and open everything, and serve meanwhile."""
+        """Load and compile the scene and open the files; serve in the meantime."""
         self._declared.configured = True
         settings, begin = self.settings, time.monotonic()
         progress = steady_timer(self, _PROGRESS, lambda: self.get_logger().info(
             f'configuring: {self._stage}, {time.monotonic() - begin:.0f} s so far'))
         try:
-            # There from now on, so that other nodes find them while the kernel is compiled.
+            # Created at once, so that other nodes discover them while the kernel is compiled.
             self.topics = Topics(self, settings)
             topics, discovery = self.topics.descriptions, Discovery(
                 self.topics.count_subscribers, settings.discovery_time)
@@ -100,7 +100,7 @@ class SimulatorNode(Simulator):
         finally:
             self.destroy_timer(progress)
         self.control = Control(self, self.run, discovery, settings)
-        # Those that were changed meanwhile count as well.
+        # Parameters may have been changed during the configuration.
         self.apply(self.settings)
         if not prepared.simulation.rescue_ready:
             self.spinner.create_task(self._compile_rest, prepared.simulation)
@@ -111,27 +111,27 @@ class SimulatorNode(Simulator):
         logger = self.get_logger()
         with announced(lambda line: logger.info(f'{line}, while it runs')):
             await self.in_thread(lambda: compile_rest(simulation))
-        # What compiling has left stays; as in Control.
+        # Exclude the compiled objects from garbage collection, as in Control.
         gc.freeze()
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go on, or begin."""
+        """Start or resume the run."""
         self._driven.activate()
         return SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stand still and keep the state."""
+        """Pause the run and keep its state."""
         self._driven.deactivate()
         return SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the files and forget the run; the exit status reflects what they lack."""
+        """Close the files and discard the run; the exit status reflects incomplete files."""
         self._close_run()
         self._forget()
         return SUCCESS
 
     def stop(self, status: int, reason: str) -> None:
-        """Step no more, and let the process end with this status."""
+        """Take no more steps, and let the process end with this status."""
         if self.exit_status is None:
             self.exit_status = status
             level = 'ERROR' if status else 'INFO'
@@ -143,7 +143,7 @@ class SimulatorNode(Simulator):
                 self.control.stop()
 
     def finish(self) -> int:
-        """Close the files, say where they are, return the exit status; calls only ROS's log."""
+        """Close and report the files, return the exit status; of ROS, uses only the log."""
         if self.run is None:
             self._close_prepared()
         self._close_run()
@@ -152,29 +152,29 @@ class SimulatorNode(Simulator):
         return self.exit_status or 0
 
     def check(self, settings: Settings) -> None:
-        """Raise ParameterError if changed parameters do not fit the run, if there is one."""
+        """Raise ParameterError if changed parameters do not fit the current run, if any."""
         if self.run is not None:
             check_pace(settings.real_time_factor, self.run.sampler.tick)
 
     def apply(self, settings: Settings) -> None:
-        """Go on with changed parameters, if there is a run."""
+        """Apply changed parameters to the current run, if any."""
         if self.control is not None:
             self.control.run.apply(settings)
             self.control.set_period()
 
     @property
     def _driven(self) -> Control:
-        """Return the control of the run; only a configured node is activated or changed."""
+        """Return the control of the run; only for a configured node."""
         assert self.control is not None
         return self.control
 
     def _prepare(self, settings: Settings, topics: BagTopics, discovery: Discovery) -> Prepared:
-        """Keep what is prepared: the node may be stopped before it can take it."""
+        """Prepare a run and store it, as the node may be stopped before it takes the result."""
         self._prepared = prepare(settings, topics, discovery, self.get_logger(), self._set_stage)
         return self._prepared
 
     def _close_prepared(self) -> None:
-        """Close the files of a run that has not begun, those as well that are being opened."""
+        """Close the files of a run that has not begun, including those being opened."""
         if self._stage == OPENING:
             self.wait(_OPENING_TIME)
         if self._prepared is not None:
@@ -182,12 +182,12 @@ class SimulatorNode(Simulator):
 
     def _set_stage(self, stage: str) -> None:
         if self.exit_status is not None:
-            # Nobody would close what is opened from now on.
+            # Files that are opened from now on would never be closed.
             raise ParameterError('the node was stopped')
         self._stage = stage
 
     def _reset_to_state(self) -> Answer | None:
-        """Reset at once, if that is what a state to begin at asks for."""
+        """Reset at once if reset_on_initial_state is set, else return None."""
         settings = self.settings
         return self._driven.reset(settings.reset_time) if settings.reset_on_initial_state else None
 
@@ -196,7 +196,7 @@ class SimulatorNode(Simulator):
             self._incomplete = True
 
     def _forget(self) -> None:
-        """Be as unconfigured as at the start."""
+        """Return to the unconfigured state."""
         if self.control is not None:
             self.control.close()
         if self.topics is not None:
@@ -208,13 +208,13 @@ class SimulatorNode(Simulator):
 def main(argv: list[str]) -> int:
     """Run the node until its duration is over, a guard stops it, or a signal arrives."""
     command_lines.simulator().parse_args(own_arguments(argv))
-    # Not rclpy's handlers, which would end the context before the files are closed.
+    # The signal handlers of rclpy would shut down the context before the files are closed.
     with ros_process(argv) as received:
         node = SimulatorNode(argv)
         try:
             executor = node.serve(received, node.settings.autostart)
             if node.control is not None:
-                # Those who wait for steps are answered; a client may be gone by now.
+                # Answer pending requests for steps; a client may already be gone.
                 with suppress(RCLError):
                     take_once(executor)
             if node.topics is not None:

@@ -13,7 +13,7 @@ from hnn_vi_ros.files import is_path, no_file, shipped_file, shipped_names
 from hnn_vi_ros.scene import load_scene, Scene
 
 _PACKAGE, _FOLDER, _SUFFIXES = 'hnn_vi_ros', '/config/scenes/', ('.yaml', '.yml')
-# Files of one folder that are looked at.
+# Most files that are read in one folder.
 _MOST_FILES = 200
 
 
@@ -24,9 +24,9 @@ class WorldError(HnnViRosError):
     Parameters
     ----------
     code : str
-        Name of the constant of simulation_interfaces for the reason.
+        Name of the simulation_interfaces constant for the reason.
     message : str
-        One line.
+        Text of one line.
 
     """
 
@@ -40,18 +40,18 @@ class WorldError(HnnViRosError):
 
 class World(NamedTuple):
     """
-    A scene, as others see it.
+    A scene as seen by clients.
 
     Parameters
     ----------
     name : str
-        Of its file, without the suffix.
+        Name of the file without the suffix.
     uri : str
-        That loads it.
+        URI that loads the scene.
     description : str
-        One line.
+        Text of one line.
     tags : tuple of str
-        The kinds of its Hamiltonian and its effects.
+        Kinds of its Hamiltonian and of its effects.
 
     """
 
@@ -72,19 +72,19 @@ def world_of(scene: Scene) -> World:
 
 def open_world(uri: str) -> tuple[Scene, str]:
     """
-    Read the scene that a URI names; return it and the value of the parameter ``scene`` for it.
+    Read the scene of a URI; return it and the value of the parameter ``scene`` for it.
 
     Parameters
     ----------
     uri : str
-        ``package://hnn_vi_ros/config/scenes/NAME.yaml``, a ``file:`` URI, or what the parameter
-        ``scene`` takes: the name of a shipped scene or a path.
+        ``package://hnn_vi_ros/config/scenes/NAME.yaml``, a ``file:`` URI, or a value of the
+        parameter ``scene``: the name of a shipped scene or a path.
 
     Raises
     ------
     WorldError
-        It names no scene, or none that can be simulated; or a scene that runs code, which only
-        the user who starts the node can ask for.
+        The URI names no scene that can be simulated, or names a scene that runs code, which only
+        the user who starts the node can allow.
 
     """
     name = _name_or_path(uri)
@@ -119,9 +119,9 @@ def find_worlds(folders: Sequence[str], go_on: bool) -> tuple[list[World], list[
     Parameters
     ----------
     folders : sequence of str
-        Paths or ``file:`` URIs of folders that hold scene files.
+        Paths or ``file:`` URIs of folders with scene files.
     go_on : bool
-        Whether a folder that cannot be read is only reported.
+        True to only report a folder that cannot be read.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def _files_in(folder: str) -> list[str]:
 
 
 def _loadable(names: Sequence[str]) -> list[World]:
-    """Return those that are scenes and can be loaded; a folder may hold other YAML as well."""
+    """Return the files that are loadable scenes; a folder may also contain other YAML files."""
     worlds = []
     for name in names:
         try:
@@ -188,5 +188,5 @@ def _loadable(names: Sequence[str]) -> list[World]:
 
 
 def _shown(uri: str) -> str:
-    """Return what others sent in a form that fits into a line."""
+    """Return received text in a form that fits into a line."""
     return repr(uri[:200])
