@@ -262,7 +262,7 @@ class Recording:
     scene : Scene
         The simulated scene.
     simulation : Simulation
-        In its initial state.
+        Simulation in its initial state.
     settings : Settings
         The node's parameters.
     topics : BagTopics

@@ -173,7 +173,7 @@ class SimulationServices:
         _done(await self._control(_FAILED).request_steps(int(request.steps)))
 
     async def get_spawnables(self, request: Any, response: Any) -> str:
-        """List the scenes as spawnables, though load_world loads them, and one at a time."""
+        """List the scenes as spawnables; they are loaded one at a time, with load_world."""
         found, problems = await self._simulator.in_thread(
             lambda: find_worlds(request.sources, True))
         response.spawnables = [self._spawnable(world) for world in found]

@@ -106,7 +106,7 @@ class EnergyRecord:
         larger, relative to the energy scale of the tolerance.
         For path_error, it is a lower bound on the deviation of a coordinate or momentum: the error
         of H over the largest sum of abs(dH_dq) and abs(dH_dp) so far. If work is done, these are
-        not derivatives of H, no such bound is known, and the error is 0.
+        not derivatives of H; the bound is then unknown, and the error is 0.
         """
         error = abs(sample.energy_error) * self._size
         if tolerance.kind == 'energy_error':
@@ -154,7 +154,7 @@ class Monitor:
     timing : Timing
         Cost of steps and samples.
     energy : EnergyRecord
-        Record of the energy.
+        Record of the energy and its errors.
     newest : Sample or None
         The newest sample.
 

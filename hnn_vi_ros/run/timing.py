@@ -73,7 +73,7 @@ class Pacer:
     @property
     def timer_period(self) -> float:
         """
-        Wall time between two timer calls [s].
+        Return the wall time between two timer calls [s].
 
         Shorter ticks are waited for within a call; calls then follow each other at once. An
         external clock triggers a call with each message, the timer one if steps are left then.
@@ -226,7 +226,7 @@ class Timing:
         self.figures = Figures()
 
     def restart(self) -> None:
-        """Measure the pace from now on, without the time before, such as a pause."""
+        """Measure the pace from now on, excluding earlier time such as a pause."""
         self._last = self._now(), self._count
 
     def add_batch(self, steps: int, seconds: float, gradients: int) -> None:

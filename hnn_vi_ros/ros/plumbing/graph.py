@@ -36,7 +36,7 @@ def freeze_memory() -> None:
 
 class Discovery:
     """
-    Wait for existing subscribers: DDS takes about 1.5 s to discover a node.
+    A wait for existing subscribers, since DDS takes about 1.5 s to discover a node.
 
     The wait begins with the construction of this object and proceeds in parallel with other work.
 
@@ -80,7 +80,7 @@ def crowded(node: Node, topics: Iterable[str]) -> str:
 
 class Lasting:
     """
-    Filter that logs a warning once, after two successive calls with it: a graph changes in steps.
+    A filter that logs a warning once it is repeated, because the graph changes in steps.
 
     Parameters
     ----------

@@ -200,7 +200,7 @@ class ManagedNode(LifecycleNodeMixin, RobustNode):
             log(self, reason, 'ERROR' if status else 'INFO')
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the process."""
+        """Let the process end with status 0."""
         self.stop(0, 'shut down')
         return SUCCESS
 

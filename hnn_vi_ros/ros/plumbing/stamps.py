@@ -19,7 +19,7 @@ def nanoseconds(time: Any) -> int:
 
 class Stamps:
     """
-    Check that the times of the messages of one source increase.
+    A check that the times of the messages of one source increase.
 
     A stamp of zero means time 0 in the first message, and the time of arrival in later ones.
 

@@ -39,7 +39,7 @@ class Answer(NamedTuple):
 
 class Control:
     """
-    Driver of a run with timers of the steady clock.
+    Control of a run with timers of the steady clock.
 
     Parameters
     ----------

@@ -49,8 +49,8 @@ class Health:
                  errors: Sequence[str] = (EnergyGuard.kind, STEP_FAILED)):
         self._stamp_at, self._guards, self.errors = stamp_at, guards, errors
         self._diagnostics, self._recording, self._log = diagnostics, recording, log
-        # By kind: the newest alarm in its current form, the step that raised it, the number of
-        # alarms, and the time of the next permitted log line.
+        # Newest alarm of each kind in its current form, the step that raised it, number of alarms,
+        # and time of the next permitted log line.
         self._alarms: dict[str, Alarm] = {}
         self._raised: dict[str, int] = {}
         self._counts: Counter[str] = Counter()

@@ -151,7 +151,7 @@ class Run:
             self.recording.event(text, level)
 
     def watch(self, sample: Sample | None = None, at_once: bool = True) -> None:
-        """Publish the alarms of a sample, by default the current state; stop if so configured."""
+        """Publish the alarms of a sample, by default of the current state; stop if configured."""
         self._report_alarms(self._monitor.watch(sample or self.sampler.sample(), at_once))
 
     def _report_alarms(self, alarms: Iterable[tuple[Alarm, int]]) -> None:
@@ -288,7 +288,7 @@ class Run:
 
     def reset(self, time_too: bool) -> None:
         """
-        Restart in new files; the steps equal those of any run from that state.
+        Restart in new files; the steps are the same as in any run from that state.
 
         Parameters
         ----------

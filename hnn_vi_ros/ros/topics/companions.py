@@ -78,7 +78,7 @@ SCALARS = ('normalised_error', 'running_prediction_time', 'valid_prediction_time
 
 class TwinTopic:
     """
-    Publish the prediction error of each observation.
+    Topic that publishes the prediction error of each observation.
 
     The named positions of ~/prediction_error are the observed minus the simulated coordinates, the
     observed minus the predicted coordinates, and the scalars of the prediction. The message is

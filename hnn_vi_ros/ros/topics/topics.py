@@ -95,7 +95,7 @@ class Topics:
             self.hearing.hear(WRENCH, self._on_wrench)
 
     def follow(self, monitor: Monitor) -> None:
-        """Use another monitor for the samples, of a run in its initial state."""
+        """Take later samples from another monitor, whose run is in its initial state."""
         self._material = self._material._replace(monitor=monitor)
         self._encoders |= self._make(self._ticks)
 

@@ -369,7 +369,7 @@ class Members:
         return spread if self.factors is None else self.factors * spread
 
     def _state(self, own: Simulation) -> tuple[np.ndarray, np.ndarray]:
-        """Return q and p of a member; own momenta are converted to those of the mean."""
+        """Return q and p of a member; own momenta are converted to the momenta of the mean."""
         if self._mean is None:
             return own.q, own.p
         try:
