@@ -143,7 +143,7 @@ class SimulatorNode(Simulator):
                 self.control.stop()
 
     def finish(self) -> int:
-        """Close and report the files, return the exit status; of ROS, uses only the log."""
+        """Close and report the files, and return the exit status; use only the log of ROS."""
         if self.run is None:
             self._close_prepared()
         self._close_run()

@@ -28,7 +28,7 @@ def compiled_beside(parts: Parts) -> Iterator[None]:
     Compile the loop over steps in another process during the context, if it is not cached on disk.
 
     The process ends with this context, and with this process. It gets no signals of a terminal.
-    Call it outside of the main thread, whose compilations run in other processes.
+    Call it outside of the main thread, whose compilations run in other threads.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class Discovery:
 
 
 def nodes_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
-    """Return the sorted full names of the nodes of endpoints, one per endpoint."""
+    """Return the sorted full names of the nodes of some endpoints, one per endpoint."""
     return sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in endpoints)
 
 

@@ -19,7 +19,7 @@ _NAMED = {'durability': DurabilityPolicy, 'history': HistoryPolicy,
           'reliability': ReliabilityPolicy, 'liveliness': LivelinessPolicy}
 _DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
 POLICIES = (*_NAMED, 'depth', *_DURATIONS)
-# The middleware counts messages in 31 bits, and rclpy counts nanoseconds in 63 bits.
+# Largest signed integers of 32 bits (messages in the middleware) and 64 bits (ns in rclpy).
 _MOST, _LONGEST = 2**31 - 1, 2**63 - 1
 
 

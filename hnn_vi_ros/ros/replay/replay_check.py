@@ -281,7 +281,7 @@ def _advance(run: RecordedRun, simulation: Simulation, step: int) -> None:
 def _command(run: RecordedRun, simulation: Simulation, topic: str, command: Command) -> None:
     """Apply a recorded command; the simulator's own bags hold only accepted commands."""
     try:
-        # Own bags may be older than the check of limits, and later ones satisfy them.
+        # Own bags hold accepted commands, perhaps of a version without joint limits.
         simulation.set_command(command, limited=not run.own)
     except ValueError as problem:
         if run.own:

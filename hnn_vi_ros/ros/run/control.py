@@ -182,7 +182,7 @@ class Control:
                                         reset_time=time_too))
 
     def reset_time(self) -> Answer:
-        """Restart simulated time from the current state; later resets use the previous state."""
+        """Restart simulated time at the current state; later resets keep the initial state."""
         run, start = self.run, self.run.start
         run.start = run.simulation.q.copy(), run.simulation.p.copy()
         try:
