@@ -4,7 +4,7 @@
 """
 Sweeps: one scene simulated with many values, on one machine or with Ray.
 
-Results are Parquet files. What a single trajectory computes is in ``simulation.trajectory``.
+Results are Parquet files. ``simulation.trajectory`` computes a single trajectory.
 """
 
 from typing import TYPE_CHECKING

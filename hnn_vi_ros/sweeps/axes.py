@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Axes of a sweep: keys of a scene, and their values at any place of an axis."""
+"""Axes of a sweep: keys of a scene, and their values at any position of an axis."""
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
@@ -22,26 +22,26 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 _LARGEST_POSTERIOR = 2**25
-# Relative to the standard deviations: how far from symmetric and how negative rounding may make
-# a covariance.
+# Tolerance for rounding errors of a covariance, relative to the standard deviations: for its
+# asymmetry and for negative eigenvalues.
 _ROUNDING = 1e-8
 _REMEDY = 'give what identify writes with --posterior'
 
 
 class Posterior(NamedTuple):
     """
-    A normal distribution of the values of some keys.
+    Normal distribution of the values of some keys.
 
     Parameters
     ----------
     keys : list of str
-        Of the scene.
+        Keys of the scene.
     mean : np.ndarray, shape (n,)
-        The values found.
+        Identified values.
     root : np.ndarray, shape (n, n)
-        A matrix R whose R R^T is their covariance.
+        Matrix R with R R^T equal to the covariance.
     digest : str
-        Of the file.
+        Digest of the file.
 
     """
 
@@ -70,24 +70,24 @@ class _File(BaseModel):
 
 def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None) -> Posterior:
     """
-    Read the file of an identification.
+    Read the result file of an identification.
 
     It is JSON: ``{"parameters": {NAME: {"value": ...}}, "covariance": {"names": [NAME, ...],
-    "matrix": [[...]]}}``; what else it holds is not read.
+    "matrix": [[...]]}}``; other content is ignored.
 
     Parameters
     ----------
     path : Path
         The file.
     place : str
-        Where it is asked for, for errors.
+        Place of the reference to the file, for error messages.
     keys : mapping of str to str, optional
-        The key of a scene for each name that is wanted; without it, all names unchanged.
+        Key of the scene for each requested name; by default, all names unchanged.
 
     Raises
     ------
     DataError
-        It cannot be read, or is no such file; one line.
+        The file cannot be read, or has the wrong content; one line.
 
     """
     where = f'{place}: {path}'
@@ -119,7 +119,7 @@ def read_posterior(path: Path, place: str, keys: Mapping[str, str] | None = None
 
 
 def _root(covariance: np.ndarray, where: str) -> np.ndarray:
-    """Return R with R R^T the covariance, which need not be regular."""
+    """Return R with R R^T equal to the covariance, which may be singular."""
     spread = np.sqrt(np.abs(np.diag(covariance)))
     units = np.where(spread > 0.0, spread, 1.0)
     correlation = covariance / units / units[:, None]
@@ -139,23 +139,23 @@ _STATE = 'initial_state'
 def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: str
              ) -> tuple[str | int, ...]:
     """
-    Return the parts of a key, such as ``('effects', 0, 'rate')``.
+    Return the path of a key, such as ``('effects', 0, 'rate')``.
 
     Parameters
     ----------
     scene : Scene
-        Of which it is a key.
+        Scene that contains the key.
     key : str
-        With dots. In the initial state the name of a coordinate is a key as well.
+        Key with dots. In the initial state, names of coordinates are keys as well.
     names : mapping of sequence of str
-        Names of the columns of q and of p, under these two.
+        Column names of q and of p, under the keys 'q' and 'p'.
     place : str
-        Where the key stands, for errors.
+        Place of the key, for error messages.
 
     Raises
     ------
     DataError
-        No such key; names those that are valid.
+        The key does not exist; the message names the valid ones.
 
     """
     value: Any = scene.model_dump()
@@ -183,33 +183,33 @@ def find_key(scene: Scene, key: str, names: Mapping[str, Sequence[str]], place: 
     return tuple(parts)
 
 
-# So many places share a seed: a random state for each place would take long.
+# Number of positions that share a seed: one random state per position would be slow.
 _DRAWN = 32
 _LARGEST_FILE = 2**28
 # Values of a key.
 Column = Sequence[Any] | np.ndarray
-# Returns the seed of some numbers, such as that of a place.
+# Function that returns the seed sequence of some numbers, such as a position.
 _Seeds = Callable[..., np.random.SeedSequence]
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
     """
-    Something that varies.
+    An axis of the sweep.
 
     Parameters
     ----------
     keys : list of str
         Keys of the scene.
     count : int
-        How many places it has.
+        Number of positions.
     values : callable
-        Returns the values of each key, in the order of the keys, at some places: of an array of
-        int, shape (n,), from 0 to the count and rising; n values of each.
+        Function of positions, an ascending int array of shape (n,) from 0 to the count; it returns
+        n values of each key, in the order of the keys.
     kind : type
-        Of the values; str, for JSON, if they have several types.
+        Type of the values; str, for JSON, if there are several types.
     digest : str, optional
-        Of the file that it is read from.
+        Digest of the file the axis is read from.
 
     """
 
@@ -228,21 +228,21 @@ def _type_of(values: Sequence[Any]) -> type:
 
 
 def _grid(axis: GridChoice, places: np.ndarray) -> list[Column]:
-    """Return the values of a grid, whose last key is the fastest."""
+    """Return the values of a grid; the last key varies fastest."""
     along = np.unravel_index(places, axis.counts)
     return [low + (high - low) * (k / max(count - 1, 1)) for low, high, k, count in zip(
         axis.low, axis.high, along, axis.counts, strict=True)]
 
 
 def _in_box(axis: BoxChoice | SobolChoice, shares: np.ndarray) -> list[Column]:
-    """Return points by their shares of a box, shape (n, keys)."""
+    """Map points of the unit cube, shape (n, keys), to a box."""
     low, high = np.array(axis.low), np.array(axis.high)
     return list((low + (high - low) * shares).T)
 
 
 def _drawn(places: np.ndarray, keys: int, seeds: _Seeds,
            draw: Callable[[np.random.Generator, tuple[int, int]], np.ndarray]) -> np.ndarray:
-    """Return a row of draws for each place: _DRAWN rows have a seed of their own."""
+    """Return a row of draws for each position; each block of _DRAWN rows has its own seed."""
     rows = np.empty((len(places), keys))
     for block in np.unique(places // _DRAWN):
         own = places // _DRAWN == block
@@ -252,16 +252,16 @@ def _drawn(places: np.ndarray, keys: int, seeds: _Seeds,
 
 
 def _sobol(places: np.ndarray, keys: int, seeds: _Seeds) -> np.ndarray:
-    # Imported here: it takes half a second, which other sweeps need not wait.
+    # Imported lazily: it takes half a second, and other sweeps do not need it.
     from scipy.stats import qmc
     wanted, back = np.unique(places, return_inverse=True)
     parts = []
     for run in np.split(wanted, np.flatnonzero(np.diff(wanted) > 1) + 1):
-        # It has 2^30 points; all versions of scipy accept the argument `seed`.
+        # The sequence has 2^30 points; all versions of scipy accept the argument `seed`.
         points = qmc.Sobol(keys, scramble=True, seed=np.random.default_rng(seeds()))
         if run[0]:
             points.fast_forward(int(run[0]))
-        # One by one: only of a first draw of another length than a power of two it warns.
+        # First a single point: scipy warns if the length of the first draw is not a power of two.
         first = points.random(1)
         parts += [first, points.random(len(run) - 1)] if len(run) > 1 else [first]
     return np.vstack(parts)[back]
@@ -272,7 +272,7 @@ def _posterior(axis: PosteriorChoice, seeds: _Seeds, path: Path, place: str) -> 
 
     def values(places: np.ndarray) -> list[Column]:
         normal = _drawn(places, len(found.keys), seeds, np.random.Generator.standard_normal)
-        # Term by term: in a matrix product the order of a sum depends on how many rows there are.
+        # Sum term by term: in a matrix product the summation order depends on the number of rows.
         drawn = np.tile(found.mean, (len(places), 1))
         for k, column in enumerate(found.root.T):
             drawn += normal[:, k, None] * column
@@ -282,22 +282,22 @@ def _posterior(axis: PosteriorChoice, seeds: _Seeds, path: Path, place: str) -> 
 
 def file_axis(path: Path, place: str) -> Axis:
     """
-    Return the rows of a table of numbers.
+    Return an axis from the rows of a table of numbers.
 
     Parameters
     ----------
     path : Path
         The file.
     place : str
-        Where it is asked for, for errors.
+        Place of the reference to the file, for error messages.
 
     Raises
     ------
     DataError
-        It cannot be read, or is no table; one line.
+        The file cannot be read, or is not a table; one line.
 
     """
-    # As numbers, of eight bytes each.
+    # Stored compactly as 8-byte numbers.
     numbers, keys, rows = array('d'), list[str](), 0
     try:
         for line, text in text_lines(path, _LARGEST_FILE):
@@ -336,25 +336,25 @@ def _row(place: str, line: str, keys: Sequence[str]) -> list[float]:
 
 def make_axis(axis: AxisChoice, entropy: int, number: int, folder: Path, place: str) -> Axis:
     """
-    Return what gives the values of an axis.
+    Return the axis of a definition.
 
     Parameters
     ----------
     axis : AxisChoice
-        As it is defined.
+        Definition of the axis.
     entropy : int
-        The seed of the sweep.
+        Seed of the sweep.
     number : int
-        Of the axis, which has a stream of its own.
+        Number of the axis, which selects its random stream.
     folder : Path
-        Where a file is looked for.
+        Folder file paths are relative to.
     place : str
-        Where it is defined, for errors.
+        Place of the definition, for error messages.
 
     Raises
     ------
     DataError
-        A file that cannot be used, or too many places.
+        A file cannot be used, or the axis has too many positions.
 
     """
     def seeds(*numbers: int) -> np.random.SeedSequence:

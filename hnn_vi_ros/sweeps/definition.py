@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The schema of a sweep's YAML: a scene, what varies, and what is kept."""
+"""The schema of a sweep's YAML: a scene, its axes, and the results that are kept."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from hnn_vi_ros.errors import DataError
 from hnn_vi_ros.files import find_yaml, KeyPlaces, NAMES_CODE, read_yaml, StrictModel, validate
 from pydantic import Field, model_validator
 
-# Most points of an axis, and of a sweep: the length of Sobol's sequence, which repeats no point.
+# Maximum size of an axis and of a sweep: the length of a Sobol sequence without repeated points.
 MOST = 2**30
 
 Key = Annotated[str, Field(min_length=1, max_length=256, description=(
@@ -20,7 +20,7 @@ Numbers = Annotated[list[float], Field(min_length=1, max_length=1000)]
 
 
 class ValuesChoice(StrictModel):
-    """Values of one key, one after another."""
+    """Values of one key in the order given."""
 
     kind: Literal['values'] = Field(description='values of one key')
     key: Key
@@ -48,7 +48,7 @@ class _Ranges(StrictModel):
 
 
 class GridChoice(_Ranges):
-    """All combinations of evenly spaced values, the bounds among them."""
+    """All combinations of evenly spaced values including the bounds."""
 
     kind: Literal['grid'] = Field(description='evenly spaced values in all combinations')
     counts: list[Annotated[int, Field(ge=1, le=MOST)]] = Field(
@@ -56,14 +56,14 @@ class GridChoice(_Ranges):
 
 
 class BoxChoice(_Ranges):
-    """Points that are drawn evenly from a box."""
+    """Points drawn uniformly from a box."""
 
     kind: Literal['box'] = Field(description='points drawn evenly from a box')
     count: int = Field(ge=1, le=MOST, description='how many points')
 
 
 class SobolChoice(_Ranges):
-    """The points of a scrambled Sobol sequence, which fill a box more evenly than drawn ones."""
+    """Points of a scrambled Sobol sequence, which fill a box more evenly than random ones."""
 
     kind: Literal['sobol'] = Field(description="points of Sobol's sequence in a box, scrambled")
     count: int = Field(ge=1, le=MOST, description='how many points; best a power of two')
@@ -77,7 +77,7 @@ class FileChoice(StrictModel):
 
 
 class PosteriorChoice(StrictModel):
-    """Numbers of an identified model, drawn from the normal distribution that was found."""
+    """Parameters of an identified model, drawn from their normal distribution."""
 
     kind: Literal['posterior'] = Field(description=(
         'numbers of an identified model, drawn from what was found of them'))
@@ -91,7 +91,7 @@ class PosteriorChoice(StrictModel):
 
 
 class RepeatsChoice(StrictModel):
-    """The same again, each time with other noise; with a key, a seed is put there as well."""
+    """Repetitions with independent noise; if a key is given, it is set to a seed as well."""
 
     kind: Literal['repeats'] = Field(description='the same again, each with noise of its own')
     count: int = Field(ge=1, le=MOST, description='how often')
@@ -106,7 +106,7 @@ AxisChoice = Annotated[
 
 
 class Reduction(StrictModel):
-    """A Python function of yours, from a trajectory to some numbers."""
+    """A user's Python function that reduces a trajectory to some numbers."""
 
     function: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
         'package.module:function; takes a Trajectory, returns a mapping of columns to numbers'))
@@ -115,7 +115,7 @@ class Reduction(StrictModel):
 
 
 class Sweep(StrictModel):
-    """Sweep of a scene, simulated for each combination of what varies."""
+    """Sweep of a scene: one simulation per combination of values of the axes."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     scene: str = Field(min_length=1, max_length=4096, description=(
@@ -158,17 +158,17 @@ def load_sweep(sweep: str | Path | Mapping[str, Any]) -> tuple[Sweep, KeyPlaces,
     Parameters
     ----------
     sweep : str, Path or mapping
-        The name of a shipped sweep, the path of a YAML file, or what such a file holds.
+        Name of a shipped sweep, path of a YAML file, or its content.
 
     Returns
     -------
     tuple of (Sweep, KeyPlaces, Path)
-        The sweep, where its keys stand, and the folder that its paths start from.
+        The sweep, the places of its keys, and the folder its paths are relative to.
 
     Raises
     ------
     DataError
-        No such sweep, or one that is not valid; names file, line and key.
+        The sweep does not exist or is not valid; the message names file, line and key.
 
     """
     if isinstance(sweep, Mapping):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Trajectories of a sweep one by one, as others take them: each a run of a scene of its own."""
+"""Simulate trajectories of a sweep one by one, each as a run of its own scene."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -19,22 +19,22 @@ from hnn_vi_ros.sweeps.trajectories import FAILURES
 
 class Episode(NamedTuple):
     """
-    A trajectory that is about to begin.
+    A trajectory before its first step.
 
     Parameters
     ----------
     number : int
         Its index in the sweep.
     values : dict
-        Of the keys that vary.
+        Values of the axes' keys.
     scene : Scene
-        With these values.
+        Scene with these values.
     simulation : Simulation or WatchedSimulation
-        In its initial state, with the noise of its index.
+        Simulation in its initial state, with the noise stream of this index.
     sampler : Sampler
-        Of the simulation.
+        Sampler of the simulation.
     length : int
-        How many samples follow the initial state.
+        Number of samples after the initial state.
 
     """
 
@@ -46,7 +46,7 @@ class Episode(NamedTuple):
     length: int
 
     def samples(self) -> Iterator[Sample]:
-        """Yield the samples after the initial state, to the end or to what ends the run."""
+        """Yield the samples after the initial state, until the end or an early stop."""
         for _ in range(self.length):
             try:
                 self.simulation.advance(self.sampler.every)
@@ -55,12 +55,12 @@ class Episode(NamedTuple):
             yield self.sampler.sample()
 
 
-# Writes episodes of a sweep to a folder.
+# Function that writes episodes of a sweep to a folder.
 EpisodeWriter = Callable[[SweepPlan, Iterator[Episode], Path], None]
 
 
 def without_ros(plan: SweepPlan, episodes: Iterator[Episode], folder: Path) -> None:
-    """Refuse to write bags."""
+    """Raise an error: bags need ROS 2."""
     raise DataError('--episodes mcap: bags are messages of ROS, which the executable sweep '
                     'writes, and write_bags of hnn_vi_ros.ros.replay.episode_bags')
 
@@ -69,17 +69,17 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
     """
     Yield trajectories of a sweep, each before its first step.
 
-    In a sweep neighbours step together, and the last digits of one depend on its neighbours;
-    here each steps by itself, as it would in the simulator.
+    A sweep steps neighbouring trajectories together, which affects their last digits. Here each is
+    stepped alone, as in the simulator.
 
     Parameters
     ----------
     plan : SweepPlan
-        Of the sweep.
+        Plan of the sweep.
     indices : list of int
-        Which.
+        Indices of the trajectories.
     failed : dict
-        Takes, by number, why one cannot begin.
+        Filled with the reason, by index, for each trajectory that cannot start.
 
     """
     every = plan.sweep.every or 1
@@ -88,7 +88,7 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
             range(index, index + 1))), strict=True))
         try:
             with warnings.catch_warnings():
-                # The start of the sweep raised the warnings about the scene.
+                # The warnings about the scene were already raised when the sweep started.
                 warnings.simplefilter('ignore')
                 scene = with_values(plan.scene, dict(zip(
                     plan.parts, values.values(), strict=True)))
@@ -105,19 +105,19 @@ def episodes(plan: SweepPlan, indices: list[int], failed: dict[int, str]) -> Ite
 
 def selected(text: str, count: int) -> list[int]:
     """
-    Return the numbers that a selection names, rising.
+    Return the numbers selected by a text, in ascending order.
 
     Parameters
     ----------
     text : str
-        Numbers and slices, with commas: ``3``, ``0,7``, ``10:20``, ``0:1000:50``; empty for all.
+        Comma-separated numbers and slices: ``3``, ``0,7``, ``10:20``, ``0:1000:50``; '' for all.
     count : int
-        How many trajectories there are.
+        Number of trajectories.
 
     Raises
     ------
     DataError
-        It cannot be understood, or names what is not there.
+        The text is malformed, or a number is out of range.
 
     """
     found: set[int] = set()

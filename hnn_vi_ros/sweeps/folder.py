@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of a sweep: what it holds, what is still to be made, and how a file comes into it."""
+"""The folder of a sweep: its record, its missing shards, and the atomic writing of files."""
 
 from contextlib import suppress
 import json
@@ -18,16 +18,16 @@ _LARGEST = 2**26
 
 class Survey(NamedTuple):
     """
-    Shards of a sweep, each checked to its last bit.
+    Result of checking the checksums of all shards.
 
     Parameters
     ----------
     missing : list of int
-        Those to make: that are not there, or cannot be used.
+        Shards that are missing or damaged.
     damaged : list of str
-        Files that cannot be used, and why.
+        Damaged files, each with the reason.
     failures : int
-        Trajectories that failed, in the others.
+        Number of failed trajectories in the intact shards.
 
     """
 
@@ -38,12 +38,12 @@ class Survey(NamedTuple):
 
 class SweepFolder:
     """
-    A folder that processes fill with shards; one that is renamed into its place is whole.
+    A folder that several processes fill; shards are renamed into place only when complete.
 
     Parameters
     ----------
     path : Path
-        It need not exist.
+        Path of the folder; it need not exist.
 
     """
 
@@ -57,7 +57,7 @@ class SweepFolder:
         Raises
         ------
         RecordingError
-            It cannot be read.
+            The file cannot be read.
 
         """
         file = self.path / _RECORD
@@ -74,12 +74,12 @@ class SweepFolder:
 
     def begin(self, plan: SweepPlan) -> None:
         """
-        Make the folder that of a sweep, or find that it is.
+        Create the folder for a sweep, or check that it belongs to it.
 
         Raises
         ------
         RecordingError
-            It cannot be written, holds something else or another sweep.
+            The folder cannot be written, holds something else, or holds another sweep.
 
         """
         there = self.record()
@@ -96,7 +96,7 @@ class SweepFolder:
             except OSError as problem:
                 raise RecordingError(f'{self.path}: {problem.strerror}; give another --out'
                                      ) from problem
-            # Another process may have begun another sweep meanwhile.
+            # Another process may have started another sweep in the meantime.
             there = self.record()
         if there != plan.record:
             raise RecordingError(
@@ -108,7 +108,7 @@ class SweepFolder:
         return self.path / f'part-{shard:06d}.parquet'
 
     def survey(self, plan: SweepPlan) -> Survey:
-        """Check all shards."""
+        """Check all shards of the plan."""
         missing, damaged, failures = [], [], 0
         for shard in range(plan.shards):
             file = self.file(shard)
@@ -124,12 +124,12 @@ class SweepFolder:
 
     def put(self, shard: int, content: bytes) -> None:
         """
-        Add the file of a shard, whole or not at all.
+        Write the file of a shard atomically.
 
         Raises
         ------
         RecordingError
-            It cannot be written.
+            The file cannot be written.
 
         """
         file = self.file(shard)
@@ -137,19 +137,19 @@ class SweepFolder:
             with replacing(file) as part:
                 part.write_bytes(content)
         except OSError as problem:
-            # Another sweep into this folder may have made the same file, and cleaned up.
+            # Another process on this sweep may have written the same file, and cleaned up.
             if not (isinstance(problem, FileNotFoundError) and file.is_file()):
                 raise RecordingError(f'{file}: {one_line(problem)}; what is whole stays: mend '
                                      'that, and give the same command again') from problem
-        # Processes killed while writing it left these files; it is whole now.
+        # Temporary files of processes that were killed; the shard is complete now.
         for left in self.path.glob(f'.{file.stem}.*'):
             left.unlink(missing_ok=True)
 
 
 def _difference(there: Any, here: Any, key: str = '') -> str:
-    """Return where two records differ first, and how; what only one has comes first."""
+    """Describe the first difference of two records; keys present in only one come first."""
     if isinstance(there, dict) and isinstance(here, dict):
-        # The digest is that of all others.
+        # The digest depends on all other keys, so it is compared last.
         for name in sorted(dict.fromkeys((*here, *there)), key=lambda name: (
                 name == 'digest', name in here and name in there)):
             if there.get(name) != here.get(name):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shards as Parquet: the same bytes for the same trajectories."""
+"""Write shards as Parquet; equal trajectories give equal bytes."""
 
 from collections.abc import Callable, Iterable
 from hashlib import sha256
@@ -16,14 +16,14 @@ from hnn_vi_ros.sweeps.plan import as_json, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Rows
 import numpy as np
 
-# Every use of sweeps, in Python too, imports this file before any other that takes the package.
+# Sweeps import this module first, so pyarrow is reported missing before anything else runs.
 with optional('pyarrow', 'a sweep'):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
 _DIGEST, _SHARD = b'hnn_vi_ros.digest', b'hnn_vi_ros.shard'
-# A shard is sealed: its number comes with the SHA-256 of its file, computed with these digits as
-# zeros. A checksum of pages would not cover the footer, which locates the columns.
+# Seal of a shard: its number and the SHA-256 of its file, computed with zeros in place of these
+# digits. Page checksums would not cover the footer, which locates the columns.
 _SEALED = re.compile(rb'(\d{1,10}) sha256:([0-9a-f]{64})')
 _OPEN = b'0' * 64
 _LARGEST = 2**31
@@ -59,25 +59,25 @@ def schema_of(plan: SweepPlan) -> pa.Schema:
 
 
 def _plain(value: Any, kind: pa.DataType) -> Any:
-    """Return a value as its column holds it."""
+    """Convert a value to the type of its column."""
     return json.dumps(value) if kind == pa.string() and not isinstance(value, str) else value
 
 
 def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
                 on_block: Callable[[int], None] = lambda count: None) -> bytes:
     """
-    Return the file of a shard: one row group, which holds no more rows than the plan allows.
+    Return the file of a shard: one row group with at most the planned number of rows.
 
     Parameters
     ----------
     plan : SweepPlan
-        Of the sweep.
+        Plan of the sweep.
     shard : int
-        Which.
+        Number of the shard.
     blocks : iterable of list of Rows
-        Its trajectories.
+        Blocks of its trajectories.
     on_block : callable, optional
-        Called with how many trajectories have been made, after each block.
+        Callback after each block, with the number of trajectories made.
 
     """
     parts: list[Rows] = []
@@ -96,7 +96,7 @@ def write_shard(plan: SweepPlan, shard: int, blocks: Iterable[list[Rows]],
 
 
 def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.Array]:
-    """Return the columns of a shard: a row for each sample that is kept, by index."""
+    """Return the columns of a shard: one row per kept sample, ordered by index."""
     indices = np.concatenate([part.indices for part in parts])
     lengths = np.repeat([part.length for part in parts], [len(part.indices) for part in parts])
     owners = np.repeat(np.arange(len(indices)), lengths)
@@ -104,11 +104,11 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
     owners = owners[order]
 
     def of_each(values: Iterable[Any], name: str) -> pa.Array:
-        """Return a value for each trajectory in each of its rows."""
+        """Repeat each trajectory's value in all of its rows."""
         return pa.array(list(values), schema.field(name).type).take(pa.array(owners))
 
     def numbers(samples: Iterable[np.ndarray]) -> pa.Array:
-        """Return numbers of all samples; NaN is none."""
+        """Return the numbers of all samples; NaN becomes null."""
         return pa.array(np.concatenate(list(samples))[order], from_pandas=True)
 
     columns = [pa.array(indices[owners])]
@@ -128,21 +128,21 @@ def _columns(parts: list[Rows], schema: pa.Schema, keys: list[str]) -> list[pa.A
 
 def check_shard(path: Path, digest: str, shard: int) -> int:
     """
-    Check that a file is a shard of a sweep, to its last bit; return how many trajectories failed.
+    Check that a file is an intact shard of a sweep; return the number of failed trajectories.
 
     Parameters
     ----------
     path : Path
         The file.
     digest : str
-        Of the sweep.
+        Digest of the sweep.
     shard : int
-        Which.
+        Number of the shard.
 
     Raises
     ------
     RecordingError
-        It is damaged, another shard, or that of another sweep; one line, without a remedy.
+        Damaged, another shard, or a shard of another sweep; the message is one line, no remedy.
 
     """
     try:
@@ -159,7 +159,7 @@ def check_shard(path: Path, digest: str, shard: int) -> int:
         raise RecordingError(f'{path}: is of another sweep')
     if int(seal[1]) != shard:
         raise RecordingError(f'{path}: is shard {int(seal[1])} of this sweep')
-    # One row each.
+    # A failed trajectory has one row.
     return len(failure) - int(failure.null_count)
 
 

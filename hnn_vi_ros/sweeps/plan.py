@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sweep made ready: which trajectory has which values, and which are made together."""
+"""Plan a sweep: the values of each trajectory, and its division into shards and blocks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ from hnn_vi_ros.sweeps.definition import load_sweep, MOST, Sweep
 from hnn_vi_ros.version import __version__
 import numpy as np
 
-# Numbers that the samples of one block may have, and rows that a shard may have: 64 MiB and,
-# with some ten columns, 20 MiB; what is made of them on the way takes several times that.
+# Maximum of numbers in the samples of a block (64 MiB) and of rows in a shard (20 MiB with about
+# ten columns); temporary arrays take several times as much.
 _MOST_NUMBERS, _MOST_ROWS = 2**23, 2**18
-# Steps that make a shard where none asks for another size, and its most trajectories: some ten
-# seconds, so that little is lost by an end and little time is spent on files.
+# Default number of steps per shard, and its maximum number of trajectories: about ten seconds, so
+# that an interruption loses little and files cost little time.
 _STEPS, _MOST_TRAJECTORIES = 10**7, 2**13
-# Trajectories that step together on a device.
+# Number of trajectories stepped together on a device.
 _ON_DEVICE = {'cpu': 3840, 'cuda': 2**17}
 _PACKAGES = ('numba', 'numpy', 'pyarrow', 'scipy')
 
@@ -42,17 +42,17 @@ class SweepPlan:
     Parameters
     ----------
     sweep : Sweep
-        As it is defined.
+        Definition of the sweep.
     folder : Path
-        That its paths start from.
+        Folder its paths are relative to.
     made : Parts
-        The scene, with a method and a step size, and its parts.
+        Parts of the scene, with a method and a step size.
     axes : list of Axis
-        What varies, the last one fastest.
+        Axes; the last one varies fastest.
     parts : list of tuple
-        The parts of each key that varies; see ``find_key``.
+        Path of each varied key as a tuple; see ``find_key``.
     device : str or None
-        What trajectories are computed on in torch; None for compiled loops.
+        Torch device that computes the trajectories; None for compiled loops.
 
     """
 
@@ -70,32 +70,32 @@ class SweepPlan:
 
     @property
     def keys(self) -> list[str]:
-        """Return the keys that vary: columns of the results."""
+        """Return the varied keys, which are columns of the results."""
         return [key for axis in self.axes for key in axis.keys]
 
     @property
     def names(self) -> dict[str, list[str]]:
-        """Return the names of the columns of q, and of p: several of what turns in space."""
+        """Return the column names of q and of p: several for a coordinate that is a rotation."""
         return dict(zip('qp', columns(self.made.hamiltonian.coordinates), strict=True))
 
     @property
     def count(self) -> int:
-        """Return how many trajectories there are."""
+        """Return the number of trajectories."""
         return prod(axis.count for axis in self.axes)
 
     @property
     def steps(self) -> int:
-        """Return how many steps a trajectory of the unchanged scene has."""
+        """Return the number of steps of a trajectory of the unchanged scene."""
         return max(whole_steps(self.sweep.duration, self.scene.known_step_size)[0], 1)
 
     @property
     def samples(self) -> int:
-        """Return how many samples there are of each trajectory in memory, about."""
+        """Return the approximate number of samples of a trajectory held in memory."""
         return self.steps // self.sweep.every + 2 if self.sweep.every else 2
 
     @cached_property
     def block(self) -> int:
-        """Return how many neighbours step together; what they are depends on that."""
+        """Return the number of neighbours stepped together; the results depend on it."""
         most = _MOST_NUMBERS // (2 * self.made.hamiltonian.dimension * self.samples)
         if self.device is None:
             return min(BLOCK, most)
@@ -104,7 +104,7 @@ class SweepPlan:
 
     @cached_property
     def shard_size(self) -> int:
-        """Return how many trajectories a shard has: whole blocks."""
+        """Return the number of trajectories of a shard: a multiple of the block size."""
         rows = self.samples if self.sweep.keep == 'samples' else 1
         most = min(max(_MOST_TRAJECTORIES, self.block), _STEPS // self.steps)
         size = min(self.sweep.shard_size or max(most, 1), max(_MOST_ROWS // rows, 1))
@@ -112,16 +112,16 @@ class SweepPlan:
 
     @property
     def shards(self) -> int:
-        """Return how many shards there are."""
+        """Return the number of shards."""
         return -(-self.count // self.shard_size)
 
     def indices(self, shard: int) -> range:
-        """Return the trajectories of a shard."""
+        """Return the indices of the trajectories of a shard."""
         first = shard * self.shard_size
         return range(first, min(first + self.shard_size, self.count))
 
     def values(self, indices: range) -> list[list[Any]]:
-        """Return the values of each key at each of some trajectories: plain Python ones."""
+        """Return the values of each key for the given trajectories, as plain Python objects."""
         found: list[list[Any]] = []
         places = np.arange(indices.start, indices.stop)
         for axis in reversed(self.axes):
@@ -132,7 +132,7 @@ class SweepPlan:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Return all that the results depend on, and how they are cut: JSON's plain data."""
+        """Return everything that determines the results and their division, as plain JSON data."""
         record: dict[str, Any] = {}
         if self.device is not None:
             from hnn_vi_ros.simulation import description
@@ -153,35 +153,35 @@ class SweepPlan:
 
 
 def as_json(data: object) -> str:
-    """Return plain data as JSON, the same text for the same data."""
+    """Return plain data as JSON; equal data give equal text."""
     return json.dumps(data, indent=2, ensure_ascii=False)
 
 
 def make_plan(definition: str | Path | Mapping[str, Any],
               chosen: Mapping[str, Any] | None = None, device: str | None = None) -> SweepPlan:
     """
-    Make a sweep ready.
+    Make the plan of a sweep.
 
     Parameters
     ----------
     definition : str, Path or mapping
         See ``load_sweep``.
     chosen : mapping, optional
-        The integrator auto's choice at the sweep's first start: "step_size" and "integrator".
+        Integrator and step size chosen by `auto` at the first start of the sweep.
     device : str, optional
         See ``simulate_many``.
 
     Returns
     -------
     SweepPlan
-        The integrator auto is resolved, for the unchanged scene.
+        Plan with `integrator: auto` resolved for the unchanged scene.
 
     Raises
     ------
     HnnViRosError
-        The sweep, its scene, or what it varies cannot be used; one line.
+        The sweep, its scene or its axes cannot be used; the message is one line.
     ValueError
-        The device is not known.
+        The device is unknown.
 
     """
     if device is not None:
@@ -207,7 +207,7 @@ def make_plan(definition: str | Path | Mapping[str, Any],
 
 
 def _check(plan: SweepPlan, where: str) -> None:
-    """Raise DataError of what does not fit together."""
+    """Raise DataError for inconsistent settings."""
     sweep, keys = plan.sweep, plan.keys
     for i, part in enumerate(plan.parts):
         for j, other in enumerate(plan.parts[:i]):

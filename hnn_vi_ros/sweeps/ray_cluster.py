@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shards made on a Ray cluster: an actor on each core, whose files this process writes."""
+"""Make shards on a Ray cluster: one actor per core; this process writes the files."""
 
 from collections.abc import Iterator, Sequence
 import logging
@@ -13,31 +13,31 @@ import ray
 from ray.exceptions import RayError
 from ray.util import ActorPool
 
-# How often a shard is restarted whose actor was lost with its process or its machine.
+# Number of retries of a shard whose actor died with its process or its machine.
 _RETRIES = 3
 
 
 def make_on_ray(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: str
                 ) -> Iterator[int]:
     """
-    Make shards on a cluster, and yield each that is in the folder.
+    Make shards on a cluster, and yield the number of each one written to the folder.
 
     Parameters
     ----------
     job : ShardJob
-        Of which sweep.
+        Job of the sweep.
     folder : SweepFolder
-        That this process writes; others need not see it.
+        Folder written by this process only; the workers do not need access to it.
     shards : sequence of int
-        Which.
+        Numbers of the shards.
     address : str
-        Of the cluster; ``'auto'`` for the one that this machine belongs to, ``'local'`` for a
-        new one of this machine alone. Where the process is connected already, that is used.
+        Address of the cluster; ``'auto'`` for the one this machine belongs to, ``'local'`` for a
+        new one on this machine. If the process is already connected to Ray, that cluster is used.
 
     Raises
     ------
     HnnViRosError
-        There is no such cluster, a shard cannot be made, or its workers are lost again and again.
+        The cluster is missing, a shard cannot be made, or its workers are lost repeatedly.
 
     """
     own = not ray.is_initialized()
@@ -69,7 +69,7 @@ def _spread(job: ShardJob, folder: SweepFolder, shards: Sequence[int], address: 
                             'leave --device out, or begin it with ray start --num-gpus N')
     actor = ray.remote(num_cpus=1, num_gpus=int(on_gpu), max_restarts=-1,
                        max_task_retries=_RETRIES)(ShardJob)
-    # Twice each: one shard to make, and one so that it need not wait for another.
+    # Two tasks per actor: while one shard is being made, the next one is already queued.
     pool = ActorPool([actor.remote(**vars(job)) for _ in range(min(makers, len(shards)))] * 2)
     for shard, content in pool.map_unordered(
             lambda maker, shard: maker.make.remote(shard), list(shards)):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Run a sweep: by command line, or from Python."""
+"""Run a sweep from the command line or from Python."""
 
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
@@ -25,14 +25,14 @@ from hnn_vi_ros.sweeps.workers import make_here, make_in_processes, ShardJob
 
 def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
     """
-    Make the shards, or the episodes, that the command line asks for; report the outcome.
+    Make the shards or the episodes requested by the command line, and report the outcome.
 
     Parameters
     ----------
     argv : list of str
         The command line.
     write_bags : callable, optional
-        Writes episodes as bags.
+        Function that writes episodes as bags.
 
     """
     options = arguments.sweep().parse_args(argv)
@@ -59,12 +59,12 @@ def main(argv: list[str], write_bags: EpisodeWriter = without_ros) -> int:
 
 
 def _processes(device: str | None) -> int:
-    """Return how many processes there are where none asks for another number."""
+    """Return the default number of processes."""
     return 1 if device is not None and device.startswith('cuda') else usable_processors()
 
 
 def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
-    """Write the trajectories that the command line selects, and print their number."""
+    """Write the trajectories selected by the command line, and print their number."""
     if options.ray or options.jobs is not None or options.device:
         raise ParameterError('--episodes writes one after another: remove --jobs, --ray and '
                              '--device; give each of several processes a --select and an --out')
@@ -80,27 +80,27 @@ def _write_episodes(options: Namespace, write_bags: EpisodeWriter) -> int:
 def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, jobs: int = 1,
           ray: str | None = None, device: str | None = None, progress: bool = False) -> Path:
     """
-    Simulate a scene for many parameters and initial states, and keep a Parquet dataset.
+    Simulate a scene for many parameters and initial states, and write a Parquet dataset.
 
-    Shards that are in the folder are not made again. A trajectory that fails is a row with its
-    reason; see the column ``failure``.
+    Shards already in the folder are not made again. A failed trajectory is a row with the reason
+    in the column ``failure``.
 
     Parameters
     ----------
     definition : str, Path or mapping
-        The name of a shipped sweep, a YAML file, or what such a file holds.
+        Name of a shipped sweep, path of a YAML file, or its content.
     out : str or Path
-        The folder: ``sweep.json`` and ``part-*.parquet``.
+        Output folder: ``sweep.json`` and ``part-*.parquet``.
     jobs : int, optional
-        Processes. More than one are spawned: the caller's main module is imported by them, so it
-        must do its work under ``if __name__ == '__main__'``.
+        Number of processes. More than one are spawned and import the caller's main module, so its
+        work must be under ``if __name__ == '__main__'``.
     ray : str, optional
-        In place of processes, the address of a Ray cluster, ``'auto'`` or ``'local'``.
+        Address of a Ray cluster that replaces the processes, ``'auto'`` or ``'local'``.
     device : str, optional
-        Take the steps in torch, on ``'cuda'``, ``'cuda:N'`` or ``'cpu'``, in place of compiled
-        loops; see ``simulate_many``. The device is recorded, and the folder is of it alone.
+        Step in torch on ``'cuda'``, ``'cuda:N'`` or ``'cpu'`` instead of in compiled loops; see
+        ``simulate_many``. The device is recorded, and the folder accepts no other device.
     progress : bool, optional
-        Whether a line on standard error shows the progress.
+        True to show the progress in a line on standard error.
 
     Returns
     -------
@@ -110,9 +110,9 @@ def sweep(definition: str | Path | Mapping[str, Any], out: str | Path, *, jobs: 
     Raises
     ------
     HnnViRosError
-        The sweep, its scene or the folder cannot be used, or it holds another sweep.
+        The sweep, its scene or the folder cannot be used, or the folder holds another sweep.
     ValueError, TypeError
-        An argument that is not usable.
+        An argument is invalid.
 
     """
     return _make(definition, Path(out), jobs, ray, device, progress)[1].path
@@ -122,12 +122,12 @@ def _make(definition: str | Path | Mapping[str, Any], out: Path, jobs: int, ray:
           device: str | None, progress: bool) -> tuple[SweepPlan, SweepFolder]:
     """Make the shards that are missing; see ``sweep``."""
     if ray is not None:
-        # Imported here: it is an extra. First of all: it may be missing.
+        # Imported here because it is an optional extra, and first because it may be missing.
         from hnn_vi_ros.sweeps.ray_cluster import make_on_ray
     check_count('jobs', jobs)
     folder = SweepFolder(out)
     if not isinstance(definition, Mapping) and is_path('sweep', str(definition)):
-        # As workers find it, wherever they are started.
+        # Make the path absolute: workers may start in another folder.
         definition = os.path.abspath(definition)
     plan = make_plan(definition, (folder.record() or {}).get('scene'), device)
     Runner(plan).check()
@@ -168,7 +168,7 @@ def _summary(plan: SweepPlan, folder: SweepFolder, found: Survey, seconds: float
 
 
 class _Progress:
-    """Progress line: how many trajectories are made, and how long the rest takes."""
+    """Progress line: number of finished trajectories, and the remaining time."""
 
     def __init__(self, plan: SweepPlan, shards: list[int]):
         self._left, self._total = sum(len(plan.indices(shard)) for shard in shards), plan.count

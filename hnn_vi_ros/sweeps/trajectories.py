@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The trajectories of a sweep, a block at a time, with their measures; a failure is a row."""
+"""Simulate trajectories of a sweep in blocks, with statistics; a failure becomes a row."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -26,25 +26,25 @@ if TYPE_CHECKING:
 def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
             joined: Hamiltonian, duration: float) -> dict[str, Any]:
     """
-    Return statistics of a trajectory, by the columns that hold them.
+    Return statistics of a trajectory by column.
 
     Parameters
     ----------
     statistics : sequence of str
-        Which.
+        Names of the statistics.
     trajectory : Trajectory
-        With the initial state first.
+        Trajectory including the initial state.
     parts : Parts
-        Of its scene.
+        Parts of its scene.
     joined : Hamiltonian
-        H with the potentials and fields among the effects.
+        H including the potentials and fields among the effects.
     duration : float
-        Within which chaos is looked for [s].
+        Time over which the chaos statistic is evaluated [s].
 
     Raises
     ------
     HnnViRosError, ValueError
-        A statistic that cannot be had of this trajectory.
+        A statistic cannot be computed from this trajectory.
 
     """
     found: dict[str, Any] = {}
@@ -70,21 +70,21 @@ def measure(statistics: Sequence[str], trajectory: Trajectory, parts: Parts,
 def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajectory: Trajectory
            ) -> dict[str, float]:
     """
-    Return what a function of the user's makes of a trajectory, by column.
+    Return the results of the user's reduction of a trajectory, by column.
 
     Parameters
     ----------
     reduction : Reduction
-        Its name and columns.
+        Name and columns of the reduction.
     function : callable
-        It may read the kept arrays, and not write them.
+        User's function; it gets read-only arrays.
     trajectory : Trajectory
-        With the initial state first.
+        Trajectory including the initial state.
 
     Raises
     ------
     HnnViRosError
-        It fails, or returns something else.
+        The function fails, or its result has the wrong form.
 
     """
     name, views = reduction.function, {
@@ -103,33 +103,33 @@ def reduce(reduction: Reduction, function: Callable[[Trajectory], Any], trajecto
     return numbers
 
 
-# Failures of a trajectory; any other error is a fault of this package, and ends the sweep.
+# Errors that make a trajectory fail; any other is a bug in this package and ends the sweep.
 FAILURES = HnnViRosError, ValueError, ArithmeticError
-# Number of scenes kept ready, made with the last parameters.
+# Number of scenes cached; the least recently used one is dropped first.
 _KEPT = 4
 _State = tuple[np.ndarray, np.ndarray]
 
 
 class Rows(NamedTuple):
     """
-    Rows of some trajectories.
+    Rows of several trajectories.
 
     Parameters
     ----------
     indices : list of int
-        Their numbers.
+        Indices of the trajectories.
     values : list of tuple
-        Of the keys that vary, for each.
+        Values of the varied keys for each trajectory.
     length : int
-        Samples of each that are kept.
+        Number of samples kept of each trajectory.
     t, q, p, energy : np.ndarray, shape (n,), (n, d), (n, d), (n,)
-        These samples, one trajectory after another; NaN of one that failed.
+        Samples of one trajectory after another; NaN for a failed one.
     alarms : list of list of str
-        What guards found, for each.
+        Alarms of the guards for each trajectory.
     measured : dict
-        Statistics, and what the reduction returned, by column, where each is a single one.
+        Statistics and results of the reduction by column; only for a single trajectory.
     failure : str or None
-        Why there is no result.
+        Reason for which there is no result.
 
     """
 
@@ -147,21 +147,21 @@ class Rows(NamedTuple):
 
 class Runner:
     """
-    Makes the trajectories of a sweep.
+    Simulation of the trajectories of a sweep.
 
-    What becomes of a trajectory depends on the block that it is in, since the equations of a
-    block are solved until each of its trajectories has converged. So blocks are cut by index,
-    and nothing of one is known to another.
+    The result of a trajectory depends on its block, because the equations of a block are iterated
+    until all of its trajectories have converged. Blocks are therefore cut by index, and share no
+    state.
 
     Parameters
     ----------
     plan : SweepPlan
-        Of the sweep.
+        Plan of the sweep.
 
     Raises
     ------
     SceneError
-        Its reduction cannot be imported.
+        The reduction cannot be imported.
 
     """
 
@@ -176,12 +176,12 @@ class Runner:
 
     def check(self) -> None:
         """
-        Raise what the first trajectory, and the last, fail by where their scene is made.
+        Make the scenes of the first and the last trajectory, and raise the error if both fail.
 
         Raises
         ------
         HnnViRosError, ValueError
-            Neither can be made: a value that is none for its key, such as of another type.
+            Neither can be made; for example a value has the wrong type for its key.
 
         """
         problems = []
@@ -204,15 +204,15 @@ class Runner:
             rows = list(zip(*(column[part] for column in columns), strict=True)) if columns else \
                 [()] * len(indices[part])
             with warnings.catch_warnings():
-                # The start of the sweep raised the warnings about the scene.
+                # The warnings about the scene were already raised when the sweep started.
                 warnings.simplefilter('ignore')
                 yield self._block(indices[part], rows)
 
     def _block(self, indices: range, rows: Sequence[tuple[Any, ...]]) -> list[Rows]:
-        """Return the rows of neighbours; the ones that share a scene step together."""
+        """Return the rows of a block; trajectories that share a scene step together."""
         groups: dict[str, list[int]] = {}
         for k, row in enumerate(rows):
-            # The key of a scene is made of all values except the initial state's.
+            # The cache key of a scene contains all values outside the initial state.
             groups.setdefault(repr([row[part] for part in self._of_scene]), []).append(k)
         return [found for key, members in groups.items() for found in self._group(
             key, [indices[k] for k in members], [rows[k] for k in members])]
@@ -232,14 +232,14 @@ class Runner:
             try:
                 return self._kept_rows(made, indices, rows, made.together(indices, rows))
             except FAILURES:
-                # Any of them may have failed: try each by itself.
+                # Any of them may have failed: simulate each one alone.
                 made.forget()
         return [self._try(made, index, row, partial(made.alone, index, row))
                 for index, row in zip(indices, rows, strict=True)]
 
     def _on_device(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]]
                    ) -> list[Rows]:
-        """Return what becomes of some on a device, where each fails by itself."""
+        """Return the rows of trajectories simulated on a device; failures are per trajectory."""
         found, failures = made.on_device(rows)
         left = [k for k in range(len(rows)) if k not in failures]
         taken = [] if not left else self._kept_rows(
@@ -251,7 +251,7 @@ class Runner:
 
     def _kept_rows(self, made: '_Made', indices: list[int], rows: list[tuple[Any, ...]],
                    found: Trajectory) -> list[Rows]:
-        """Return what is kept of trajectories together, measured one by one if that is asked."""
+        """Return the rows of trajectories simulated together, measured one by one if requested."""
         if self._measures:
             return [self._try(made, index, row, partial(found.select, k))
                     for k, (index, row) in enumerate(zip(indices, rows, strict=True))]
@@ -264,7 +264,7 @@ class Runner:
 
     def _try(self, made: '_Made', index: int, row: tuple[Any, ...],
              find: Callable[[], Trajectory]) -> Rows:
-        """Return what is kept of one trajectory, measured, or why it fails."""
+        """Return the row of one trajectory with its statistics, or with the reason it failed."""
         sweep, kept = self._plan.sweep, self._kept
         try:
             found = find()
@@ -285,7 +285,7 @@ class Runner:
 
 
 class _Made:
-    """A scene with its values, and simulations of it."""
+    """A scene with the values of the axes, and its simulations."""
 
     def __init__(self, plan: SweepPlan, row: tuple[Any, ...]):
         self._plan = plan
@@ -308,7 +308,7 @@ class _Made:
             self._ensemble = self._make_ensemble(plan.device)
 
     def states(self, rows: list[tuple[Any, ...]]) -> _State:
-        """Return q and p, shape (m, d) each, as rows have them."""
+        """Return q and p, shape (m, d) each, from rows."""
         state = {half: np.tile(values, (len(rows), 1)) for half, values in self._state.items()}
         for k, part in enumerate(self._plan.parts):
             if part[0] == 'initial_state':
@@ -317,11 +317,11 @@ class _Made:
         return state['q'], state['p']
 
     def forget(self) -> None:
-        """Drop the simulations after one broke off."""
+        """Drop the simulations after one of them failed."""
         self._simulations.clear()
 
     def together(self, indices: list[int], rows: list[tuple[Any, ...]]) -> Trajectory:
-        """Return trajectories in lockstep: q and p of shape (n, m, d)."""
+        """Return trajectories stepped together: q and p of shape (n, m, d)."""
         q, p = self.states(rows)
         schedule = Schedule.until(
             self._plan.sweep.duration, self._every, self.parts.scene.known_step_size, q.size)
@@ -332,14 +332,14 @@ class _Made:
 
     def _several(self, t: np.ndarray, q: np.ndarray, p: np.ndarray,
                  alarms: list[list[Alarm]]) -> Trajectory:
-        # A simulation of one trajectory serves to evaluate the energy of all.
+        # A simulation of a single trajectory evaluates the energy of all of them.
         one = self._simulation('first', q[0, :1], p[0, :1])
         energy = show_many(one, t / one.step_size, q, p, alarms)
         return Trajectory(t, q, p, energy, self.parts.hamiltonian.coordinates,
                           tuple(map(tuple, alarms)), scene=self.parts.scene)
 
     def _make_ensemble(self, device: str) -> 'LockstepEnsemble':
-        """Return what takes the steps on a device."""
+        """Return the ensemble that steps on a device."""
         from hnn_vi_ros.simulation import ensemble_on
         scene = self.parts.scene
         if scene.events:
@@ -352,7 +352,7 @@ class _Made:
         return ensemble_on(device, self.parts)
 
     def on_device(self, rows: list[tuple[Any, ...]]) -> tuple[Trajectory, dict[int, StepFailure]]:
-        """Return trajectories on a device, and those that fail by their number."""
+        """Return trajectories computed on a device, and the failures by trajectory number."""
         from hnn_vi_ros.simulation import one_thread_each, record_on
         q, p = self.states(rows)
         device, h = self._plan.device, self.parts.scene.known_step_size
@@ -366,16 +366,16 @@ class _Made:
                               [told.get(k, []) for k in range(len(rows))]), found.failures)
 
     def alone(self, index: int, row: tuple[Any, ...]) -> Trajectory:
-        """Return one trajectory, with noise and events of its own."""
+        """Return one trajectory with its own noise and events."""
         q, p = self.states([row])
         simulation = self._simulation('alone', q[0], p[0])
-        # A stream of noise for each index.
+        # Each index has its own noise stream.
         simulation.restart(q[0], p[0], stream=index)
         return replace(record_one(simulation, self._plan.sweep.duration, self._every),
                        scene=self.parts.scene)
 
     def _simulation(self, name: str, q: np.ndarray, p: np.ndarray) -> Any:
-        """Return a simulation, made at its first use from this state."""
+        """Return a cached simulation, created at the first use from this state."""
         if name not in self._simulations:
             self._simulations[name] = watched(build_at(self.parts, q, p), self.parts.scene)
         return self._simulations[name]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shards made by this process, or by several of this machine; any of them may be killed."""
+"""Make shards in this process or in several on this machine; any of them may be killed."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,16 +17,16 @@ from hnn_vi_ros.sweeps.parquet import write_shard
 from hnn_vi_ros.sweeps.plan import make_plan, SweepPlan
 from hnn_vi_ros.sweeps.trajectories import Runner
 
-# Lost processes in a row, without a shard between them, after which something else is wrong.
+# Number of consecutive worker losses, with no shard finished in between, that aborts the sweep.
 _MOST_LOSSES = 3
-# The plan of a sweep, and what makes its trajectories, by digest: jobs come anew with each shard.
+# Cache of the plan and the runner of a sweep by digest: each shard brings a new copy of its job.
 _ready: dict[str, tuple[SweepPlan, Runner]] = {}
 
 
 @dataclass(frozen=True)
 class ShardJob:
     """
-    Job of another process that makes shards of a sweep; its files have the same paths there.
+    Job of a worker process that makes shards of a sweep; paths must be valid in that process.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class ShardJob:
     chosen : mapping
         See ``make_plan``.
     digest : str
-        Of the plan that must come of it.
+        Expected digest of the plan.
     device : str or None
         See ``make_plan``.
 
@@ -53,10 +53,10 @@ class ShardJob:
         Raises
         ------
         HnnViRosError
-            The plan comes out otherwise here: other files or versions.
+            The plan differs in this process, because its files or versions differ.
 
         """
-        # Made with the first shard: an error in the constructor of an actor loses its reason.
+        # Lazily, with the first shard: an error in an actor's constructor loses its reason.
         if self.digest not in _ready:
             plan = make_plan(self.definition, self.chosen, self.device)
             if plan.record['digest'] != self.digest:
@@ -70,7 +70,7 @@ class ShardJob:
 
 def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
               on_block: Callable[[int], None]) -> Iterator[int]:
-    """Make shards in this process, and yield each that is in the folder."""
+    """Make shards in this process, and yield the number of each one written."""
     runner = Runner(plan)
     for shard in shards:
         folder.put(shard, write_shard(plan, shard, runner.shard(shard), on_block))
@@ -80,12 +80,12 @@ def make_here(plan: SweepPlan, folder: SweepFolder, shards: Sequence[int],
 def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int], processes: int
                       ) -> Iterator[int]:
     """
-    Make shards in several processes, and yield each that is in the folder.
+    Make shards in several processes, and yield the number of each one written.
 
     Raises
     ------
     HnnViRosError
-        A shard cannot be written, or processes die again and again.
+        A shard cannot be written, or processes die repeatedly.
 
     """
     pending, losses = deque(shards), 0
@@ -94,7 +94,7 @@ def make_in_processes(job: ShardJob, folder: SweepFolder, shards: Sequence[int],
             running: dict[Future[None], int] = {}
             try:
                 while pending or running:
-                    # No more than keeps them busy: a shard that waits is not lost with them.
+                    # Submit only enough to keep them busy: a waiting shard cannot be lost.
                     while pending and len(running) < 2 * processes:
                         with ignore_sigint_in_children():
                             future = pool.submit(_make, job, folder.path, pending[0])
