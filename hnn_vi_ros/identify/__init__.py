@@ -1,7 +1,7 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Identification: numbers of a scene fitted to measured motions, with intervals.
+Identification: numbers of a scene fitted to measured motions, with confidence intervals.
 
-The command ``hnn identify``. It simulates the scene itself; networks are trained in ``learning``.
+Used by the command ``hnn identify``. It simulates the scene; ``learning`` trains networks.
 """

@@ -1,11 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Numbers of a scene by least squares: multiple shooting, with each window's start eliminated.
+Least-squares fit of a scene's numbers: multiple shooting with eliminated initial states.
 
-The windows' initial states are unknowns too, but each is felt in its own window alone. So for any
-values of the numbers they are found first, window by window, and what the numbers do beyond what
-initial states could do guides the search (variable projection).
+The windows' initial states are unknowns as well, but each affects only its own window. For given
+numbers they are therefore solved for window by window, and the part of the numbers' derivatives
+that initial states cannot reproduce drives the search (variable projection).
 
 G. Golub, V. Pereyra, Separable nonlinear least squares: the variable projection method and its
 applications, Inverse Problems 19 (2003). H. G. Bock, Recent advances in parameter identification
@@ -24,25 +24,25 @@ from hnn_vi_ros.learning import EvenMotion
 import numpy as np
 from scipy.optimize import least_squares
 
-# Least noise, relative to the measured range: rounding alone makes as much.
+# Minimum noise relative to the measured range: the size of rounding errors.
 _LEAST_NOISE = 1e-9
 _LEAST_SAMPLES = 10
 
 
 def first_noise(motions: Sequence[EvenMotion]) -> np.ndarray:
-    """Return a guess of the noise from third differences, which smooth motion hardly has."""
+    """Return a noise estimate from third differences, which are small for smooth motion."""
     thirds = np.concatenate([np.diff(motion.measured, 3, axis=0) for motion in motions])
     least = least_noise(np.concatenate([motion.measured for motion in motions]))
     return np.maximum(np.sqrt((thirds**2).mean(axis=0) / 20.0), least)
 
 
 def least_noise(measured: np.ndarray) -> np.ndarray:
-    """Return what rounding makes of noise, shape (C,)."""
+    """Return the noise caused by rounding, shape (C,)."""
     return _LEAST_NOISE * (np.ptp(measured, axis=0) + 1e-300)
 
 
 def first_length(motions: Sequence[EvenMotion]) -> float:
-    """Return a length of windows in which a motion hardly turns: four of its times [s]."""
+    """Return an initial window length [s]: four time scales of the motion."""
     q, v = (np.concatenate([getattr(motion, name) for motion in motions])
             for name in ('q_smooth', 'v_smooth'))
     speed = np.sqrt((v**2).mean(axis=0))
@@ -53,39 +53,39 @@ def first_length(motions: Sequence[EvenMotion]) -> float:
     return max(4.0 * pace, (least - 1) * motions[0].spacing)
 
 
-# Residual in standard deviations at which the robust loss turns from squares to lines.
+# Residual at which the robust loss changes from quadratic to linear, in standard deviations.
 _SOFT = 2.0
-# Most steps for the initial states, and what may still be gained by another one, of the cost.
+# Maximum of steps for the initial states, and relative gain in cost at which they stop.
 _INNER, _GAIN = 30, 1e-10
-# What a start is charged from which a window cannot be simulated, in standard deviations.
+# Residual assigned to a window that cannot be simulated, in standard deviations.
 _FAILED = 1e3
-# Tolerances of the search for the numbers, at the end and before, and most evaluations.
+# Tolerances of the search at the end and before, and maximum number of evaluations.
 _TOLERANCE, _ROUGH, _EVALUATIONS = 1e-8, 1e-4, 60
-# Windows grow by this factor, as long as residuals do not, by more than this.
+# Growth factor of the windows, and the growth of residuals at which they stop growing.
 _LONGER, _GROWTH = 3.0, 1.5
-# Singular values of unit columns below this are rounding and differences, not data.
+# Singular values of normalised columns below this are errors of rounding and differences.
 _RANK = 1e-6
-# Changes of the noise, relatively, that are not worth another search; and most searches.
+# Relative change of the noise that requires no further search; and maximum of searches.
 _SETTLED, _ROUNDS = 0.1, 6
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
     """
-    Numbers, and the windows' initial states with them, that fit best.
+    Best-fitting numbers and initial states of the windows.
 
     Parameters
     ----------
     values : np.ndarray, shape (n,)
-        Of the numbers.
+        Values of the numbers.
     starts : np.ndarray, shape (W, 2 d)
-        The initial states.
+        Initial states of the windows.
     residuals : np.ndarray, shape (W, T, C)
-        Prediction less measurement, in standard deviations; 0 for missing samples.
+        Prediction minus measurement, in standard deviations; 0 for missing samples.
     by_starts, by_numbers : np.ndarray, shapes (W, T, C, 2 d) and (W, T, C, n)
         Derivatives of the residuals.
     noise : np.ndarray, shape (C,)
-        Those standard deviations.
+        Standard deviations of the noise.
     windows : Windows
         The fitted windows.
 
@@ -101,32 +101,32 @@ class Solution:
 
     @property
     def freedom(self) -> int:
-        """Return the number of measured numbers less that of unknowns."""
+        """Return the number of measured values minus the number of unknowns."""
         measured = int(self.windows.there.sum()) * self.residuals.shape[2]
         return measured - self.starts.size - self.values.size
 
     @property
     def misfit(self) -> float:
-        """Return the root mean square of the residuals, for each degree of freedom."""
+        """Return the square root of the sum of squared residuals per degree of freedom."""
         return math.sqrt(float((self.residuals**2).sum()) / self.freedom)
 
 
 class FitProblem:
     """
-    The residuals of windows as a function of the free numbers alone.
+    Residuals of windows as a function of the free numbers only.
 
     Parameters
     ----------
     free : FreeScene
-        The scene, with n free numbers.
+        Scene with n free numbers.
     windows : Windows
-        W of them.
+        W windows.
     noise : np.ndarray, shape (C,)
         Standard deviation of each measured quantity.
     starts : np.ndarray, shape (W, 2 d)
-        Initial states to begin from.
+        Initial guess of the initial states.
     robust : bool
-        Whether outliers count less: the loss soft_l1.
+        True to reduce the weight of outliers, with the loss soft_l1.
 
     """
 
@@ -139,16 +139,16 @@ class FitProblem:
         self._key: bytes | None = None
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
-        """Return them at the best initial states, flat, and n zeros; see ``slopes``."""
+        """Return the residuals at the best initial states, flat, and n zeros; see ``slopes``."""
         own = np.nan_to_num(self._at_best(values)[1], nan=_FAILED).ravel()
         return np.concatenate([own, np.zeros(len(values))])
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """
-        Return their derivatives by the numbers, shape (N + n, n).
+        Return the derivatives of ``residuals`` with respect to the numbers, shape (N + n, n).
 
-        The zeros are said to grow along directions of which the data tell nothing. There is
-        rounding alone along those, which would lead the search far away: so it does not move.
+        The n zeros get artificial derivatives along directions that the data do not determine.
+        Rounding errors along these would lead the search astray, so it does not move there.
         """
         solution = self.solve(values)
         back = projected(solution, self.weights(solution.residuals))
@@ -160,7 +160,7 @@ class FitProblem:
         return np.concatenate([own / units @ rows[told].T @ rows[told], held]) * units
 
     def solve(self, values: np.ndarray) -> Solution:
-        """Return all that is known at values of the numbers."""
+        """Return the solution at given values of the numbers."""
         starts, residuals, by_starts = self._at_best(values)
         if self._solved is None or not np.array_equal(self._solved.values, values):
             by_numbers = self._scaled(self._prediction.by_numbers(starts))
@@ -169,7 +169,7 @@ class FitProblem:
         return self._solved
 
     def weights(self, residuals: np.ndarray) -> np.ndarray:
-        """Return what each residual counts, 1 without outliers."""
+        """Return the weight of each residual, 1 without outliers."""
         return 1.0 / np.sqrt(1.0 + (residuals / _SOFT)**2) if self.robust else \
             np.ones_like(residuals)
 
@@ -181,7 +181,7 @@ class FitProblem:
         return squares.sum(axis=(1, 2))
 
     def _scaled(self, values: np.ndarray) -> np.ndarray:
-        """Return derivatives in standard deviations, 0 for missing samples."""
+        """Return the scaled derivatives in standard deviations, 0 for missing samples."""
         shape = (1, 1, -1) + (1,) * (values.ndim - 3)
         there = self.windows.there.reshape(self.windows.there.shape + (1,) * (values.ndim - 2))
         return np.where(there, values / self.noise.reshape(shape), 0.0)
@@ -197,7 +197,7 @@ class FitProblem:
                 self._prediction = Prediction(self.free, values, self.windows)
                 self._best = self._descend(self._prediction, starts)
             except HnnViRosError:
-                # Such a scene there is not: a mass that is no mass.
+                # The values are invalid for the scene, for example a negative mass.
                 shape = self.windows.measured.shape
                 self._best = (self._starts, np.full(shape, np.nan),
                               np.zeros((*shape, self._starts.shape[1])))
@@ -211,7 +211,7 @@ class FitProblem:
 
     def _descend(self, prediction: Prediction, starts: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Take steps of Levenberg and Marquardt in all windows at once."""
+        """Minimise over the initial states of all windows with Levenberg-Marquardt steps."""
         residuals, slopes = self._evaluate(prediction, starts)
         cost, damping = self.cost(residuals), np.full(len(starts), 1e-9)
         for _ in range(_INNER):
@@ -219,7 +219,7 @@ class FitProblem:
             matrix = np.einsum('wtci,wtcj->wij', weights * slopes, slopes)
             downhill = -np.einsum('wtci,wtc->wi', weights * slopes, residuals)
             scale = np.sqrt(np.einsum('wii->wi', matrix)) + 1e-300
-            with np.errstate(invalid='ignore'):  # of windows that are far from all data
+            with np.errstate(invalid='ignore'):  # windows may be far from all data
                 unit = matrix / scale[:, :, None] / scale[:, None, :]
             unit += damping[:, None, None] * np.eye(starts.shape[1])
             good = np.isfinite(unit).all(axis=(1, 2)) & np.isfinite(downhill).all(axis=1)
@@ -231,7 +231,7 @@ class FitProblem:
             if not open_.any():
                 break
             tried = starts + np.where(open_[:, None], change, 0.0)
-            # Most windows are done after a few steps: the others are simulated alone.
+            # Most windows converge after a few steps: simulate only the remaining ones.
             new_residuals, new_slopes = self._evaluate(prediction, tried, open_)
             new_cost = self.cost(new_residuals)
             better = open_ & (new_cost < cost)
@@ -246,16 +246,16 @@ class FitProblem:
 
 def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return what numbers do beyond what initial states could do instead.
+    Return the part of the numbers' derivatives that initial states cannot reproduce.
 
     Returns
     -------
     np.ndarray, shape (W, T, C, n), and np.ndarray, shape (W, 2 d, n)
-        Derivatives of the residuals at the best initial states; and of those.
+        Derivatives of the residuals at the best initial states, and of those states.
 
     """
     slopes, numbers = solution.by_starts, solution.by_numbers
-    # Orthogonal factors keep the digits: a matrix of squares would lose half of them.
+    # Orthogonal factors keep the precision; normal equations would lose half of the digits.
     w, t, c, n = slopes.shape
     root = np.sqrt(weights).reshape(w, t * c, 1)
     left, right = root * slopes.reshape(w, t * c, n), root * numbers.reshape(w, t * c, -1)
@@ -266,7 +266,7 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def units_of(solution: Solution) -> np.ndarray:
-    """Return 1 over what change of each number does as much as that of others, shape (n,)."""
+    """Return the change of each number that has the same effect on residuals, shape (n,)."""
     raw = np.linalg.norm(solution.by_numbers[solution.windows.there].reshape(
         -1, len(solution.values)), axis=0)
     return np.where(raw > 0.0, raw, 1.0)
@@ -274,17 +274,17 @@ def units_of(solution: Solution) -> np.ndarray:
 
 def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return which directions of the numbers the data tell.
+    Return the directions of the numbers that the data determine.
 
     Parameters
     ----------
     slopes : np.ndarray, shape (N, n)
-        What numbers in their units do, beyond what initial states could.
+        Scaled derivatives of the residuals, projected as in ``projected``.
 
     Returns
     -------
     tuple of np.ndarray, shapes (n,), (n, n) and (n,)
-        Singular values; directions, a row each; and which of those are more than rounding.
+        Singular values; directions, one per row; and a mask of those above rounding.
 
     """
     _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
@@ -294,16 +294,16 @@ def told_directions(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, robust: bool
         ) -> tuple[Solution, FitProblem, list[tuple[float, float]]]:
     """
-    Fit the free numbers, in windows that grow from short ones, which have no false minima.
+    Fit the free numbers in growing windows: short ones first, because they have no false minima.
 
     Parameters
     ----------
     free : FreeScene
-        The scene.
+        Scene with the free numbers.
     motions : sequence of EvenMotion
-        The measured motions, all of them with velocities or none.
+        Measured motions; either all or none have velocities.
     horizon : float, optional
-        Length of the windows at the end [s]; by default they grow up to whole runs, as long as
+        Final length of the windows [s]; by default they grow up to whole runs, as long as
         residuals do not grow by more than a half.
     robust : bool
         See FitProblem.
@@ -316,7 +316,7 @@ def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, r
     Raises
     ------
     DataError
-        The data are too few, or cannot be followed from where the search begins.
+        The data are too few, or the initial guess cannot be simulated over them.
 
     """
     values = np.array([number.start for number in free.numbers])
@@ -346,14 +346,14 @@ def fit(free: FreeScene, motions: Sequence[EvenMotion], horizon: float | None, r
 def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.ndarray,
              values: np.ndarray, robust: bool, tolerance: float, guessed: bool
              ) -> tuple[Solution, FitProblem]:
-    """Return the fit with the noise that its own residuals tell, which may begin guessed."""
+    """Return the fit whose noise agrees with its own residuals, iterated from a first noise."""
     if windows.there.sum() * len(noise) <= starts.size + len(values):
         raise DataError(f'{int(windows.there.sum())} samples of {len(noise)} quantities in '
                         f'{len(starts)} windows are too few for {len(values)} numbers and '
                         f'{starts.size} of initial states; give more, or a longer --horizon')
     for k in range(_ROUNDS):
-        # A guess from the data alone is far too small for a scene that lacks something: beside it
-        # all residuals would be outliers. So squares of them tell the noise first.
+        # A guess from the data alone is far too small for an incomplete scene, and would make all
+        # residuals outliers. The first round therefore uses squares to estimate the noise.
         squares = robust and guessed and k == 0
         problem = FitProblem(free, windows, noise, starts, robust and not squares)
         solution = search(problem, values, _ROUGH if squares else tolerance)
@@ -361,7 +361,7 @@ def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.nd
         values, starts = solution.values, solution.starts
         ratio = told / noise
         noise = told
-        # One factor for all moves nothing but the robust loss.
+        # A common factor affects only the robust loss.
         if not squares and np.ptp(np.log(ratio)) < _SETTLED and not (
                 robust and abs(np.log(ratio)).max() > _SETTLED):
             break
@@ -373,7 +373,7 @@ def _settled(free: FreeScene, windows: Windows, noise: np.ndarray, starts: np.nd
 
 
 def search(problem: FitProblem, values: np.ndarray, tolerance: float = _TOLERANCE) -> Solution:
-    """Return the best values of the numbers, from some on."""
+    """Return the best values of the numbers, searched from an initial guess."""
     first = problem.residuals(values)
     if not values.size:
         return problem.solve(values)
@@ -382,7 +382,7 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = _TOLERANC
                         'the values to begin with; give others in the scene, or a shorter '
                         '--horizon')
     low, high = np.array([[number.low, number.high] for number in problem.free.numbers]).T
-    # Not by the slopes that are left: they would make a unit of a direction that is rounding.
+    # Not from the projected derivatives: they would scale up directions of pure rounding.
     units = 1.0 / units_of(problem.solve(values))
     found = least_squares(
         problem.residuals, values, problem.slopes, bounds=(low, high), x_scale=units,
@@ -392,7 +392,7 @@ def search(problem: FitProblem, values: np.ndarray, tolerance: float = _TOLERANC
 
 
 def noise_of(solution: Solution, robust: bool) -> np.ndarray:
-    """Return the standard deviation of each measured quantity that residuals tell, shape (C,)."""
+    """Return the noise of each quantity estimated from residuals, shape (C,)."""
     there = solution.windows.there
     own = solution.residuals[there]
     measured = own.size
@@ -405,7 +405,7 @@ def noise_of(solution: Solution, robust: bool) -> np.ndarray:
 
 def _starts(free: FreeScene, values: np.ndarray, windows: Windows,
             before: tuple[Solution, FitProblem] | None) -> np.ndarray:
-    """Return initial states to begin from: those of shorter windows, or smoothed measurements."""
+    """Return initial guesses: the starts of shorter windows, or smoothed measurements."""
     q, v = windows.start.swapaxes(0, 1)
     if before is None:
         prediction = Prediction(free, values, windows)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a scene and of its robot that motions may tell; and the scene with others."""
+"""Numbers of a scene and its robot that can be identified, and the scene with other values."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
@@ -21,25 +21,25 @@ from hnn_vi_ros.scene import load_scene, numbers_of, Parts, Scene, with_numbers
 import numpy as np
 import yaml
 
-# Numbers outside the scene: the states that windows begin in, and how late forces come [s].
+# Numbers outside the scene: initial states of the windows, and delay of the input [s].
 STATES, DELAY = 'initial_state', 'input_delay'
 
 
 @dataclass(frozen=True)
 class Number:
     """
-    A number to be found.
+    A number to be identified.
 
     Parameters
     ----------
     name : str
-        As the user wrote it.
+        Name as given by the user.
     place : str
-        Its place in the scene, as ``numbers_of`` or ``robot_numbers`` have it; or DELAY.
+        Place in the scene, as in ``numbers_of`` or ``robot_numbers``; or DELAY.
     unit : str
-        Empty where it is not known.
+        Unit, '' if unknown.
     start, low, high : float
-        Where the search begins, and its bounds.
+        Initial guess and bounds.
 
     """
 
@@ -54,20 +54,20 @@ class Number:
 @dataclass(frozen=True)
 class FreeScene:
     """
-    A scene with some numbers free.
+    A scene with free numbers.
 
     Parameters
     ----------
     scene : Scene
-        With all others.
+        Scene with all other values.
     numbers : tuple of Number
-        n of them.
+        Tuple of n numbers.
     folder : Path
-        Where the URDF of a robot whose numbers are free is written again and again.
+        Folder for temporary URDF files of a robot with free numbers.
     robot : frozenset of str
-        The places of numbers that are the robot's.
+        Places of numbers that belong to the robot.
     held : tuple of Number
-        Numbers that keep their start.
+        Numbers fixed at their start.
 
     """
 
@@ -78,12 +78,12 @@ class FreeScene:
     held: tuple[Number, ...] = ()
 
     def holding(self, k: int) -> 'FreeScene':
-        """Return the scene with one number held where its search begins."""
+        """Return the scene with one number fixed at its initial guess."""
         return replace(self, numbers=self.numbers[:k] + self.numbers[k + 1:],
                        held=(*self.held, self.numbers[k]))
 
     def starting_at(self, values: Sequence[float] | np.ndarray) -> 'FreeScene':
-        """Return the scene with other values of its numbers to begin the search from."""
+        """Return the scene with other initial guesses of its numbers."""
         return replace(self, numbers=tuple(replace(number, start=float(value)) for number, value in
                                            zip(self.numbers, values, strict=True)))
 
@@ -101,27 +101,27 @@ class FreeScene:
 def free_scene(parts: Parts, names: Sequence[str], bounds: Mapping[str, tuple[float, float]],
                folder: Path, driven: bool) -> FreeScene:
     """
-    Return a scene in which the numbers of these names are free.
+    Return a scene in which the named numbers are free.
 
     Parameters
     ----------
     parts : Parts
-        Of the scene.
+        Parts of the scene.
     names : sequence of str
         ``mass`` of H; ``damping.rate`` of the effect of that kind, ``damping.1.rate`` of the
         second one; ``forearm.mass`` of a link of a URDF; input_delay; or places, such as
         ``hamiltonian.mass`` and ``effects.0.rate``.
     bounds : mapping of str to (float, float)
-        Of some of these names; others may be whatever the scene takes.
+        Bounds by name; the others have the bounds that the scene allows.
     folder : Path
-        See FreeScene.
+        Folder for temporary files; see FreeScene.
     driven : bool
-        Whether the motions were, without which no delay can be found.
+        True if the motions have measured forces, which input_delay needs.
 
     Raises
     ------
     ParameterError
-        An unknown name, or one that stands twice; bounds without the number between them.
+        A name is unknown or repeated, or bounds do not contain the number.
 
     """
     scene = parts.scene
@@ -160,7 +160,7 @@ def _number(name: str, place: str, start: float, unit: str,
 
 
 def _within(free: FreeScene, k: int) -> Number:
-    """Return a number with the bounds beyond which the scene does not take it."""
+    """Return a number with the bounds within which the scene accepts it."""
     number = free.numbers[k]
     if number.place == DELAY:
         return replace(number, low=max(number.low, 0.0))
@@ -176,7 +176,7 @@ def _within(free: FreeScene, k: int) -> Number:
 
 
 def _known(scene: Scene) -> dict[str, str]:
-    """Return the place of each number by short name, which counts effects of a repeated kind."""
+    """Return the place of each number by short name; repeated effects are numbered."""
     kinds = [effect.kind for effect in scene.effects]
     named: dict[str, str] = {}
     for place in numbers_of(scene):
@@ -192,7 +192,7 @@ def _known(scene: Scene) -> dict[str, str]:
 
 
 def _units(scene: Scene, hamiltonian: Hamiltonian) -> dict[str, str]:
-    """Return the unit of each number whose description tells one."""
+    """Return the unit of each number whose description contains one."""
     parts: dict[str, Any] = {'hamiltonian': scene.hamiltonian} | {
         f'effects.{i}': effect for i, effect in enumerate(scene.effects)}
     own = {coordinate.name: coordinate.q_unit for coordinate in hamiltonian.coordinates}
@@ -213,7 +213,7 @@ def _units(scene: Scene, hamiltonian: Hamiltonian) -> dict[str, str]:
 
 
 def _named(part: Any, item: str) -> list[str] | None:
-    """Return the coordinates that an item of H or of an effect is of; None for any."""
+    """Return the coordinates of an item of H or of an effect; None for any."""
     given = getattr(part, 'coordinates', None)
     if item.isdecimal() and isinstance(given, list):
         return given[int(item):int(item) + 1]
@@ -224,7 +224,7 @@ def _named(part: Any, item: str) -> list[str] | None:
 
 
 def _unit(among: Sequence[str], kinds: set[str]) -> str:
-    """Return the unit, of those of angles and of lengths, that belongs to coordinates in these."""
+    """Return the unit of angles or of lengths that applies to coordinates of these kinds."""
     if len(among) > 1 and kinds in ({'rad'}, {'m'}):
         turning = [one for one in among if 'rad' in one or one in ('N m', 'kg m2', 'kg m^2')]
         among = turning if 'rad' in kinds else [one for one in among if one not in turning]
@@ -237,18 +237,18 @@ _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
                  initial_state: Mapping[str, Sequence[float]] | None) -> None:
     """
-    Write a scene, and next to it the URDF of its robot if numbers of that were free.
+    Write a scene, and next to it the URDF of its robot if numbers of the robot were free.
 
     Parameters
     ----------
     path : Path
-        A new file.
+        Path of a new file.
     free : FreeScene
-        The scene, from a file.
+        Scene, which was read from a file.
     values : sequence of float
-        Of its free numbers; a delay is no number of a scene, and is told in a comment.
+        Values of the free numbers; a delay is not part of a scene and goes into a comment.
     initial_state : mapping of str to sequence of float, or None
-        q and p, in place of the scene's.
+        q and p that replace the scene's initial state.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def write_fitted(path: Path, free: FreeScene, values: Sequence[float],
             raise SceneError(f'{robot}: exists already; name another scene file')
         changes['hamiltonian', 'file'] = robot.name
     for name, file in free.scene.model_files().items():
-        # Paths relative to its own folder would not lead anywhere from the new file's folder.
+        # A path relative to the old file's folder would be wrong in the new file's folder.
         if '/' in name and '://' not in name:
             text = text.replace(name, os.path.relpath(file.resolve(), path.resolve().parent))
     text = edited(text, changes)
@@ -311,7 +311,7 @@ def edited(text: str, changes: Mapping[tuple[str, ...], str]) -> str:
 
 
 def _added(text: str, node: yaml.MappingNode, key: str, value: str) -> tuple[int, int, str]:
-    """Return where a key is added to a mapping, and what."""
+    """Return the position at which a key is added to a mapping, and the text."""
     if node.flow_style:
         end = node.end_mark.index - 1
         return end, end, f', {key}: {value}'
@@ -323,7 +323,7 @@ def _added(text: str, node: yaml.MappingNode, key: str, value: str) -> tuple[int
 
 _MOMENTS = 'ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'
 _AXES = 'xyz'
-# Where a number stands in a link or a joint: tags, an attribute, and which word of it.
+# Location of a number in a link or a joint: tags, an attribute, and the index of the word.
 _LINK = {
     'mass': ('inertial/mass', 'value', 0),
     **{f'centre_{axis}': ('inertial/origin', 'xyz', k) for k, axis in enumerate(_AXES)},
@@ -334,7 +334,7 @@ _UNITS = {'mass': 'kg', **{f'centre_{axis}': 'm' for axis in _AXES},
 
 
 def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
-    """Return value and unit of each: ``forearm.mass``, ``forearm.centre_z``, ``elbow.damping``."""
+    """Return value and unit by name: ``forearm.mass``, ``forearm.centre_z``, ``elbow.damping``."""
     if scene.hamiltonian.kind != 'urdf':
         return {}
     root = _parsed(robot_file(scene))
@@ -346,18 +346,18 @@ def robot_numbers(scene: Scene) -> dict[str, tuple[float, str]]:
 
 
 def robot_file(scene: Scene) -> Path:
-    """Return the file of the robot of a scene."""
+    """Return the URDF file of the scene's robot."""
     return scene.model_files()[scene.hamiltonian.file]
 
 
 def with_robot_numbers(scene: Scene, numbers: Mapping[str, float], file: Path) -> Scene:
     """
-    Return a scene whose robot has other numbers, from a URDF that is written for it.
+    Return a scene whose robot has other numbers, and write the URDF for it.
 
     Raises
     ------
     ModelError
-        No body could be a link with these numbers, whatever it is fixed to.
+        The numbers are not those of a rigid body, even combined with the links fixed to it.
 
     """
     root = _parsed(robot_file(scene))
@@ -385,7 +385,7 @@ def _parsed(file: Path) -> ElementTree.Element:
 
 @lru_cache(4)
 def _read(file: Path, changed: int) -> ElementTree.Element:
-    # The reader of robots first: it refuses all that XML could do besides holding elements.
+    # Use the safe reader of robots: it rejects XML beyond plain elements.
     text = read_urdf(file).text
     builder = ElementTree.TreeBuilder(insert_comments=True)
     return ElementTree.fromstring(text, ElementTree.XMLParser(target=builder))
@@ -393,7 +393,7 @@ def _read(file: Path, changed: int) -> ElementTree.Element:
 
 def _numbers(root: ElementTree.Element
              ) -> Iterator[tuple[str, str, ElementTree.Element, str, int]]:
-    """Yield the owner, the name and the place of each number that the file gives."""
+    """Yield the owner, the name and the place of each number given in the file."""
     for tag, places in (('link', _LINK), ('joint', _JOINT)):
         for owner in root.findall(tag):
             for name, (path, attribute, word) in places.items():

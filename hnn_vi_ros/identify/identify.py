@@ -32,15 +32,15 @@ import numpy as np
 
 REPORT, FIT, CORRELATIONS = 'report.md', 'fit.png', 'correlations.png'
 _INK, _FITTED = '#333333', '#d55e00'
-# Samples that are drawn of each quantity; more cannot be told apart.
+# Maximum of samples drawn per quantity; more cannot be distinguished.
 _MOST = 4000
 _INTERVAL = 1.96
-# Powers of ten by which a ratio may differ from the 1000 that units explain: twice or half.
+# Tolerance in powers of ten around a ratio of 1000, which suggests a wrong unit: factor 2.
 _MILLI = 0.3
 
 
 def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]) -> None:
-    """Draw measurement and fit of the longest run, and the residuals with their noise."""
+    """Plot measurement and fit of the longest run, and the residuals with their noise."""
     from matplotlib.figure import Figure
     windows = solution.windows
     runs = [len(motion.t) for motion in windows.motions]
@@ -75,7 +75,7 @@ def draw_fit(path: Path, solution: Solution, channels: Sequence[tuple[str, str]]
 
 
 def draw_correlations(path: Path, estimates: Estimates) -> None:
-    """Draw the correlations of the errors of all numbers that the data tell."""
+    """Plot the correlations of the errors of all determined numbers."""
     from matplotlib.figure import Figure
     rows = [k for k, one in enumerate(estimates.estimates) if one.known]
     names = [estimates.estimates[k].name for k in rows]
@@ -95,16 +95,16 @@ def draw_correlations(path: Path, estimates: Estimates) -> None:
     figure.savefig(path, dpi=130)
 
 
-# Residuals of so many times the noise that neighbouring samples tell are not noise alone.
+# Warn if residuals exceed the noise estimated from neighbouring samples by this factor.
 _POOR = 3.0
-# By so much less a sum of squares tells one way of forces from the other: three standard errors.
+# Difference in the sum of squares that decides between hold and interpolation: three sigma.
 _EVIDENCE = 9.0
-# Names under which velocities stand in arrays.
+# Names of velocities in arrays.
 _VELOCITIES = 'dq', 'v'
 
 
 class Identified(NamedTuple):
-    """Result of a fit: all that is told of it."""
+    """Result of a fit with all that its report needs."""
 
     free: FreeScene
     solution: Solution
@@ -118,18 +118,18 @@ class Identified(NamedTuple):
 
 class Inputs(NamedTuple):
     """
-    The way of measured forces between samples that is assumed, and how well the other one fits.
+    Assumed course of measured forces between samples, and the evidence for the alternative.
 
     Parameters
     ----------
     taken, other : str
-        Both ways, ``held`` and ``interpolated``.
+        Assumed course and the alternative, ``held`` and ``interpolated``.
     stated : bool
-        Whether the user or the kind of data says so.
+        True if the user or the kind of data determines the course.
     evidence : float
-        By how much the other way makes the sum of squared residuals less, in squares of the noise.
+        Reduction of the sum of squared residuals by the alternative, in noise variances.
     misfit : float
-        Its residuals, in standard deviations.
+        Residuals of the alternative, in standard deviations.
 
     """
 
@@ -141,7 +141,7 @@ class Inputs(NamedTuple):
 
 
 def main(argv: Sequence[str]) -> None:
-    """Fit what the command line names."""
+    """Run the fit requested by the command line."""
     options = command_lines.identify().parse_args(argv)
     _check(options)
     scene, _ = resolve(load_scene(options.scene))
@@ -166,13 +166,13 @@ def identify(scene: Scene, data: tuple[Path, MotionSource], options: Namespace, 
     Parameters
     ----------
     scene : Scene
-        With a method and a step size.
+        Scene with a method and a step size.
     data : tuple of (Path, MotionSource)
-        How the motions are read.
+        Path of the data and their reader.
     options : Namespace
-        Of the command line.
+        Options of the command line.
     folder : Path
-        For files that the fit needs while it runs.
+        Folder for temporary files of the fit.
 
     """
     parts = scene.parts()
@@ -223,10 +223,10 @@ Fitted = tuple[Solution, FitProblem, list[tuple[float, float]]]
 def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
          ) -> tuple[Fitted, str]:
     """
-    Return a fit, and what acted before the first samples, as far as they depend on it.
+    Return a fit, and a note on the forces before the first samples if it depends on them.
 
-    Where forces come late, those of the first moments were commanded before the record: the first
-    one of it, or none. That which fits better is taken.
+    With a delay, the first forces that act were commanded before the record: assumed are the first
+    recorded one, or none. The better fit is returned.
     """
     late = DELAY in [number.place for number in free.numbers]
     if not late or not any(motion.tau[0].any() for motion in motions):
@@ -243,7 +243,7 @@ def _fit(free: FreeScene, motions: Sequence[EvenMotion], options: Namespace
 
 
 def _misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[EvenMotion]) -> float:
-    """Return the misfit of the same windows with other forces; infinite where that fails."""
+    """Return the misfit of the same windows with other forces; inf if that fit fails."""
     windows = replace(solution.windows, motions=motions)
     other = FitProblem(problem.free, windows, problem.noise, solution.starts, problem.robust)
     try:
@@ -253,7 +253,7 @@ def _misfit_with(solution: Solution, problem: FitProblem, motions: Sequence[Even
 
 
 def _check(options: Namespace) -> None:
-    """Refuse, before the work, what cannot be used."""
+    """Raise an error for invalid options before the work starts."""
     if options.horizon is not None and not (
             math.isfinite(options.horizon) and options.horizon > 0.0):
         raise ParameterError(f'--horizon {options.horizon}: expected a positive number of seconds')
@@ -284,9 +284,9 @@ def _bounds(given: Sequence[Sequence[str]]) -> dict[str, tuple[float, float]]:
 
 
 def _source(options: Namespace) -> tuple[Path, MotionSource]:
-    """Return how the data are read: as a configuration says, or as they look."""
+    """Return the reader of the data, by configuration or by format."""
     if options.config is not None:
-        # Imported here: with it come the libraries of training.
+        # Imported lazily: it brings the libraries of training.
         from hnn_vi_ros.learning import ExcitationData, load_machine
         path, found = options.config, load_machine(options.config).data
         if isinstance(found, ExcitationData):
@@ -301,7 +301,7 @@ def _source(options: Namespace) -> tuple[Path, MotionSource]:
 
 
 def _arrays(path: Path, data: ArraysData) -> ArraysData:
-    """Return the keys that arrays have; what is wrong with the file, its reader will tell."""
+    """Fill in the keys that arrays have; leave errors in the file to its reader."""
     keys = keys_of(path)
     if not keys:
         return data
@@ -311,7 +311,7 @@ def _arrays(path: Path, data: ArraysData) -> ArraysData:
 
 
 def report_of(found: Identified) -> str:
-    """Return what is known, as Markdown."""
+    """Return the report as Markdown."""
     solution, estimates = found.solution, found.estimates
     windows = solution.windows
     length = (windows.there.sum(axis=1).max() - 1) * windows.spacing
@@ -352,7 +352,7 @@ def _counted(windows: Windows, length: float) -> str:
 
 
 def _held_back(found: Identified) -> list[str]:
-    """Return which numbers ended where their range does."""
+    """Describe numbers that ended at their bounds."""
     return [f'{one.name} ended at the end of its range, {end:g} {one.unit}: data may fit better '
             'beyond it, and its interval does not know of it'
             for number, one in zip(found.free.numbers, found.estimates.estimates, strict=False)
@@ -382,7 +382,7 @@ def _row(one: Estimate) -> str:
 
 
 def _inputs(found: Identified) -> list[str]:
-    """Return what forces do between samples, and which way fits better."""
+    """Describe the course of forces between samples, and which one fits better."""
     if found.inputs is None:
         return []
     before = [found.before] if found.before else []
@@ -396,7 +396,7 @@ def _inputs(found: Identified) -> list[str]:
 
 
 def _noise(found: Identified) -> list[str]:
-    """Return what residuals tell of the noise."""
+    """Describe the noise estimated from the residuals."""
     lines = []
     for (name, unit), noise, factor in zip(
             channels(found), found.solution.noise, found.estimates.coloured, strict=True):
@@ -416,7 +416,7 @@ def channels(found: Identified) -> list[tuple[str, str]]:
 
 
 def _write(options: Namespace, found: Identified, text: str) -> None:
-    """Write the files that the command line asks for."""
+    """Write the files requested by the command line."""
     if options.json is not None:
         _dump(options.json, as_json(found.estimates))
     if options.posterior is not None:
@@ -443,13 +443,13 @@ def _dump(path: Path, data: Mapping[str, object]) -> None:
 
 
 def as_json(estimates: Estimates) -> dict[str, dict[str, float | None]]:
-    """Return what ``--json`` writes."""
+    """Return the content of ``--json``."""
     return {one.name: {'value': one.value, 'low': one.low, 'high': one.high}
             for one in estimates.estimates}
 
 
 def posterior(found: Identified) -> dict[str, object]:
-    """Return what ``--posterior`` writes: the covariance is of the numbers that are known."""
+    """Return the content of ``--posterior``; the covariance is of the determined numbers."""
     own, places = found.estimates, {one.name: one.place for one in found.free.numbers}
     rows = [k for k, one in enumerate(own.estimates) if one.known]
     return {

@@ -1,13 +1,13 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Statistics of numbers fitted to measured motions: intervals, and what the data do not tell.
+Statistics of fitted numbers: confidence intervals, and numbers that data do not determine.
 
-The noise of a measured quantity is taken for autoregressive, e_t + a_1 e_{t-1} + ... + a_p e_{t-p}
-is white. A fit makes residuals smaller and less correlated than the noise, most of all where the
-motion itself is. So processes are judged by the restricted likelihood, which leaves out what the
-unknowns could make up for. Short logs leave several of them possible, of various orders: all are
-kept, as often as they are likely.
+The noise of a measured quantity is modelled as autoregressive: e_t + a_1 e_{t-1} + ... + a_p
+e_{t-p} is white. A fit makes residuals smaller and less correlated than the noise, mostly in the
+directions of the motion itself. Processes are therefore compared by the restricted likelihood,
+which excludes these directions. Short logs leave several processes and orders possible: all are
+kept, in proportion to their probability.
 
 D. Harville, Maximum likelihood approaches to variance component estimation and to related
 problems, J. Am. Stat. Assoc. 72 (1977). G. Box, G. Jenkins, Time Series Analysis, 1976, appendix
@@ -32,26 +32,26 @@ from scipy.optimize import brentq, minimize
 from scipy.signal import lfilter, lfiltic
 from scipy.stats import t as student
 
-# Highest order, samples for each, and how many orders in a row have to be in vain to try no more.
+# Maximum order, samples per order, and number of successive useless orders at which to stop.
 _ORDERS, _SAMPLES, _IN_VAIN = 12, 8, 4
-# What a coefficient of many samples has to add to twice the log likelihood. By 2, as Akaike has
-# it, intervals of short logs with noise of several time scales are too narrow; by 1 those of
-# white noise too wide.
+# Penalty per coefficient of twice the log likelihood, for many samples. Akaike's 2 makes intervals
+# of short logs too narrow if the noise has several time scales; 1 makes those of white noise too
+# wide.
 _PRICE = 1.5
-# Models that cost so much more than the best one are left out: 2 % as likely.
+# Models that cost more than the best one by this are dropped: their weight is 2 %.
 _BEHIND = 4.0
-# Processes that are drawn of each order, and kept of all; and the degrees of freedom of the
-# distribution they are drawn from, whose tails are longer than those of the likelihood.
+# Number of processes drawn per order and kept in total; and the degrees of freedom of the proposal
+# distribution, whose tails are longer than those of the likelihood.
 _DRAWN, _KEPT, _TAILS = 200, 400, 5.0
-# Reflection coefficients are k = tanh x, for x up to this.
+# Maximum of x in reflection coefficients k = tanh x.
 _MOST = 6.0
-# Directions of which unknowns take less than this share from the residuals count as left.
+# Directions that lose less than this share to the unknowns count as unaffected.
 _TAKEN = 0.02
-# Spacings of differences of costs, for first derivatives in units of about 1, and second ones.
+# Steps of finite differences of costs, for first (scaled) and for second derivatives.
 _SLOPE, _BEND = 1e-4, 3e-3
-# White noise that rounding adds, as a share of the square of all.
+# Variance of white noise due to rounding, relative to the total variance.
 _ROUNDING = 1e-8
-# Numbers that are worked on at once.
+# Maximum size of temporary arrays.
 _AT_ONCE = 1 << 22
 
 
@@ -64,7 +64,7 @@ class Process(NamedTuple):
     reflections : np.ndarray, shape (p,)
         Its reflection coefficients (partial autocorrelations), of size < 1.
     variance : float
-        Of its white noise.
+        Variance of its white noise.
 
     """
 
@@ -72,9 +72,9 @@ class Process(NamedTuple):
     variance: float
 
     def autocovariances(self, count: int) -> np.ndarray:
-        """Return the autocovariances of samples 0, 1, ... apart, shape (count,)."""
+        """Return the autocovariances at lags 0, 1, ..., shape (count,)."""
         found, left = [1.0], 1.0
-        for p, k in enumerate(self.reflections):  # the recursion of Levinson and Durbin
+        for p, k in enumerate(self.reflections):  # Levinson-Durbin recursion
             a = _polynomials(self.reflections[None, :p])[0]
             found.append(k * left - a[1:] @ found[:0:-1])
             left *= 1.0 - k * k
@@ -87,13 +87,13 @@ class Process(NamedTuple):
 
     @property
     def samples_as_one(self) -> float:
-        """Return the sum of all its correlations: so many samples count as one."""
+        """Return the sum of all correlations: the number of samples worth one independent one."""
         a = _polynomials(self.reflections[None])[0]
         return float(self.variance / a.sum()**2 / self.autocovariances(1)[0])
 
 
 def _polynomials(reflections: np.ndarray) -> np.ndarray:
-    """Return 1, a_1, ... a_p of N processes, shape (N, p + 1), of their reflections, (N, p)."""
+    """Return the polynomials 1, a_1, ... a_p, shape (N, p + 1), of reflections, shape (N, p)."""
     a = np.zeros((len(reflections), reflections.shape[1] + 1))
     a[:, 0] = 1.0
     for p, k in enumerate(reflections.T, 2):
@@ -103,26 +103,26 @@ def _polynomials(reflections: np.ndarray) -> np.ndarray:
 
 class _Restricted:
     """
-    The restricted likelihood of processes, by residuals of one quantity in W windows.
+    Restricted likelihood of processes, given residuals of one quantity in W windows.
 
     Parameters
     ----------
     residuals : np.ndarray, shape (W, T)
         Residuals of least squares, 0 for missing samples.
     lengths : np.ndarray of int, shape (W,)
-        How many there are in each window.
+        Number of samples in each window.
     taken : np.ndarray, shape (W, T, k)
-        This quantity's rows of orthonormal directions that the unknowns took from residuals.
+        Orthonormal directions removed from the residuals by the unknowns: rows of this quantity.
 
     """
 
     def __init__(self, residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray):
-        # Each quantity in each window by itself: what others tell has a correlation of its own.
+        # Each quantity and window separately: across quantities the noise has other correlations.
         left, sizes, _ = np.linalg.svd(taken, full_matrices=False)
         kept = sizes**2 > _TAKEN
         most = int(kept.sum(axis=1).max(initial=0))
         left, kept = np.where(kept[:, None], left, 0.0)[:, :, :most], kept[:, :most]
-        # Where windows have fewer directions than others.
+        # Padding for windows with fewer directions than others.
         self._blank = np.zeros((len(residuals), most + 1, most + 1))
         self._blank[:, range(most), range(most)] = ~kept
         self.freedom = max(1, int(lengths.sum()) - int(kept.sum()))
@@ -132,7 +132,7 @@ class _Restricted:
         self._products = _lagged(columns, lengths, self.highest)
 
     def minus_log(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return minus its logarithm for N processes, and variances of their white noise, (N,)."""
+        """Return the negative log likelihood of N processes, and their noise variances, (N,)."""
         if len(x) > 1 and len(x) * self._blank.size > _AT_ONCE:
             one, other = zip(*map(self.minus_log, np.array_split(x, 2)), strict=True)
             return np.concatenate(one), np.concatenate(other)
@@ -142,7 +142,7 @@ class _Restricted:
         rest = 1.0 - reflections**2
         matrix = np.tensordot(a[:, i] * a[:, j], self._products[:len(i)], 1) \
             + self._blank + _ROUNDING * np.eye(self._blank.shape[1])
-        # The Cholesky factor's last diagonal entry is the residual that the other columns leave.
+        # The last diagonal entry of the Cholesky factor is the residual after the other columns.
         roots = np.einsum('nwii->nwi', np.linalg.cholesky(matrix))
         variance = (roots[..., -1]**2).sum(axis=1) / self.freedom
         return 0.5 * self.freedom * np.log(variance) + np.log(roots[..., :-1]).sum(axis=(1, 2)) \
@@ -150,18 +150,18 @@ class _Restricted:
 
     def costs(self, x: np.ndarray) -> np.ndarray:
         """
-        Return minus the logarithm of the posterior of N processes, (N,).
+        Return the negative log posterior of N processes, (N,).
 
-        All reflection coefficients are as likely beforehand, by density 1 / cosh^2 x, up to those
-        that it would take thousands of samples to tell from 1.
+        The prior of reflection coefficients is uniform: density 1 / cosh^2 x, up to values that
+        only thousands of samples could tell from 1.
         """
         beyond = np.maximum(np.abs(x) - _MOST, 0.0)
         return self.minus_log(x)[0] + (
             2.0 * (np.logaddexp(x, -x) - math.log(2.0)) + 1e3 * beyond**2).sum(axis=1)
 
     def best(self, x: np.ndarray) -> np.ndarray:
-        """Return the likeliest process of an order, from x on."""
-        # In units in which the posterior bends by about 1.
+        """Return the most probable process of an order, searched from x."""
+        # Scaled so that second derivatives are about 1.
         unit = 1.0 / math.sqrt(self.freedom)
         step = _SLOPE * np.eye(len(x))
 
@@ -186,22 +186,22 @@ class _Restricted:
 
 def _lagged(columns: np.ndarray, lengths: np.ndarray, highest: int) -> np.ndarray:
     """
-    Return the sums over time of columns times columns, of which the likelihood consists.
+    Return the lagged products of columns summed over time, as the likelihood needs them.
 
     Parameters
     ----------
     columns : np.ndarray, shape (W, T, k)
-        Of windows of various lengths.
+        Columns of windows of various lengths.
     lengths : np.ndarray of int, shape (W,)
-        Those.
+        Lengths of the windows.
     highest : int
-        Of the orders.
+        Highest order.
 
     Returns
     -------
     np.ndarray, shape ((highest + 1) (highest + 2) / 2, W, k, k)
-        Sums of x_{t+i} x_{t+j} over all t < n - i - j, for the pairs of i and j of _pairs; of
-        different ones twice, with either first.
+        Sums of x_{t+i} x_{t+j} over all t < n - i - j, for the pairs of i and j of _pairs; pairs
+        with i != j are symmetrised (summed over both orders).
 
     """
     pairs = np.transpose(_pairs(highest))
@@ -218,7 +218,7 @@ def _lagged(columns: np.ndarray, lengths: np.ndarray, highest: int) -> np.ndarra
 
 @cache
 def _pairs(highest: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return pairs of numbers up to the highest, i <= j; those of fewer come first."""
+    """Return the index pairs i <= j up to the highest; pairs of lower orders come first."""
     j, i = np.tril_indices(highest + 1)
     return i, j
 
@@ -226,14 +226,14 @@ def _pairs(highest: int) -> tuple[np.ndarray, np.ndarray]:
 def processes(residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray,
               random: np.random.Generator) -> list[Process]:
     """
-    Return processes that can have left residuals, each as likely as the others.
+    Return a sample of noise processes consistent with residuals, equally weighted.
 
     Parameters
     ----------
     residuals, lengths, taken
         See _Restricted.
     random : np.random.Generator
-        Draws them.
+        Generator of the draws.
 
     """
     size = float(np.linalg.norm(residuals))
@@ -245,20 +245,20 @@ def processes(residuals: np.ndarray, lengths: np.ndarray, taken: np.ndarray,
     found, weights = zip(*(_drawn(likelihood, x, random, math.exp(best - cost))
                            for x, cost in models if cost - best < _BEHIND), strict=True)
     found, weights = [one for part in found for one in part], np.concatenate(weights)
-    # One after another by their weights, then mixed: other quantities go with any of them.
+    # Systematic resampling, then shuffled, so that quantities combine independently.
     at = np.searchsorted(np.cumsum(weights) / weights.sum(), (np.arange(_KEPT) + 0.5) / _KEPT)
     kept = {k: found[k]._replace(variance=size**2 * found[k].variance) for k in np.unique(at)}
     return [kept[k] for k in random.permutation(at)]
 
 
 def _models(likelihood: _Restricted) -> list[tuple[np.ndarray, float]]:
-    """Return the likeliest process of each order, and what it costs."""
+    """Return the most probable process of each order, and its cost."""
     x = np.zeros(0)
     models = [(x, float(likelihood.costs(x[None])[0]))]
     for order in range(1, likelihood.highest + 1):
         starts = np.array([[*x, last] for last in (-1.0, -0.3, -0.05, 0.05, 0.3, 1.0)])
         x = likelihood.best(starts[np.argmin(likelihood.costs(starts))])
-        # More in few samples: C. Hurvich, C.-L. Tsai, Biometrika 76 (1989).
+        # Higher in small samples: C. Hurvich, C.-L. Tsai, Biometrika 76 (1989).
         price = _PRICE * likelihood.freedom / (likelihood.freedom - order - 2)
         models.append((x, float(likelihood.costs(x[None])[0]) + 0.5 * price * order))
         if int(np.argmin([cost for _, cost in models])) <= order - _IN_VAIN:
@@ -268,7 +268,7 @@ def _models(likelihood: _Restricted) -> list[tuple[np.ndarray, float]]:
 
 def _drawn(likelihood: _Restricted, x: np.ndarray, random: np.random.Generator, weight: float
            ) -> tuple[list[Process], np.ndarray]:
-    """Return processes of the order of the likeliest one, and their weights, of a given sum."""
+    """Return draws around the most probable process of an order, and weights with a given sum."""
     if not len(x):
         return [Process(x, float(likelihood.minus_log(x[None])[1][0]))], np.array([weight])
     sizes, rows = np.linalg.eigh(likelihood.bend(x))
@@ -285,14 +285,14 @@ def _drawn(likelihood: _Restricted, x: np.ndarray, random: np.random.Generator, 
 
 def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> np.ndarray:
     """
-    Return the covariance of sums over noise, one for each of the processes it can be.
+    Return the covariances of weighted sums of noise, one for each sampled process.
 
     Parameters
     ----------
     influences : np.ndarray, shape (W, T, C, u)
-        Factors of the noise of each sample in u sums; 0 for missing samples.
+        Factors of each noise sample in u sums; 0 for missing samples.
     noise : sequence of sequence of Process
-        Of each of C quantities as many.
+        Equally many processes for each of C quantities.
 
     Returns
     -------
@@ -302,7 +302,7 @@ def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> n
     _, samples, quantities, count = influences.shape
     total = np.zeros((len(noise[0]), count, count))
     for c in range(quantities):
-        # Each once, however often it was kept.
+        # Each distinct process only once.
         known = {id(one): one for one in noise[c]}
         by_lag = np.stack([one.autocovariances(samples) for one in known.values()])
         waves = np.fft.rfft(influences[:, :, c], 2 * samples, axis=1)
@@ -317,8 +317,8 @@ def covariances(influences: np.ndarray, noise: Sequence[Sequence[Process]]) -> n
 
 
 CONFIDENCE = 0.95
-# Which share of a direction that the data do not determine names a number, by what its part of it
-# does to the motion: of a number next to zero any change is large relative to its value.
+# Minimum share of a number in an undetermined direction for it to be reported, measured by its
+# effect on the motion: relative to its value, any change of a number near zero is large.
 _SHARE = 1e-3
 CORRELATED = 0.9
 
@@ -331,12 +331,12 @@ class Estimate:
     Parameters
     ----------
     name, unit : str
-        Of the number.
+        Name and unit of the number.
     value : float
-        That fits best.
+        Best-fitting value.
     standard_error, low, high : float or None
-        Half the interval of 95 % over the quantile of Student's distribution, and that interval;
-        None where the data do not tell the number.
+        Half the 95 % interval over the quantile of Student's t-distribution, and that interval;
+        None if the data do not determine the number.
 
     """
 
@@ -349,7 +349,7 @@ class Estimate:
 
     @property
     def known(self) -> bool:
-        """Return whether the data tell it."""
+        """Return whether the data determine the number."""
         return self.standard_error is not None
 
 
@@ -361,16 +361,16 @@ class Estimates:
     Parameters
     ----------
     estimates : list of Estimate
-        N of them: the free numbers, then initial states if they were asked for.
+        N estimates: the free numbers, then initial states if requested.
     covariance : np.ndarray, shape (N, N)
-        Of their errors, by the standard errors; 0 in rows and columns of those that the data do
-        not tell.
+        Covariance of their errors, consistent with the standard errors; rows and columns of
+        undetermined numbers are 0.
     unknown : list of dict of str to float
-        Directions in which the data tell nothing: by how much of its value (or of 1, of 0) each
-        number may change if the others do, the largest 1 or -1.
+        Directions that the data do not determine: the change of each number relative to its value
+        (absolute if that is 0) along the direction; the largest is 1 or -1.
     coloured : np.ndarray, shape (C,)
-        How many samples of each measured quantity count as one, by the sum of the correlations
-        of its noise; 1 where that may be white.
+        Samples of each measured quantity per independent one: the sum of the correlations of its
+        noise; 1 if the noise may be white.
 
     """
 
@@ -381,7 +381,7 @@ class Estimates:
 
     @property
     def correlated(self) -> list[tuple[str, str, float]]:
-        """Return the pairs of numbers whose errors are correlated by more than 0.9."""
+        """Return the pairs of numbers whose errors have a correlation above 0.9."""
         error = np.sqrt(np.diag(self.covariance))
         found = []
         for i, one in enumerate(self.estimates):
@@ -396,11 +396,11 @@ class Estimates:
 def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
                  coordinates: Sequence[Coordinate], states: bool) -> Estimates:
     """
-    Return what a fit tells of its numbers, and of the initial states of its runs if asked.
+    Return the estimates of a fit's numbers, and of its initial states if requested.
 
-    An error is a sum over the noise of the samples, by the derivatives of least squares. The
-    covariance is that of such sums for each process that the noise may be, see
-    identify_correlation, and the intervals are those of the mixture of all these.
+    An error is a weighted sum over the noise of the samples, with least-squares weights. The
+    covariance of these sums is computed for each process the noise may be (see
+    identify_correlation); the intervals are those of the mixture.
     """
     weights = problem.weights(solution.residuals)
     slopes, back = projected(solution, weights)
@@ -426,7 +426,7 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
             influences[w, ..., at:at + own.shape[1]] += (own @ inverse).reshape(*shape[1:], -1)
             names += _state_names(coordinates, run if len(rows) > 1 else '')
             values += [*solution.starts[w]]
-    # Of the robust loss psi = w r, whose slope is w^3; the projection took w in place of it.
+    # For the robust loss psi = w r has slope w^3; the projection used w instead.
     bend = float((weights[solution.windows.there]**3).mean())
     found = covariances(influences, noise) / bend**2
     coloured = np.array([np.median([one.samples_as_one for one in own])
@@ -438,13 +438,13 @@ def estimates_of(solution: Solution, problem: FitProblem, free: FreeScene,
 def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
             ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return the solution of least squares by slopes, shape (N, n).
+    Solve a least-squares problem with derivatives of shape (N, n).
 
     Returns
     -------
     tuple of np.ndarray, shapes (N, n), (n, n) and (n, m)
-        Orthonormal columns, 0 in place of what the data do not tell; factors, of which the first
-        times these is the transpose of the pseudo-inverse; and directions that are not told.
+        Orthonormal columns, 0 for undetermined directions; factors, such that the columns times
+        the factors are the transpose of the pseudo-inverse; and the undetermined directions.
 
     """
     if scale is None:
@@ -456,14 +456,14 @@ def _solved(slopes: np.ndarray, scale: np.ndarray | None = None
 
 
 def _norms(slopes: np.ndarray) -> np.ndarray:
-    """Return the norms of columns, 1 for those that are zero."""
+    """Return the norms of columns, with 1 for zero columns."""
     raw = np.linalg.norm(slopes, axis=0)
     return np.where(raw > 0.0, raw, 1.0)
 
 
 def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
                ) -> list[list[Process]]:
-    """Return what the noise of each quantity may be, by all that the unknowns take from it."""
+    """Return sampled noise processes of each quantity, given the directions of all unknowns."""
     lengths, random = solution.windows.there.sum(axis=1), np.random.default_rng(0)
     left = weights * solution.residuals
     return [processes(left[:, :, c], lengths, taken[:, :, c], random)
@@ -471,7 +471,7 @@ def _processes(solution: Solution, weights: np.ndarray, taken: np.ndarray
 
 
 def _first_windows(solution: Solution) -> list[tuple[str, int]]:
-    """Return the name of each run, and its first window."""
+    """Return the name and the first window of each run."""
     runs = solution.windows.run
     return [(solution.windows.motions[run].name, int(np.flatnonzero(runs == run)[0]))
             for run in np.unique(runs)]
@@ -485,7 +485,7 @@ def _state_names(coordinates: Sequence[Coordinate], run: str) -> list[tuple[str,
 
 def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.ndarray,
           null: np.ndarray, units: np.ndarray, freedom: int, coloured: np.ndarray) -> Estimates:
-    """Return the estimates; those with a share in what the data do not tell have no interval."""
+    """Return the estimates; numbers in undetermined directions have no interval."""
     blind = np.asarray((_shares(null) > _SHARE).any(axis=1))
     error, factor = errors_of(covariances, freedom), quantile(freedom)
     mean = covariances.mean(axis=0)
@@ -507,16 +507,16 @@ def _told(names: Sequence[tuple[str, str]], values: np.ndarray, covariances: np.
 
 
 def _shares(directions: np.ndarray) -> np.ndarray:
-    """Return parts of directions, one a column, over the largest of each."""
+    """Return the entries of directions, one per column, relative to the largest of each."""
     largest = np.abs(directions).max(axis=0, initial=0.0)
     return np.asarray(np.abs(directions) / np.where(largest > 0.0, largest, 1.0))
 
 
 def errors_of(covariances: np.ndarray, freedom: int) -> np.ndarray:
     """
-    Return standard errors, of which as many as of one distribution of Student reach as far.
+    Return standard errors that give the mixture's intervals with one Student distribution.
 
-    Of the mixture of those with these covariances, shape (N, u, u), whose tails are longer.
+    The mixture has the covariances of shape (N, u, u), and longer tails than its components.
     """
     own = np.sqrt(np.einsum('sii->is', covariances))
     factor = quantile(freedom)
@@ -526,7 +526,7 @@ def errors_of(covariances: np.ndarray, freedom: int) -> np.ndarray:
 
 
 def _directions(null: np.ndarray) -> np.ndarray:
-    """Return directions of the same space, of few numbers each, the first of them 1, one a row."""
+    """Return a sparse basis of the same space, one direction per row, with leading entry 1."""
     if not null.size:
         return null.T
     _, _, order = qr(null.T, mode='economic', pivoting=True)
@@ -534,20 +534,20 @@ def _directions(null: np.ndarray) -> np.ndarray:
 
 
 def quantile(freedom: int) -> float:
-    """Return how many standard errors each side of the interval has."""
+    """Return the half-width of the interval in standard errors."""
     return float(student.ppf(0.5 + 0.5 * CONFIDENCE, freedom))
 
 
 def profile(solution: Solution, problem: FitProblem, free: FreeScene, estimate: Estimate
             ) -> Estimate:
     """
-    Return a number with the interval in which the other numbers can make up for its error.
+    Return an estimate with its profile-likelihood interval.
 
-    On its ends the cost is higher by as much as chance gives it in one case of twenty, with all
-    other numbers and the initial states at their best (D. Bates, D. Watts, Nonlinear Regression
-    Analysis and Its Applications, 1988, section 6.1). Chance gives more of it where residuals are
-    correlated in time, or their loss is robust. An end is None where there is none within the
-    bounds, or within twenty standard errors.
+    At its ends the cost, minimised over all other numbers and the initial states, exceeds the
+    minimum by an amount that chance exceeds in 5 % of cases (D. Bates, D. Watts, Nonlinear
+    Regression Analysis and Its Applications, 1988, section 6.1). The amount is larger if residuals
+    are correlated in time or the loss is robust. An end is None if it is beyond the bounds or
+    beyond twenty standard errors.
     """
     names = [number.name for number in free.numbers]
     k, error = names.index(estimate.name), estimate.standard_error
@@ -573,18 +573,18 @@ def profile(solution: Solution, problem: FitProblem, free: FreeScene, estimate: 
 
 
 def _error_by_cost(solution: Solution, problem: FitProblem, k: int) -> float:
-    """Return how far a number moves until the cost, with all others at their best, is 1 more."""
+    """Return the change of a number that raises the cost, minimised over the others, by 1."""
     weights = problem.weights(solution.residuals)
     slopes, _ = projected(solution, weights)
     _, factors, _ = _solved(slopes.reshape(-1, slopes.shape[3]), units_of(solution))
-    # The cost of a residual bends as w^3, 1 for squares.
+    # The second derivative of the loss is w^3; 1 for squares.
     bend = (weights[solution.windows.there]**3).mean()
     return float(np.linalg.norm(factors[:, k])) / math.sqrt(bend)
 
 
 def _end(excess: Callable[[float], float], value: float, error: float, bound: float
          ) -> float | None:
-    """Return where the excess is zero, on the side of the error; None if it is nowhere."""
+    """Return the root of the excess on the side of the error; None if there is none."""
     inner = value
     for times in (2.0, 3.0, 5.0, 10.0, 20.0):
         outer = value + times * error

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measured motions in windows, and what a scene with given numbers predicts in each."""
+"""Measured motions cut into windows, and the prediction of a scene in each window."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ from hnn_vi_ros.simulation import (
 import numpy as np
 
 
-# Share of a step: times of samples further from whole steps shift the phase of a drive.
+# Tolerance in steps: sample times further from whole steps would shift the phase of a drive.
 _OFF_GRID = 0.01
 
 
 def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
     """
-    Return the integral of the measured forces up to times from the first sample on [s].
+    Return the integral of the measured forces from the first sample to given times [s].
 
-    Each force goes over into the next; the first one acts before the first sample unless the run
-    began idle, the last one after the last.
+    Each force is held or interpolated until the next. The first one acts before the first sample
+    unless the run began idle; the last one acts after the last sample.
     """
     times = np.maximum(times, 0.0) if motion.idle else times
     tau, spacing = motion.tau, motion.spacing
@@ -44,7 +44,7 @@ def impulse(motion: EvenMotion, times: np.ndarray) -> np.ndarray:
 
 def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
                   motions: Sequence[EvenMotion]) -> Sequence[str]:
-    """Return the coordinates on which the measured forces act, or raise DataError."""
+    """Return the coordinates on which measured forces act; raise DataError on a mismatch."""
     names, m = [coordinate.name for coordinate in coordinates], motions[0].tau.shape[1]
     if not effect.names:
         raise DataError('external_force: its model has an input map, which takes no measured '
@@ -56,7 +56,7 @@ def command_names(effect: ExternalForce, coordinates: Sequence[Coordinate],
 
 
 def check_times(effects: Sequence[Effect], motions: Sequence[EvenMotion], h: float) -> None:
-    """Raise DataError where a drive would be out of phase: samples at no whole steps."""
+    """Raise DataError if samples do not fall on whole steps, which would shift a drive's phase."""
     if any(isinstance(effect, PeriodicDrive) for effect in effects):
         for motion in motions:
             off = abs(motion.t[0] / h - round(motion.t[0] / h))
@@ -66,31 +66,31 @@ def check_times(effects: Sequence[Effect], motions: Sequence[EvenMotion], h: flo
                                 'counts time; shift the times')
 
 
-# Spacing of a central difference: its truncation error is as large as its rounding error.
+# Step of central differences: its truncation and rounding errors are of equal size.
 _SPACING = float(np.cbrt(np.finfo(np.float64).eps))
-# Share of a step: where forces jump no further from one of its ends, it is not taken in two.
+# Tolerance in steps: a step is split only if forces jump further from its ends than this.
 _ALIGNED = 1e-9
-# Time-out of forces, which are given for each step [s].
+# Time-out of the external force, which gets a value at every step [s].
 _FOREVER = 1e9
-# Windows that are differentiated together.
+# Number of windows differentiated together.
 _TOGETHER = 128
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
     """
-    Pieces of measured motions, each of which begins at an unknown state.
+    Pieces of measured motions, each starting at an unknown state.
 
     Parameters
     ----------
     motions : sequence of EvenMotion
-        The runs, which share one interval.
+        Motions, which have the same sampling interval.
     run, first : np.ndarray of int, shape (W,)
-        The run and the sample with which each window begins.
+        Run and first sample of each window.
     measured : np.ndarray, shape (W, T, C)
-        Coordinates, then velocities if they were measured, at its samples.
+        Measured coordinates, then velocities if they were measured.
     there : np.ndarray of bool, shape (W, T)
-        Whether a sample belongs to it: some windows are shorter than others.
+        Mask of the samples in each window, since windows differ in length.
     start : np.ndarray, shape (W, 2, d)
         Smoothed coordinates and velocities at the first samples.
 
@@ -110,21 +110,21 @@ class Windows:
 
     @property
     def times(self) -> np.ndarray:
-        """Return the time at which each begins [s], shape (W,)."""
+        """Return the start time of each window [s], shape (W,)."""
         return np.array([self.motions[run].t[first]
                          for run, first in zip(self.run, self.first, strict=True)])
 
 
 def windows_of(motions: Sequence[EvenMotion], horizon: float) -> Windows:
     """
-    Cut runs into windows of one length, as nearly as whole numbers allow.
+    Cut runs into windows whose lengths are as equal as whole samples allow.
 
     Parameters
     ----------
     motions : sequence of EvenMotion
-        The runs.
+        Measured motions.
     horizon : float
-        The longest window [s]; at least two samples are in each.
+        Maximum length of a window [s]; each one has at least two samples.
 
     """
     most = max(2, int(horizon / motions[0].spacing * (1.0 + 1e-9)) + 1)
@@ -145,21 +145,21 @@ def windows_of(motions: Sequence[EvenMotion], horizon: float) -> Windows:
 
 class Prediction:
     """
-    Prediction in windows by a scene with certain values of its free numbers.
+    Prediction in windows, simulated with given values of a scene's free numbers.
 
     Parameters
     ----------
     free : FreeScene
-        The scene.
+        Scene with free numbers.
     values : np.ndarray, shape (n,)
-        Of its free numbers.
+        Values of the free numbers.
     windows : Windows
-        W of them, of T samples.
+        W windows of T samples.
 
     Raises
     ------
     HnnViRosError
-        The scene does not take these values.
+        The scene rejects these values.
 
     """
 
@@ -173,15 +173,15 @@ class Prediction:
         self._driven = self._take_force()
         self._parts = self._parts_of_samples()
         self._on_failure = scene.on_failure
-        # Time, and what was measured, are others in each window.
+        # Time and measured forces differ between windows.
         self._timed = self._driven or any(
             isinstance(effect, PeriodicDrive) for effect in self._effects)
-        # The step of its run's clock with which each begins.
+        # Step of the run's clock at which each window starts.
         self._first = np.rint(windows.times / self._h).astype(int) if self._timed else \
             np.zeros(len(windows.run), dtype=int)
 
     def _take_force(self) -> bool:
-        """Let the effect that takes commands take what was measured; return whether one does."""
+        """Name the measured forces in the ExternalForce effect; return False if there is none."""
         for i, effect in enumerate(self._effects):
             if isinstance(effect, ExternalForce):
                 self._effects[i] = ExternalForce([*command_names(
@@ -190,7 +190,7 @@ class Prediction:
         return False
 
     def _parts_of_samples(self) -> list[tuple[float, int]]:
-        """Return sizes [s] and counts of steps between samples; held forces jump at an end."""
+        """Return sizes [s] and counts of steps between samples, split where a held force jumps."""
         whole = [(self._h, self._per_sample)]
         if not self._driven or not any(motion.held for motion in self._windows.motions):
             return whole
@@ -219,21 +219,21 @@ class Prediction:
 
     @cached_property
     def _joined(self) -> Hamiltonian:
-        """Return H with what joins it, such as a magnetic field, by which velocities change."""
+        """Return H including effects that change velocities, such as a magnetic field."""
         if all(effect.place(self._integrator) is not Place.ENERGY for effect in self._effects):
             return self.hamiltonian
         return System(self.hamiltonian, self._effects, self._integrator).hamiltonian
 
     def states(self, starts: np.ndarray, only: np.ndarray | None = None) -> np.ndarray:
         """
-        Return the states at the samples, not a number from where a simulation fails.
+        Return the states at the samples; NaN from the point where a simulation fails.
 
         Parameters
         ----------
         starts : np.ndarray, shape (W, K, 2 d)
-            K states from which each window begins.
+            K initial states of each window.
         only : np.ndarray of bool, shape (W,), optional
-            Windows to simulate; what is not is no number.
+            Windows to simulate; the others are NaN.
 
         Returns
         -------
@@ -259,7 +259,7 @@ class Prediction:
         return found
 
     def _usable(self, states: np.ndarray) -> np.ndarray:
-        """Return at which states a simulation can begin, shape (n,)."""
+        """Return a mask of the states at which a simulation can start, shape (n,)."""
         try:
             self._simulation.check_state(*np.split(states, 2, axis=1))
         except StateError:
@@ -269,7 +269,7 @@ class Prediction:
 
     @cached_property
     def _forces(self) -> np.ndarray:
-        """Return the measured forces in the steps of each window, shape (W, S, m)."""
+        """Return the measured forces at the steps of each window, shape (W, S, m)."""
         sizes = np.tile(np.concatenate([np.full(steps, h) for h, steps in self._parts]),
                         self._samples)
         forces = np.zeros((len(self._first), len(sizes), 0))
@@ -286,7 +286,7 @@ class Prediction:
                     edges = self._h * np.arange(len(motion.tau) * self._per_sample + 1)
                     tables[run] = np.diff(impulse(motion, edges - self._delay), axis=0) / self._h
                 table, duration = tables[run], self._h
-            # Steps begin where a force does, or well after: by rounding also a little before.
+            # Steps start at a force's start or well after it; the margin allows for rounding.
             row = np.floor(t / duration + 1e-9).astype(int)
             acts = (row >= 0) | (not (motion.held and motion.idle))
             found.append(np.where(acts[:, None], table[np.clip(row, 0, len(table) - 1)], 0.0))
@@ -295,14 +295,14 @@ class Prediction:
     def by_starts(self, starts: np.ndarray, only: np.ndarray | None = None
                   ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return what is predicted, and its derivative by the initial states.
+        Return the prediction, and its derivative with respect to the initial states.
 
         Parameters
         ----------
         starts : np.ndarray, shape (W, 2 d)
-            The states from which the windows begin.
+            Initial states of the windows.
         only : np.ndarray of bool, shape (W,), optional
-            Windows to simulate; what is not is no number.
+            Windows to simulate; the others are NaN.
 
         Returns
         -------
@@ -321,8 +321,8 @@ class Prediction:
         return found[:, 0], np.moveaxis(slopes, 1, -1)
 
     def by_numbers(self, starts: np.ndarray) -> np.ndarray:
-        """Return the derivative of what is predicted by the free numbers, shape (W, T, C, n)."""
-        # How late forces come changes the forces themselves, not how H' depends on states.
+        """Return the derivatives of the prediction by the numbers, shape (W, T, C, n)."""
+        # A delay changes the forces themselves, not the dependence of H' on the state.
         exact = [k for k, number in enumerate(self._free.numbers)
                  if number.place != DELAY and self._run is not None]
         slopes = np.empty((*self._windows.measured.shape, len(self._values)))
@@ -337,7 +337,7 @@ class Prediction:
         return slopes
 
     def _difference(self, starts: np.ndarray, k: int) -> np.ndarray:
-        """Return a difference by one number, within its bounds."""
+        """Return the finite difference with respect to one number, within its bounds."""
         total = np.zeros(self._windows.measured.shape)
         for weight, other in self._beside(k):
             total += weight * other.measured_at(other.states(starts[:, None])[:, 0])
@@ -345,7 +345,7 @@ class Prediction:
 
     @cached_property
     def _run(self) -> DifferentiableRun | None:
-        """Return the run whose derivatives are exact, None if there is no such run."""
+        """Return the run with exact derivatives, None if they are not available."""
         if len(self._parts) > 1:
             return None
         try:
@@ -355,7 +355,7 @@ class Prediction:
 
     def _exact(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
                only: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is predicted, and how it changes with the starts or with numbers."""
+        """Return the prediction, and its derivatives with respect to the starts or to numbers."""
         shape = self._windows.measured.shape
         found, slopes = np.full(shape, np.nan), np.full((*shape, len(changes)), np.nan)
         wanted = np.arange(len(starts)) if only is None else np.flatnonzero(only)
@@ -365,7 +365,7 @@ class Prediction:
 
     def _follow(self, run: DifferentiableRun, starts: np.ndarray, changes: Sequence[Change],
                 rows: np.ndarray, found: np.ndarray, slopes: np.ndarray) -> None:
-        """Fill what is predicted in some windows, one by one if they do not all go well."""
+        """Fill the prediction of some windows; simulate them one by one if the batch fails."""
         try:
             forces = np.ascontiguousarray(self._forces[rows].swapaxes(0, 1))
             every = slice(None, None, self._per_sample)
@@ -397,9 +397,9 @@ class Prediction:
         return np.concatenate([moved[..., :d], v.reshape(*moved.shape[:-1], d)], axis=-1)
 
     def _beside(self, k: int) -> list[tuple[float, 'Prediction']]:
-        """Return the weights of a difference by a number, and predictions with its values."""
+        """Return the weights of a difference in one number, and the predictions at its points."""
         number, value = self._free.numbers[k], float(self._values[k])
-        # A spacing relative to a number that has all but vanished would be lost in rounding.
+        # A step relative to a value close to zero would be lost in rounding.
         usual = self._windows.spacing if number.place == DELAY else abs(number.start) or 1.0
         return [(weight, Prediction(self._free, np.where(
             np.arange(len(self._values)) == k, other, self._values), self._windows))
@@ -408,7 +408,7 @@ class Prediction:
 
 
 class _OnNumber(OnNumber):
-    """The dependence of H', of rates of damping and of velocities on a number, by differences."""
+    """Derivatives of H', damping rates and velocities with respect to a number, by differences."""
 
     def __init__(self, others: Sequence[tuple[float, Prediction]], integrator: Integrator,
                  run: DifferentiableRun):
@@ -420,6 +420,6 @@ class _OnNumber(OnNumber):
         self._joined = [(weight, other._joined) for weight, other in others]
 
     def velocity(self, q: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Return how the velocities of states change, shape (N, d)."""
+        """Return the derivative of the velocities, shape (N, d)."""
         return sum((weight * joined.gradient(q, p)[1] for weight, joined in self._joined),
                    np.zeros(()))
