@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Controllers: equilibria, linearisation, LQR, iLQR, MPPI and laws for single machines.
+Controllers: equilibria, linearisation, LQR, iLQR, MPPI and laws for specific machines.
 
-A controller maps a state to a command. The node that runs one is ``ros.controller_node``;
-gradients come from ``simulation.gradients``.
+A controller maps a state to a command. ``ros.controller_node`` runs one as a node;
+``simulation.gradients`` provides gradients.
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The linear regulator of a state at rest as a controller, and where it holds."""
+"""The linear regulator of a state at rest as a controller, with its region of attraction."""
 
 import math
 
@@ -10,18 +10,18 @@ from hnn_vi_ros.control.linear import lqr, momentum
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Time constants of the slowest mode that a rollout lasts, and what of the cost may be left then:
-# by the linear model exp(-10).
+# Duration of a rollout in time constants of the slowest mode, and the share of the cost allowed at
+# its end; the linear model predicts exp(-10).
 _CONSTANTS, _LEFT = 5.0, 1e-2
 _LONGEST_ROLLOUT = 5000
-# Farther out no rollout is tried [limits]; and a cost that grows so much from where the regulator
-# took over ends its turn.
+# Maximum unclipped command for which a rollout is tried, relative to the limits; and the growth of
+# the cost since the regulator took over that ends its turn.
 _FARTHEST, _GROWTH = 3.0, 2.0
 
 
 class Balance:
     """
-    The discrete LQR of a goal at rest within limits, u = clip(u* - K (z - z*)).
+    The discrete LQR of a goal at rest, within limits: u = clip(u* - K (z - z*)).
 
     Parameters
     ----------
@@ -30,14 +30,14 @@ class Balance:
     goal : tuple of np.ndarray, shape (2 d,) and (c,)
         z* and u*; see ``find_equilibrium``.
     limits : array_like, shape (c,)
-        Largest sizes of commands [N], [N m]; the weight of a command is one over its square.
+        Maximum sizes of commands [N], [N m]; the weight of a command is one over its square.
     position, velocity : array_like, shape (d,), optional
         Weights of deviations of q and of v.
 
     Attributes
     ----------
     mode, cost, plan
-        ``'lqr'``; x . P x of the deviation x at the last call; none.
+        ``'lqr'``; the cost-to-go x^T P x of the deviation x at the last call; None.
     at : tuple of np.ndarray
         z* and u*.
     gain, value : np.ndarray, shape (c, 2 d) and (2 d, 2 d)
@@ -69,7 +69,7 @@ class Balance:
         self._most = 0.0
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
-        """Return the command, shape (c,), at coordinates and velocities, shape (d,) each."""
+        """Return the command, shape (c,), for coordinates and velocities, shape (d,) each."""
         return self.act(np.concatenate([q, momentum(self.steps, q, v)]))
 
     def act(self, z: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ class Balance:
         return np.clip(self.at[1] - self.gain @ away, -self.limits, self.limits)
 
     def catches(self, z: np.ndarray) -> bool:
-        """Return whether the law, within its limits, leads from a state to the goal."""
+        """Return whether the law with its limits brings a state to the goal."""
         away = deviation(self.steps.hamiltonian, z, self.at[0])
         cost = float(away @ self.value @ away)
         if not cost <= self._most:
@@ -87,7 +87,7 @@ class Balance:
         return self._most > 0.0
 
     def _holds(self, away: np.ndarray, cost: float) -> bool:
-        """Simulate the model under the law."""
+        """Return whether a rollout of the model under the law approaches the goal."""
         if (np.abs(self.gain @ away) > _FARTHEST * self.limits).any():
             return False
         z, u = self.at
@@ -101,16 +101,16 @@ class Balance:
 def weights_of(steps: BatchStep, goal: tuple[np.ndarray, np.ndarray], position: ArrayLike,
                velocity: ArrayLike) -> np.ndarray:
     """
-    Return the weights of deviations of (q, p), shape (2 d, 2 d), for those of q and of v = H_p.
+    Convert weights of deviations of q and v = H_p to weights of (q, p), shape (2 d, 2 d).
 
     Parameters
     ----------
     steps : BatchStep
-        Of the model.
+        Steps of the model.
     goal : tuple of np.ndarray
-        A state and a command, where v is linearised.
+        State and command at which v is linearised.
     position, velocity : array_like, shape (d,)
-        Weights of each.
+        Weights of q and of v.
 
     """
     d = steps.dimension

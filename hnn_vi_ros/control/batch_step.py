@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps of many states with held commands, by the method and the effects of a scene."""
+"""Steps of many states with held commands, using the method and the effects of a scene."""
 
 from pathlib import Path
 from threading import RLock
@@ -17,37 +17,37 @@ from numpy.typing import ArrayLike
 
 class BatchStep:
     """
-    Steps of many states of a scene, each with a command that is held: (z, u) -> z.
+    Batched steps of a scene's states, each with a held command: (z, u) -> z.
 
-    Steps are those of the scene's own method with its effects, compiled once; a step that fails
-    gives NaN, without fallbacks. What comes out of one state depends on no other. Threads that
-    call one wait for each other: give each a BatchStep of its own.
+    Steps use the scene's method and effects, and are compiled once; a failed step gives NaN,
+    without fallbacks. The result for one state is independent of the others. Calls are serialised
+    by a lock: for parallel threads, create a BatchStep for each.
 
     Parameters
     ----------
     scene : Scene, str or Path
-        See ``hnn_vi_ros.simulate``. Of effects it may have those that join H, forces that depend
-        on time and state, damping, and external_force on coordinates, whose time-out is ignored.
+        See ``hnn_vi_ros.simulate``. Supported effects are those that join H, forces that depend on
+        time and state, damping, and external_force on coordinates (its time-out is ignored).
     hold : int, optional
-        Steps that each command lasts.
+        Number of steps per command.
 
     Attributes
     ----------
     dimension, commands : int
-        Coordinates d, and numbers c of a command, 0 without an external_force.
+        Number d of coordinates, and number c of commands, 0 without an external_force.
     inputs : list of str
-        What each of these is for, where that has a name.
+        Names of the commands that have one.
     hold : int
-        Steps that each command lasts.
+        Number of steps per command.
     duration : float
-        Time that a command is held [s].
+        Time for which a command is held [s].
 
     Raises
     ------
     UnsupportedSystem
-        An effect depends on more than time and state, or coordinates turn.
+        An effect depends on more than time and state, or coordinates include rotations.
     HnnViRosError, ValueError
-        The scene cannot be built, or an argument is not usable.
+        The scene cannot be built, or an argument is invalid.
 
     """
 
@@ -72,12 +72,12 @@ class BatchStep:
         self.commands = self._system.motors.size if takes else 0
         self.inputs = list(self._system.motors.names) if takes else []
         self._run: DifferentiableRun | None = None
-        # All calls share the state of one simulation: threads wait for each other.
+        # All calls share the state of one simulation, so they are serialised.
         self._lock = RLock()
 
     def __call__(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0) -> np.ndarray:
         """
-        Return states after the steps, NaN where a step failed.
+        Return the states after the steps; NaN if a step failed.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class BatchStep:
         u : array_like, shape (..., c) or (c,)
             Commands.
         time : float, optional
-            At which the steps begin, for forces that depend on it [s].
+            Time at the start of the steps, for forces that depend on it [s].
 
         """
         states, commands = self._checked(z, u)
@@ -96,25 +96,25 @@ class BatchStep:
                 about: ArrayLike | None = None, limits: tuple[ArrayLike, ArrayLike] | None = None,
                 time: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return the states under N commands one after another, and these commands.
+        Simulate N successive commands; return the states and the commands applied.
 
         Parameters
         ----------
         z : array_like, shape (2 d,) or (m, 2 d)
-            First states.
+            Initial states.
         u : array_like, shape (m, N, c)
-            Commands, each held as by a call.
+            Commands, each held as in a call.
         gains, about : array_like, shape (m, N, c, 2 d) and (m, N, 2 d), optional
-            Feedback K (z - about) that is added to the commands; what broadcasts to that.
+            Feedback K (z - about) added to the commands; arrays that broadcast to these shapes.
         limits : tuple of array_like, optional
-            Least and largest commands, shape (c,) each.
+            Minimum and maximum commands, shape (c,) each.
         time : float, optional
-            At the start [s].
+            Time at the start [s].
 
         Returns
         -------
         tuple of np.ndarray, shape (m, N + 1, 2 d) and (m, N, c)
-            States are NaN from a step that fails on.
+            States are NaN from the first failed step on.
 
         """
         commands = check_numbers('u', u)
@@ -141,24 +141,24 @@ class BatchStep:
     def derivatives(self, z: ArrayLike, u: ArrayLike = (), time: ArrayLike = 0.0
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
-        Return states after the steps, and their exact derivatives by z and by u.
+        Return the states after the steps, and their exact derivatives with respect to z and u.
 
         Parameters
         ----------
         z, u
-            As of a call.
+            As in a call.
         time : float or array_like, shape (m,), optional
-            At which the steps begin, of each of m states [s].
+            Time at the start of the steps, optionally for each of m states [s].
 
         Returns
         -------
         tuple of np.ndarray, shape (..., 2 d), (..., 2 d, 2 d) and (..., 2 d, c)
-            NaN where a step failed or has no derivative.
+            NaN if a step failed or has no derivative.
 
         Raises
         ------
         UnsupportedSystem
-            The method is not differentiable yet; names those that are.
+            The method is not differentiable; the message names those that are.
 
         """
         states, commands = self._checked(z, u)
@@ -176,12 +176,12 @@ class BatchStep:
     @property
     def places(self) -> np.ndarray:
         """
-        Return how each number of a command acts on each coordinate, shape (c, d).
+        Return the input matrix of commands on coordinates, shape (c, d).
 
         Raises
         ------
         UnsupportedSystem
-            That depends on state and command; see ``field_derivatives``.
+            It depends on state and command; see ``field_derivatives``.
 
         """
         if self._acting.feels:
@@ -199,7 +199,7 @@ class BatchStep:
 
     def field_derivatives(self, z: ArrayLike, u: ArrayLike = (), time: float = 0.0
                           ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives of z' by z, (2 d, 2 d), and by u, (2 d, c)."""
+        """Return the derivatives of z' with respect to z, (2 d, 2 d), and u, (2 d, c)."""
         with self._lock:
             q, p, d = *self._enter(z, u, time), self.dimension
             by_z = np.empty((2 * d, 2 * d))
@@ -218,7 +218,7 @@ class BatchStep:
         return by_z, np.array([*map(along, np.eye(command.size), sizes)]).T
 
     def _enter(self, z: ArrayLike, u: ArrayLike, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Make a command act from a time on; return q and p with the channels of forces."""
+        """Apply a command from a time on; return q and p with the channels of forces."""
         states, commands = self._checked(z, u)
         acting = self._acting.acting(np.array([[time]]), commands[None])
         acting.clock[:], acting.command[:] = (time, 0.0), acting.commands[0, 0]
@@ -240,7 +240,7 @@ class BatchStep:
 
     def _advanced(self, states: np.ndarray, commands: np.ndarray, time: ArrayLike, count: int,
                   hold: int) -> np.ndarray:
-        """Return the states around so many holds of a command, shape (m, count + 1, 2 d)."""
+        """Return the initial states and those after each of `count` holds, (m, count + 1, 2 d)."""
         with self._lock:
             path, _ = self._simulation.follow(self._simulation.rows(states, time), np.repeat(
                 commands[:, None], count, axis=1), hold)
@@ -248,7 +248,7 @@ class BatchStep:
 
 
 def _filled(values: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Return an array of its own of this shape, filled with values that broadcast to it."""
+    """Return a new array of this shape, filled with values that broadcast to it."""
     array = np.empty(shape)
     array[:] = values
     return array

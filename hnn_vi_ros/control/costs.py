@@ -3,7 +3,7 @@
 """
 Costs of states and commands, with gradients and Gauss-Newton Hessians.
 
-They add and scale: ``20.0 * Point(...).saturating(0.1) + Quadratic(...)``.
+They can be added and scaled: ``20.0 * Point(...).saturating(0.1) + Quadratic(...)``.
 """
 
 from abc import ABC, abstractmethod
@@ -25,11 +25,11 @@ class Expansion(NamedTuple):
     Parameters
     ----------
     value : np.ndarray, shape (n,)
-        The cost.
+        Value of the cost.
     by_z, by_u : np.ndarray, shape (n, 2 d) and (n, c)
-        Its gradient.
+        Gradient.
     by_zz, by_uu : np.ndarray, shape (n, 2 d, 2 d) and (n, c, c)
-        A Hessian without negative eigenvalues, of Gauss and Newton.
+        Positive semidefinite Gauss-Newton Hessian.
 
     """
 
@@ -60,7 +60,7 @@ class Cost(ABC):
         return Scaled(self, float(weight))
 
     def saturating(self, half: float) -> 'Cost':
-        """Return l / (l + half), which is never over 1: what is far away does not dominate."""
+        """Return l / (l + half), which is bounded by 1, so that distant states do not dominate."""
         if not half > 0.0:
             raise ValueError(f'half = {half} must be positive: where the cost is a half of 1')
         return Saturating(self, float(half))
@@ -97,7 +97,7 @@ class Scaled(Cost):
 
 
 class Saturating(Cost):
-    """A cost l as l / (l + half)."""
+    """The bounded cost l / (l + half) of a cost l."""
 
     def __init__(self, cost: Cost, half: float):
         self._cost, self._half = cost, half
@@ -107,7 +107,7 @@ class Saturating(Cost):
         return value / (value + self._half)
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
-        """Return the expansion; its Hessian leaves out the negative part."""
+        """Return the expansion; its Hessian omits the negative part."""
         value, *others = self._cost.expand(z, u)
         slope = self._half / (value + self._half)**2
         vectors, matrices = slope[:, None], slope[:, None, None]
@@ -116,7 +116,7 @@ class Saturating(Cost):
 
 
 def deviation(hamiltonian: Hamiltonian, z: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return z - at, shape (..., 2 d), with angles between -pi and pi."""
+    """Return z - at, shape (..., 2 d), with angles wrapped to [-pi, pi]."""
     x = z - at
     for k in np.flatnonzero(angle_columns(hamiltonian.coordinates)):
         x[..., k] = (x[..., k] + np.pi) % (2.0 * np.pi) - np.pi
@@ -125,16 +125,16 @@ def deviation(hamiltonian: Hamiltonian, z: np.ndarray, at: np.ndarray) -> np.nda
 
 class Quadratic(Cost):
     """
-    x . Q x + (u - u*) . R (u - u*), with x = z - z*, its angles between -pi and pi.
+    x . Q x + (u - u*) . R (u - u*) with x = z - z*, angles wrapped to [-pi, pi].
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Whose coordinates the states are of; ``BatchStep.hamiltonian``.
+        Hamiltonian of the states; ``BatchStep.hamiltonian``.
     at : tuple of array_like, shape (2 d,) and (c,)
         z* and u*; see ``find_equilibrium``.
     q, r : array_like, shape (2 d, 2 d) and (c, c)
-        Q and R, symmetric, without negative eigenvalues.
+        Q and R, symmetric and positive semidefinite.
 
     """
 
@@ -151,7 +151,7 @@ class Quadratic(Cost):
         return ((x @ self._q) * x).sum(axis=-1) + ((effort @ self._r) * effort).sum(axis=-1)
 
     def _away(self, z: np.ndarray) -> np.ndarray:
-        """Return z - z*, or z where no weight falls on it."""
+        """Return z - z*, or z if it has no weight."""
         return deviation(self._hamiltonian, z, self._z) if self._of_state else z
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
@@ -162,7 +162,7 @@ class Quadratic(Cost):
 
 
 def checked_weights(name: str, matrix: ArrayLike, n: int, positive: bool = False) -> np.ndarray:
-    """Return a symmetric matrix of weights without negative eigenvalues, or raise ValueError."""
+    """Return a symmetric positive semidefinite matrix of weights, or raise ValueError."""
     found = np.array(matrix, dtype=np.float64)
     rounding = 1e-9 * np.abs(found).max(initial=0.0)
     if found.shape != (n, n) or not np.isfinite(found).all() \
@@ -179,11 +179,11 @@ def _each(matrix: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 class _OfState(Cost):
-    """A cost that depends on the state alone."""
+    """A cost that depends only on the state."""
 
     @abstractmethod
     def _expand(self, q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return value, gradient by z and Hessian by z."""
+        """Return the value, the gradient and the Hessian with respect to z."""
 
     def expand(self, z: np.ndarray, u: np.ndarray) -> Expansion:
         value, by_z, by_zz = self._expand(*np.split(z, 2, axis=-1))
@@ -200,7 +200,7 @@ class Energy(_OfState):
     hamiltonian : Hamiltonian
         H; ``BatchStep.hamiltonian``.
     at : array_like, shape (2 d,)
-        A state that has the wanted energy H*.
+        State with the desired energy H*.
 
     """
 
@@ -221,7 +221,7 @@ class Energy(_OfState):
 
 class Kinetic(_OfState):
     """
-    The kinetic energy H(q, p) - H(q, 0); its Hessian is H_pp, the inverse masses, alone.
+    The kinetic energy H(q, p) - H(q, 0); its Hessian is only H_pp, the inverse mass matrix.
 
     Parameters
     ----------
@@ -248,28 +248,28 @@ class Kinetic(_OfState):
 
 
 def _and_at_rest(q: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return states, and then the same at rest."""
+    """Return states, followed by the same states at rest."""
     return np.stack([q, q]), np.stack([p, np.zeros_like(p)])
 
 
 class _Path(NamedTuple):
     """
-    Joints from the base to a body, and a point of it.
+    Joints from the base to a body, and a point of the body.
 
     Parameters
     ----------
     rotations : np.ndarray, shape (k, 3, 3)
-        Of each joint's frame from that of the body before it, where its coordinate is zero.
+        Rotation from the frame of the previous body to that of each joint, at coordinate zero.
     origins, axes : np.ndarray, shape (k, 3)
-        Likewise, and of the axis in the joint's own frame.
+        Origin of each joint in the previous frame, and its axis in its own frame.
     slides : np.ndarray of bool, shape (k,)
-        Whether a joint slides.
+        Mask of the prismatic joints.
     by_q : np.ndarray, shape (k, d)
-        How the coordinate of each joint depends on those of the system.
+        Derivative of each joint's coordinate with respect to those of the system.
     fixed : np.ndarray, shape (k,)
-        What is added to it.
+        Constant offset of each joint's coordinate.
     end : np.ndarray, shape (3,)
-        The point in the frame of the last joint [m].
+        Point in the frame of the last joint [m].
 
     """
 
@@ -285,9 +285,9 @@ class _Path(NamedTuple):
 @kept(error_model='numpy')
 def _place(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarray) -> None:
     """
-    Fill the place of the point, (n, 3), for coordinates of the joints, (n, k).
+    Fill the position of the point, (n, 3), for joint coordinates (n, k).
 
-    And its derivative by them, (n, 3, k), unless that is empty.
+    Also fill its derivatives with respect to them, (n, 3, k), unless that array is empty.
     """
     count = len(path.origins)
     now, after = np.empty((2, 3, 3))
@@ -330,7 +330,7 @@ def _place(path: _Path, angles: np.ndarray, places: np.ndarray, slopes: np.ndarr
 
 @inlined
 def _add_turned(rotation: np.ndarray, vector: np.ndarray, target: np.ndarray) -> None:
-    """Add a rotated vector."""
+    """Add a rotated vector to the target."""
     for i in range(3):
         for k in range(3):
             target[i] += rotation[i, k] * vector[k]
@@ -348,27 +348,27 @@ def _turn(first: np.ndarray, second: np.ndarray, product: np.ndarray) -> None:
 
 class Point(_OfState):
     """
-    The square of the distance of a point of a mechanism from its goal, over a length squared.
+    The squared distance of a point of a mechanism from its goal, divided by a length squared.
 
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Of a robot that a URDF describes; ``BatchStep.hamiltonian``.
+        Hamiltonian of a robot from a URDF; ``BatchStep.hamiltonian``.
     link : str
-        The link that carries the point.
+        Link to which the point is fixed.
     goal : array_like, shape (3,)
-        In the frame of the root of the URDF [m].
+        Goal in the frame of the URDF's root [m].
     offset : array_like, shape (3,), optional
-        The point in the frame of the link [m].
+        Point in the frame of the link [m].
     length : float, optional
-        [m].
+        Distance at which the cost is 1 [m].
 
     Raises
     ------
     ValueError
-        The robot has no such link; names those that it has.
+        The robot has no link of this name; the message lists its links.
     UnsupportedSystem
-        No URDF describes the mechanism; see ``chain``.
+        The mechanism has no URDF; see ``chain``.
 
     """
 
@@ -385,20 +385,20 @@ class Point(_OfState):
         Parameters
         ----------
         lengths : sequence of float
-            Of the rods [m]; the first coordinates are their angles.
+            Lengths of the rods [m]; the first coordinates are their angles.
         goal : array_like, shape (3,)
-            [m]; (0, 0, sum of the lengths) is upright.
+            Goal of the tip [m]; (0, 0, sum of the lengths) is upright.
         length : float, optional
-            See Point; the sum of the lengths by default.
+            See Point; by default the sum of the lengths.
         relative : bool, optional
-            Whether each angle is measured from the rod before, not from the vertical.
+            True if each angle is relative to the previous rod, False if relative to the vertical.
 
         """
         k, point = len(lengths), cls.__new__(cls)
         by_q = np.eye(k) if relative else np.eye(k) - np.eye(k, k=-1)
         origins = np.zeros((k, 3))
         origins[1:, 2] = -np.asarray(lengths)[:-1]
-        # Positive angles move a rod that hangs towards x.
+        # Positive angles move a hanging rod towards x.
         point._prepare(_Path(
             np.broadcast_to(np.eye(3), (k, 3, 3)).copy(), origins,
             np.tile([0.0, -1.0, 0.0], (k, 1)), np.zeros(k, dtype=bool), by_q, np.zeros(k),
@@ -413,11 +413,11 @@ class Point(_OfState):
         self._length = float(length)
 
     def place(self, q: np.ndarray) -> np.ndarray:
-        """Return the place of the point [m], shape (..., 3), for q (..., d)."""
+        """Return the position of the point [m], shape (..., 3), for q (..., d)."""
         return self._placed(np.asarray(q, dtype=np.float64), 0)[0]
 
     def _placed(self, q: np.ndarray, derivatives: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return places, and their derivatives by the joints, (n, 3, k), if 1 is given."""
+        """Return positions, and for derivatives=1 their joint derivatives, (n, 3, k)."""
         joints, moves = self._path.by_q.shape
         angles = (q[..., :moves] @ self._path.by_q.T + self._path.fixed).reshape(-1, joints)
         places = np.empty((len(angles), 3))
@@ -442,7 +442,7 @@ class Point(_OfState):
 
 
 def _path_to(hamiltonian: Hamiltonian, link: str, offset: ArrayLike) -> _Path:
-    """Return the joints of a robot from its root to a link, or raise."""
+    """Return the joints of a robot from its root to a link; raise if they cannot be found."""
     robot = hamiltonian.robot
     if robot is None:
         raise UnsupportedSystem('no URDF describes this mechanism, so that its points are not '

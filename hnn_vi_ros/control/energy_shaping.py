@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Swing-up by the energy of a model, and its regulator near the goal."""
+"""Swing-up by energy shaping, with a regulator near the goal."""
 
 import math
 
@@ -10,37 +10,38 @@ from hnn_vi_ros.control.linear import momentum
 import numpy as np
 from numpy.typing import ArrayLike
 
-# A push along the inputs where nothing moves, and nothing could be pumped [1/s of the input].
+# Push along the inputs at rest, where energy shaping has no effect [1/s of the input].
 _PUSH = 1e-2
 
 
 class EnergyShaping:
     """
-    Lead the energy to that of the goal along the inputs; regulate near the goal.
+    Drive the energy to that of the goal along the inputs; regulate near the goal.
 
-    H is passive from commands u to the velocities y = B v of what they drive: without friction
-    H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds of
-    H~ = H + k (B q - B q*)^2 / 2 with w, so that
+    H is passive from commands u to the velocities y = B v of the driven inputs: without friction
+    H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds for H~ = H + k
+    (B q - B q*)^2 / 2 and w. Therefore
 
         w = -g (H~ - H*) y
 
-    never lets (H~ - H*)^2 grow: its rate is -2 g (H~ - H*)^2 y . y, for a learned H as for any.
-    Where a rollout under the regulator reaches the goal, that takes over.
+    never increases (H~ - H*)^2: its rate is -2 g (H~ - H*)^2 y . y, for any H, learned or not. If
+    a rollout under the regulator reaches the goal, the regulator takes over. Use it for swing-ups
+    of pendulum-like machines; take Ilqr for other goals.
 
     Parameters
     ----------
     balance : Balance
-        The regulator of the goal, with the limits of commands.
+        Regulator of the goal, with the limits of commands.
     gain : float
-        g > 0 [s], for a motor whose command is a torque.
+        Gain g > 0 [s] if the commands are torques.
     stiffness : float, optional
         k >= 0 [N/m], [N m/rad].
 
     Attributes
     ----------
     mode, cost
-        ``'energy'`` or ``'lqr'``; the distance of H~ from H* [J], or the regulator's cost, at the
-        last call.
+        ``'energy'`` or ``'lqr'``; at the last call, the distance of H~ from H* [J], or the
+        regulator's cost.
 
     References
     ----------
@@ -54,13 +55,13 @@ class EnergyShaping:
     def __init__(self, balance: Balance, gain: float = 1.0, stiffness: float = 0.0):
         self._balance, self._gain, self._stiffness = balance, gain, stiffness
         self._hamiltonian, d = balance.steps.hamiltonian, balance.steps.dimension
-        # How commands act next to the goal.
+        # Input matrix of the commands at the goal.
         self._places = balance.steps.field_derivatives(*balance.at)[1][d:].T
         self._energy = float(self._hamiltonian.energy(*np.split(balance.at[0], 2)))
         self.mode, self.cost = 'energy', math.nan
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float = 0.0) -> np.ndarray:
-        """Return the command, shape (c,), at coordinates and velocities, shape (d,) each."""
+        """Return the command, shape (c,), for coordinates and velocities, shape (d,) each."""
         balance, q = self._balance, np.asarray(q, dtype=np.float64)
         p = momentum(balance.steps, q, v)
         z = np.concatenate([q, p])

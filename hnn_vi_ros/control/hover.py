@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A controller that flies a quadrotor to a place and holds it there."""
+"""A controller that flies a quadrotor to a position and holds it there."""
 
 import math
 
@@ -8,32 +8,32 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-# Natural frequencies [rad/s] of place and attitude, and the damping ratio of both.
+# Natural frequencies [rad/s] of position and attitude, and the damping ratio of both.
 PLACE_RATE, TURN_RATE, DAMPING = 1.5, 9.0, 0.9
-# From further away than this it comes no faster [m].
+# Distance beyond which the approach gets no faster [m].
 REACH = 2.0
 
 
 class Hover:
     """
-    Thrust [N] and three torques [N m] that lead to a place, without turning to a side.
+    Thrust [N] and three torques [N m] that lead to a position with constant heading.
 
-    A force carries the weight and pulls like a damped spring to the place; it is the third axis
-    of the attitude that another damped spring turns the body to.
+    For quadrotors only. The desired force carries the weight and acts as a damped spring on the
+    position; its direction is the desired third body axis, which a second damped spring tracks.
 
     Parameters
     ----------
     mass, weight : float
-        [kg], [N].
+        Mass [kg] and weight [N].
     inertia : array_like, shape (3,)
         Moments of inertia about the axes of the body [kg m^2].
     place : array_like, shape (3,)
-        x, y and z [m].
+        Target position x, y and z [m].
 
     Attributes
     ----------
     mode, cost, plan
-        ``'hover'``; the distance from the place at the last call [m]; none.
+        ``'hover'``; the distance from the target at the last call [m]; None.
 
     References
     ----------
@@ -55,11 +55,11 @@ class Hover:
         Parameters
         ----------
         q : array_like, shape (7,)
-            Place, and quaternion x, y, z, w.
+            Position, and quaternion x, y, z, w.
         v : array_like, shape (6,)
-            Velocity in space, and angular velocity in the frame of the body.
+            Velocity in the world frame, and angular velocity in the body frame.
         t : float, optional
-            Not used [s].
+            Ignored [s].
 
         """
         q, v = np.asarray(q), np.asarray(v)
@@ -75,5 +75,5 @@ class Hover:
         turned = 0.5 * (wanted.T @ R - R.T @ wanted)
         error = np.array([turned[2, 1], turned[0, 2], turned[1, 0]])
         torques = -self._inertia * TURN_RATE * (TURN_RATE * error + 2.0 * DAMPING * v[3:])
-        # Its rotors only push.
+        # Rotors only push.
         return np.array([max(0.0, force @ R[:, 2]), *torques])

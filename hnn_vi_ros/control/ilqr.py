@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers that plan: iLQR with limits of commands, and a regulator where that holds."""
+"""Planning by iLQR with box limits on the commands, and a regulator near its equilibrium."""
 
 from collections.abc import Callable
 import time
@@ -14,30 +14,30 @@ from hnn_vi_ros.control.riccati import Stages, sweep
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Lengths of a change of all commands: that which is tried first, and those that are together.
+# Step lengths of the line search: the one tried first, then those tried together.
 _LENGTHS = np.array([1.0]), np.array([0.6, 0.3, 0.1, 0.03])
-# Which share of the predicted gain is enough, and of the cost is too little to go on.
+# Share of the predicted gain that is accepted, and relative gain at which iterations stop.
 _ENOUGH, _LITTLE = 0.01, 1e-6
-# Of damping.
+# Bounds of the damping.
 _LEAST, _MOST = 1e-6, 1e3
-# How much worse than planned a plan may become before others are tried.
+# Relative and absolute increase of a plan's cost that triggers a restart from random plans.
 _WORSE, _NOTHING = 1.1, 1e-9
 
 
 class Regulator(NamedTuple):
     """
-    A linear law u = u* - K x about an equilibrium, and where it is trusted.
+    A linear law u = u* - K x about an equilibrium, and the region in which it is used.
 
     Parameters
     ----------
     at : tuple of np.ndarray, shape (2 d,) and (c,)
         z* and u*; see ``find_equilibrium``.
     gain : np.ndarray, shape (c, 2 d)
-        K of the map of the steps; see ``lqr``.
+        Gain K of the discrete map of the steps; see ``lqr``.
     below : float
-        It takes over where the running cost stays below this in a rollout with its limits.
+        Upper bound of the running cost during a rollout under the law, with its limits.
     duration : float
-        Of that rollout [s].
+        Duration of that rollout [s].
 
     """
 
@@ -49,44 +49,44 @@ class Regulator(NamedTuple):
 
 class Ilqr(Planner):
     """
-    Commands from a plan over a horizon that is made anew in each call: u = controller(q, v, t).
+    Receding-horizon iLQR that replans in each call: u = controller(q, v, t).
 
-    Each call goes on from the last plan, shifted by the time since then, with iterations of iLQR
-    until the budget is spent or nothing improves. Where the state is not the one that was planned,
-    so that the plan has become worse, plans also begin from random commands, and the best of them
-    are refined. Where a rollout shows that a regulator holds, it commands.
+    Each call starts from the last plan, shifted in time, and iterates until the budget is spent or
+    nothing improves. If a disturbance has made the plan worse, random plans are tried as well and
+    the best of them are refined. If a rollout shows that a regulator succeeds, it takes over. The
+    first choice for differentiable models; use Mppi if steps have no derivatives.
 
     Parameters
     ----------
     steps : BatchStep
-        The model; each command of a plan lasts ``steps.duration``.
+        Model; each command of a plan lasts ``steps.duration``.
     running, final : Cost
-        Of each state and command, and of the last state, with commands of zero.
+        Costs of each state and command, and of the last state with zero commands.
     horizon : int
-        Commands of a plan.
+        Number of commands of a plan.
     limits : tuple of array_like, shape (c,)
-        Least and largest commands.
+        Minimum and maximum commands.
     regulator : Regulator, optional
-        None if it always plans.
+        Regulator; None to always plan.
     budget : float, optional
-        Time for a call [s]. No iteration begins that would end later, taken as long as the last.
+        Time for a call [s]. An iteration starts only if it can finish in time, judged by the last.
     iterations : int, optional
-        Most iterations of a plan in a call.
+        Maximum number of iterations per call.
     restarts, refined : int, optional
-        Random plans after a disturbance, and how many of them are refined.
+        Number of random plans after a disturbance, and number of plans refined.
     seed : int, optional
-        Of these.
+        Seed of the random plans.
     clock : callable, optional
-        Returns the time of the budget [s].
+        Function that returns the time for the budget [s].
 
     Attributes
     ----------
     mode : str
         ``'plan'``, ``'restart'`` or ``'regulate'``.
     cost : float
-        Of the plan.
+        Cost of the plan.
     plan : np.ndarray, shape (N + 1, 2 d), or None
-        Its states.
+        States of the plan.
 
     References
     ----------
@@ -102,7 +102,7 @@ class Ilqr(Planner):
         super().__init__(steps, running, final, horizon, limits, seed)
         self._regulator, self._budget, self._clock = regulator, budget, clock
         self._iterations, self._restarts, self._refined = iterations, restarts, refined
-        # Plans of the last call besides the best one that iterations still improve.
+        # Other plans of the last call that iterations still improve.
         self._others: list[Plan] = []
 
     def __call__(self, q: ArrayLike, v: ArrayLike, t: float) -> np.ndarray:
@@ -126,14 +126,14 @@ class Ilqr(Planner):
         return self._take(best, t)
 
     def _candidates(self, z: np.ndarray, t: float) -> list[Plan]:
-        """Return the plans to go on from: those of the last call, or the best of random ones."""
+        """Return the initial plans: those of the last call, or the best of random ones."""
         last, since = self._last, self._steps_since(t)
         self.mode = 'plan'
         if last is not None and since < self._horizon:
             going = [last, *self._others]
             planned, found, *others = self._continued(
                 np.stack([last.states[since], *[z] * len(going)]), [last, *going], t)
-            # A jump is further away than the plan moves in any of its steps.
+            # A disturbance is larger than any step of the plan.
             moves = np.abs(np.diff(last.states, axis=0)).max(axis=0)
             if found.cost <= _WORSE * planned.cost + _NOTHING and (
                     np.abs(z - planned.states[0]) <= moves + _NOTHING).all():
@@ -142,7 +142,7 @@ class Ilqr(Planner):
         return self._fresh(z, t)
 
     def _continued(self, z: np.ndarray, plans: list[Plan], t: float) -> list[Plan]:
-        """Return plans of the last call from now on, each from a state, with their feedback."""
+        """Return the last call's plans shifted to now, each from a given state, with feedback."""
         since, n = self._steps_since(t), z.shape[1]
         commands = np.stack([self._shifted(plan, t) for plan in plans])
         gains, about = np.zeros((*commands.shape, n)), np.zeros((*commands.shape[:2], n))
@@ -153,7 +153,7 @@ class Ilqr(Planner):
         return self._rolled(z, commands, t, gains, about)
 
     def _fresh(self, z: np.ndarray, t: float) -> list[Plan]:
-        """Return the best of plans with random commands that last a part of the horizon each."""
+        """Return the best of random plans, whose commands are piecewise constant."""
         count, size = self._restarts, (self._horizon, self._steps.commands)
         pieces = self._rng.uniform(self._low, self._high, (count, 6, size[1]))
         guesses = np.repeat(pieces, -(-self._horizon // 6), axis=1)[:, :self._horizon]
@@ -162,11 +162,11 @@ class Ilqr(Planner):
         return [last, *sorted(plans, key=lambda one: one.cost)[:self._refined - 1]]
 
     def _regulated(self, z: np.ndarray, t: float) -> Plan | None:
-        """Return the plan of the regulator where it is trusted."""
+        """Return the plan of the regulator, None outside its region."""
         own = self._regulator
         if own is None:
             return None
-        # The same state, with the angles next to the equilibrium's.
+        # The same state, with angles wrapped to the equilibrium's.
         near = own.at[0] + deviation(self._steps.hamiltonian, z, own.at[0])
         first = np.clip(own.at[1] - own.gain @ (near - own.at[0]), self._low, self._high)
         if not self._running.value(near, first) <= own.below:
@@ -184,7 +184,7 @@ class Ilqr(Planner):
                     np.broadcast_to(-own.gain, (self._horizon, *own.gain.shape)))
 
     def _improve(self, plans: list[Plan], t: float) -> None:
-        """Change plans by an iteration of iLQR; those are done where that gains nothing."""
+        """Update plans with one iteration of iLQR; mark those done that gain nothing."""
         commands = np.stack([plan.commands for plan in plans])
         states = np.stack([plan.states for plan in plans])
         changes, gains, gained = self._changes(plans, commands, states, t)
@@ -213,13 +213,13 @@ class Ilqr(Planner):
             if not rest.size:
                 break
         for m in (*failed, *rest.tolist()):
-            # Its next iteration changes it less, or gives it up.
+            # Damp the next iteration more; give the plan up beyond the maximum.
             plans[m].damping = max(_LEAST, 10.0 * plans[m].damping)
             plans[m].done = plans[m].damping > _MOST
 
     def _changes(self, plans: list[Plan], commands: np.ndarray, states: np.ndarray, t: float
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return changes of the commands of m plans, gains, and predicted gains; see ``sweep``."""
+        """Return command changes, gains and predicted gains of m plans; see ``sweep``."""
         m, count, c = commands.shape
         n = states.shape[2]
         z, u = states[:, :-1].reshape(-1, n), commands.reshape(-1, c)

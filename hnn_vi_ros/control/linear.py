@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 _ITERATIONS = 50
-# Changes of the state, relative to its scale, at which the search ends; what may be left of the
-# velocities and the forces, relative to theirs.
+# Relative change of the state at which the iteration stops; and tolerance of the remaining
+# velocities and forces, relative to their scales.
 _SETTLED, _LEFT = 1e-12, 1e-10
 
-# A scene, or steps of one that are made already.
+# A scene, or its compiled steps.
 Model = BatchStep | Scene | str | Path
 
 
@@ -31,7 +31,7 @@ def _steps(scene: Model, hold: int = 1) -> BatchStep:
 
 def momentum(scene: Model, q: ArrayLike, v: ArrayLike) -> np.ndarray:
     """
-    Return the momenta that belong to velocities.
+    Return the momenta for given velocities.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def momentum(scene: Model, q: ArrayLike, v: ArrayLike) -> np.ndarray:
     Raises
     ------
     StateError
-        A velocity has no momentum.
+        A velocity has no corresponding momentum.
 
     """
     q, v = np.asarray(q, dtype=np.float64), np.asarray(v, dtype=np.float64)
@@ -61,27 +61,27 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
     """
     Return a state at rest, shape (2 d,), and the command that holds it, shape (c,).
 
-    By Newton's method, with rows and columns in scales of the scene itself: at rest, no coordinate
-    moves in a step by 1e-10 of its scale, and no force differs from zero by more than 1e-10 of its
+    It uses Newton's method, scaled by the scene itself. At the result, no coordinate moves in a
+    step by more than 1e-10 of its scale, and no force differs from zero by more than 1e-10 of its
     terms. The scale of an angle is 1 rad, that of other coordinates the largest of ``near``.
 
     Parameters
     ----------
     scene : BatchStep, Scene, str or Path
-        See BatchStep. Forces act as at t = 0.
+        See BatchStep. Forces are evaluated at t = 0.
     near : array_like, shape (d,)
-        Coordinates to begin at.
+        Initial guess of the coordinates.
     free : sequence of str, optional
         Names of the coordinates that may change; all by default.
     commands : bool, optional
-        Whether commands may hold the state: they are zero otherwise.
+        True to let commands hold the state; otherwise they are zero.
 
     Raises
     ------
     StateError
-        None is found from there.
+        The iteration does not converge from this guess.
     ValueError
-        No coordinate has such a name, or ``near`` is not d finite numbers.
+        A name is not that of a coordinate, or ``near`` is not d finite numbers.
 
     """
     steps = _steps(scene)
@@ -101,12 +101,12 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
         field, matrix, rows, columns = _scaled(steps, x, begin)
         if not (np.isfinite(field).all() and np.isfinite(matrix).all()):
             break
-        # The smallest change of all that solves the linear equations.
+        # Minimum-norm solution of the linear equations.
         change = np.linalg.lstsq(matrix[:, moves], -field, rcond=None)[0]
         x[moves] += columns[moves] * change
         if not np.abs(change).max(initial=0.0) > _SETTLED:
             break
-        # Coordinates have no scale at zero; the first change gives them one.
+        # Coordinates at zero have no scale; the first change provides one.
         begin = begin if begin.any() else x[:d].copy()
     field, _, rows, _ = _scaled(steps, x, begin)
     if not (np.abs(field) <= _LEFT).all():
@@ -117,7 +117,7 @@ def find_equilibrium(scene: Model, near: ArrayLike, free: Sequence[str] | None =
 
 def _scaled(steps: BatchStep, x: np.ndarray, begin: np.ndarray
             ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return z' at (z, u) and its derivatives by both in scales, and these of rows and columns."""
+    """Return scaled z' at (z, u), its scaled Jacobian, and the scales of rows and columns."""
     d = steps.dimension
     z, u, angles = x[:2 * d], x[2 * d:], angle_columns(steps.hamiltonian.coordinates)
     field, matrix = steps.field(z, u), np.hstack(steps.field_derivatives(z, u))
@@ -125,7 +125,7 @@ def _scaled(steps: BatchStep, x: np.ndarray, begin: np.ndarray
     columns[:d] = np.where(angles, 1.0, np.abs(begin[~angles]).max(initial=0.0) or 1.0)
     rows[:d] = columns[:d] * steps.hold / steps.duration
     columns[d:2 * d] = _inverse((np.abs(matrix[:d, d:2 * d]) / rows[:d, None]).max(axis=0))
-    # The terms of each force: at the scale of each coordinate, of H alone, and of commands.
+    # Terms of each force: due to each coordinate at its scale, to H alone, and to commands.
     terms = np.abs(matrix[d:]) * np.r_[columns[:d], np.abs(x[d:])]
     alone = getattr(steps.hamiltonian, 'base', steps.hamiltonian).gradient(z[:d], z[d:])[0]
     rows[d:] = _inverse(_inverse(np.maximum.reduce([
@@ -135,14 +135,14 @@ def _scaled(steps: BatchStep, x: np.ndarray, begin: np.ndarray
 
 
 def _inverse(scales: np.ndarray) -> np.ndarray:
-    """Return one over each scale; 1 for those that are zero."""
+    """Return the reciprocal of each scale; 1 for zero."""
     return 1.0 / np.where(scales > 0.0, scales, 1.0)
 
 
 def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = None
               ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return A, shape (2 d, 2 d), and B, shape (2 d, c), of small deviations.
+    Return A, shape (2 d, 2 d), and B, shape (2 d, c), of the linearised model.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = 
     at : tuple of array_like
         State and command; see ``find_equilibrium``.
     hold : int, optional
-        For the map of the scene's method over so many steps, under a held command, not for z'.
+        Linearise the map of this many steps with a held command instead of z'.
 
     Raises
     ------
@@ -172,12 +172,12 @@ def linearise(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = 
 
 def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None = None) -> Any:
     """
-    Return the linear model as a ``control.StateSpace`` of python-control, with all states out.
+    Return the linear model as a ``control.StateSpace`` of python-control; it outputs all states.
 
     Parameters
     ----------
     scene, at, hold
-        See ``linearise``; with ``hold`` it is a model in discrete time.
+        See ``linearise``; with ``hold`` the model is discrete in time.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None 
 
     """
     with optional('control', 'state_space'):
-        # A folder of the name `control` on the path is no such module.
+        # A folder named `control` on the path imports as well, but lacks this class.
         from control.statesp import StateSpace
     steps = _steps(scene, hold or 1)
     a, b = linearise(steps, at, hold)
@@ -199,7 +199,7 @@ def state_space(scene: Model, at: tuple[ArrayLike, ArrayLike], hold: int | None 
 
 class Gain(NamedTuple):
     """
-    Optimal regulator of a linear model: u = -K z, whose cost from z on is z . P z.
+    Optimal regulator of a linear model: u = -K z, with cost-to-go z^T P z.
 
     Parameters
     ----------
@@ -216,22 +216,22 @@ class Gain(NamedTuple):
 
 def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool = False) -> Gain:
     """
-    Return the regulator that makes the integral, or sum, of z . Q z + u . R u the least.
+    Return the regulator that minimises the integral, or sum, of z . Q z + u . R u.
 
     Parameters
     ----------
     a, b : np.ndarray
-        From ``linearise``.
+        Matrices from ``linearise``.
     q, r : array_like, shape (n, n) and (c, c)
         Q and R.
     discrete : bool, optional
-        Whether a and b are those of a map.
+        True if a and b describe a discrete map.
 
     Raises
     ------
     ValueError
-        Commands cannot stabilise the model, or Q is not symmetric without negative eigenvalues,
-        or R not with positive ones.
+        Commands cannot stabilise the model, Q is not symmetric positive semidefinite, or R is not
+        symmetric positive definite.
 
     """
     states, inputs = b.shape
@@ -245,7 +245,7 @@ def lqr(a: np.ndarray, b: np.ndarray, q: ArrayLike, r: ArrayLike, discrete: bool
         gain = np.linalg.solve(weights[1] + b.T @ cost @ b, b.T @ cost @ a)
     else:
         gain = np.linalg.solve(weights[1], b.T @ cost)
-    # The discrete equations have solutions also where commands have no influence.
+    # The discrete equation may have a solution although the model cannot be stabilised.
     poles = np.linalg.eigvals(a - b @ gain)
     if not ((np.abs(poles) < 1.0) if discrete else (poles.real < 0.0)).all():
         raise ValueError('no regulator stabilises this model: the poles of what is found are '

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A controller that averages random commands: model predictive path integral control."""
+"""Model predictive path integral control: a weighted average of random commands."""
 
 from hnn_vi_ros.control.batch_step import BatchStep
 from hnn_vi_ros.control.costs import Cost
@@ -14,20 +14,21 @@ class Mppi(Planner):
     """
     The mean of random plans, weighted by exp(-cost / temperature): u = controller(q, v, t).
 
-    It needs no derivatives, and takes every method and model that BatchStep takes.
+    It needs no derivatives and works with all methods and models of BatchStep; if derivatives are
+    available, Ilqr usually needs less time.
 
     Parameters
     ----------
     steps, running, final, horizon, limits, seed
         See Ilqr.
     spread : array_like, shape (c,)
-        Standard deviation of the noise that is added to the commands of the last plan.
+        Standard deviation of the noise added to the commands of the last plan.
     temperature : float
-        In units of the cost.
+        Temperature in units of the cost.
     samples : int, optional
-        Random plans in a call.
+        Number of random plans per call.
     knots : int, optional
-        Independent numbers of the noise of a command; between them it is interpolated.
+        Number of independent noise values per command; between them it is interpolated.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class Mppi(Planner):
             raise ValueError(f'spread = {self._spread.tolist()} and temperature = {temperature} '
                              'must be positive')
         self._temperature, self._samples = float(temperature), int(samples)
-        # From knots to commands, piecewise linear.
+        # Linear interpolation from knots to commands.
         at = np.linspace(0.0, knots - 1.0, horizon)
         self._knots = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(knots)))
 
@@ -60,7 +61,7 @@ class Mppi(Planner):
         mean = self._shifted(self._last, t)
         noise = self._knots @ self._rng.normal(
             scale=self._spread, size=(self._samples, self._knots.shape[1], self._spread.size))
-        # The last plan itself is one of them.
+        # Include the last plan without noise.
         noise[0] = 0.0
         plans = self._rolled(z, mean + noise, t)
         costs = np.array([one.cost for one in plans])

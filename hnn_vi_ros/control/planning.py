@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Base of controllers that plan commands over a horizon."""
+"""Base class of controllers that plan commands over a horizon."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -20,17 +20,17 @@ class Plan:
     Parameters
     ----------
     commands : np.ndarray, shape (N, c)
-        One after another.
+        Successive commands.
     states : np.ndarray, shape (N + 1, 2 d)
-        That they lead to.
+        States reached by the commands.
     cost : float
-        Infinite where a step fails.
+        Cost; inf if a step failed.
     gains : np.ndarray, shape (N, c, 2 d), or None
-        Feedback on what a state deviates from these.
+        Feedback gains on deviations from the states.
     damping : float
-        See ``sweep``.
+        Damping; see ``sweep``.
     done : bool
-        Whether nothing improves it.
+        True if iterations no longer improve the plan.
 
     """
 
@@ -49,13 +49,13 @@ class Planner(ABC):
     Attributes
     ----------
     mode : str
-        How the last command came about.
+        Origin of the last command.
     cost : float
-        Of the last plan.
+        Cost of the last plan.
     plan : np.ndarray, shape (N + 1, 2 d), or None
-        Its states; None before there is one.
+        States of the last plan; None before the first one.
     interval : float
-        Time from one of them to the next [s].
+        Time between two of these states [s].
 
     """
 
@@ -84,21 +84,21 @@ class Planner(ABC):
         q, v : array_like, shape (d,)
             Coordinates and velocities.
         t : float
-            [s].
+            Time [s].
 
         """
 
     def _take(self, plan: Plan, t: float) -> np.ndarray:
-        """Make a plan the last one; return its first command."""
+        """Store a plan as the last one; return its first command."""
         self._last, self._time, self.cost, self.plan = plan, t, plan.cost, plan.states
         return plan.commands[0].copy()
 
     def _steps_since(self, t: float) -> int:
-        """Return how many commands of the last plan are over."""
+        """Return the number of commands of the last plan that have passed."""
         return max(0, round((t - self._time) / self._steps.duration))
 
     def _shifted(self, plan: Plan | None, t: float) -> np.ndarray:
-        """Return the commands of a plan of the last call from now on, shape (N, c), then none."""
+        """Return a plan's commands from now on, shape (N, c), padded with zero commands."""
         commands = np.clip(np.zeros((self._horizon, self._steps.commands)), self._low, self._high)
         if plan is not None:
             rest = plan.commands[self._steps_since(t):]
@@ -106,14 +106,14 @@ class Planner(ABC):
         return commands
 
     def _costs(self, states: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Return the costs of m plans, infinite where a step fails."""
+        """Return the costs of m plans, inf if a step fails."""
         running = self._running.value(states[:, :-1], commands).sum(axis=-1)
         total = running + self._final.value(states[:, -1], np.zeros_like(commands[:, 0]))
         return np.where(np.isfinite(total), total, np.inf)
 
     def _rolled(self, z: np.ndarray, commands: np.ndarray, t: float,
                 gains: np.ndarray | None = None, about: np.ndarray | None = None) -> list[Plan]:
-        """Return the plans of m rows of commands, with feedback, from a state or one for each."""
+        """Return plans from m rows of commands with feedback, from one state or one per row."""
         states, commands = self._steps.rollout(
             z, commands, gains, about, (self._low, self._high), t)
         return [Plan(*parts) for parts in zip(

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sweep of iLQR from the end of a horizon to its start, with commands in boxes."""
+"""Backward pass of iLQR over a horizon, with box limits on the commands."""
 
 from typing import NamedTuple
 
@@ -8,26 +8,26 @@ from hnn_vi_ros.kernels import factorise, inlined, kept, solve_cholesky
 import numpy as np
 
 _MOST = 20
-# Relative change of a command with which the search in a box ends.
+# Relative change of a command at which the box-constrained search stops.
 _SETTLED = 1e-10
 
 
 class Stages(NamedTuple):
     """
-    Expansions along m plans of N commands.
+    Expansions along m plans of N commands each.
 
     Parameters
     ----------
     f_z, f_u : np.ndarray, shape (m, N, n, n) and (m, N, n, c)
         Derivatives of the steps.
     l_z, l_zz : np.ndarray, shape (m, N + 1, n) and (m, N + 1, n, n)
-        Gradient and Hessian of the cost by the states, that at the end included.
+        Gradient and Hessian of the cost with respect to the states, including the last state.
     l_u, l_uu : np.ndarray, shape (m, N, c) and (m, N, c, c)
-        Likewise by the commands.
+        The same with respect to the commands.
     low, high : np.ndarray, shape (m, N, c)
-        Least and largest changes of the commands, <= 0 and >= 0.
+        Minimum and maximum changes of the commands, <= 0 and >= 0.
     damping : np.ndarray, shape (m,)
-        Weight of a change of the state that a command makes, which shortens the changes.
+        Regularisation: weight of the state change caused by a command, which shortens the steps.
 
     """
 
@@ -43,7 +43,7 @@ class Stages(NamedTuple):
 
 
 class _Work(NamedTuple):
-    """Space of a stage: Q and V of dynamic programming, and of the search in a box."""
+    """Workspace of a stage: Q and V of dynamic programming, and the box-constrained search."""
 
     v_z: np.ndarray
     v_zz: np.ndarray
@@ -62,20 +62,20 @@ class _Work(NamedTuple):
 @kept(error_model='numpy')
 def sweep(stages: Stages, changes: np.ndarray, gains: np.ndarray, gained: np.ndarray) -> None:
     """
-    Fill the best changes of the commands, and gains on deviations from the states.
+    Fill the optimal changes of the commands, and the feedback gains on state deviations.
 
-    Of the change k of a command it minimises Q_u . k + k . Q_uu k / 2 within the limits, by
-    projected Newton steps; commands at a limit have no gains.
+    The change k of a command minimises Q_u . k + k . Q_uu k / 2 within the limits, by projected
+    Newton steps; commands at a limit have zero gains.
 
     Parameters
     ----------
     stages : Stages
-        Of m plans.
+        Expansions of m plans.
     changes, gains : np.ndarray, shape (m, N, c) and (m, N, c, n)
-        Filled.
+        Output arrays.
     gained : np.ndarray, shape (m, 2)
-        Filled with the linear and the quadratic term of the predicted change of the cost; NaN
-        where Q_uu is not positive definite throughout.
+        Output: the linear and the quadratic term of the predicted change of the cost; NaN if Q_uu
+        is not positive definite at some stage.
 
     References
     ----------
@@ -104,7 +104,7 @@ def sweep(stages: Stages, changes: np.ndarray, gains: np.ndarray, gained: np.nda
 
 @inlined
 def _fill(stages: Stages, m: int, i: int, work: _Work) -> None:
-    """Fill Q at a stage from V after it."""
+    """Fill Q at a stage from V of the next one."""
     f_z, f_u = stages.f_z[m, i], stages.f_u[m, i]
     n, c = f_u.shape
     for a in range(n):
@@ -144,7 +144,7 @@ def _fill(stages: Stages, m: int, i: int, work: _Work) -> None:
 @inlined
 def _feed_back(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray, work: _Work
                ) -> None:
-    """Fill the gains of a stage; the Cholesky factor is that of its free commands."""
+    """Fill the gains of a stage, given the Cholesky factor for its free commands."""
     c, n = k_z.shape
     for b in range(n):
         for a in range(c):
@@ -156,7 +156,7 @@ def _feed_back(low: np.ndarray, high: np.ndarray, k: np.ndarray, k_z: np.ndarray
 
 @inlined
 def _pass(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> None:
-    """Fill V before a stage, and add its share to the predicted change of the cost."""
+    """Fill V of a stage, and add its share to the predicted change of the cost."""
     c, n = k_z.shape
     for a in range(c):
         slope = 0.0
@@ -164,7 +164,7 @@ def _pass(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> No
             slope += work.q_uu[a, b] * k[b]
         gained[0] += k[a] * work.q_u[a]
         gained[1] += 0.5 * k[a] * slope
-        # From here on the gradient after the change.
+        # From here on, the gradient after the change.
         work.step[a] = slope + work.q_u[a]
     for b in range(n):
         total = work.q_z[b]
@@ -182,7 +182,7 @@ def _pass(k: np.ndarray, k_z: np.ndarray, gained: np.ndarray, work: _Work) -> No
 
 @inlined
 def _held(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work) -> bool:
-    """Return whether a limit holds a command: the cost falls beyond it."""
+    """Return whether a command is at a limit beyond which the cost would fall."""
     slope = work.q_u[a]
     for b in range(k.size):
         slope += work.damped[a, b] * k[b]
@@ -191,7 +191,7 @@ def _held(low: np.ndarray, high: np.ndarray, k: np.ndarray, a: int, work: _Work)
 
 @inlined
 def _factorise(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
-    """Fill the Cholesky factor of Q_uu, with unit rows for commands that limits hold."""
+    """Fill the Cholesky factor of Q_uu, with unit rows for commands at their limits."""
     for a in range(k.size):
         held = _held(low, high, k, a, work)
         for b in range(a + 1):
@@ -203,7 +203,7 @@ def _factorise(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) ->
 
 @inlined
 def _value(k: np.ndarray, work: _Work) -> float:
-    """Return what a change of the command does to the cost."""
+    """Return the change of the cost due to a change of the command."""
     total = 0.0
     for a in range(k.size):
         total += k[a] * work.q_u[a]
@@ -214,7 +214,7 @@ def _value(k: np.ndarray, work: _Work) -> float:
 
 @inlined
 def _box(low: np.ndarray, high: np.ndarray, k: np.ndarray, work: _Work) -> bool:
-    """Fill the best change in a box, and the factor there; False if Q_uu is not positive."""
+    """Fill the optimal change in a box and its factor; return False if Q_uu is not positive."""
     step, moved = work.step, work.moved
     for a in range(k.size):
         k[a] = min(max(0.0, low[a]), high[a])

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks: the schema of their YAML, and how one becomes a controller of a scene."""
+"""Tasks: their YAML schema, and the construction of a scene's controller from a task."""
 
 from abc import abstractmethod
 from collections import deque
@@ -33,21 +33,21 @@ Place = Annotated[list[float], Field(min_length=3, max_length=3)]
 Weight = Annotated[float, Field(ge=0.0, le=1e9)]
 Weights = Annotated[list[Weight], Field(min_length=1, max_length=100)]
 _ROTORS = ['body_fz', 'body_rx', 'body_ry', 'body_rz']
-# Commands are held while a model takes steps that fit into their time [1].
+# Relative tolerance: a command must be held for a whole number of the model's steps [1].
 _FITS = 1e-6
-# Steps of the model while a command is held, and the memory of a plan [bytes]: more is a mistake.
+# Maximum number of model steps per command, and maximum memory of a plan [bytes].
 _MOST_STEPS, _MOST_MEMORY = 1000, 1 << 30
 
 
 class Controller(Protocol):
-    """Source of the commands of a scene: one call each."""
+    """Interface of controllers: each call returns the next command."""
 
     mode: str
     cost: float
     plan: Any
 
     def __call__(self, q: np.ndarray, v: np.ndarray, t: float) -> np.ndarray:
-        """Return the command, shape (c,), at coordinates and velocities at a time [s]."""
+        """Return the command, shape (c,), for coordinates and velocities at a time [s]."""
 
 
 class Goal(StrictModel):
@@ -64,7 +64,7 @@ class Goal(StrictModel):
 
 
 class Stepping(StrictModel):
-    """Steps of the model that a controller plans by, where they are not those of the scene."""
+    """Step size and integrator of the controller's model, if they differ from the scene's."""
 
     integrator: Name | None = Field(None, description='name of a method')
     step_size: float = Field(gt=0.0, le=1e6, description='h [s]')
@@ -72,21 +72,21 @@ class Stepping(StrictModel):
 
 class Means:
     """
-    Material of controllers and costs, each part made when it is first asked for.
+    Material of controllers and costs, created lazily and cached.
 
     Parameters
     ----------
     task : Task
-        With inputs and goal.
+        Task with inputs and goal.
     scene : Scene
-        The model with these inputs.
+        Model with these inputs.
     hold : int
-        Steps that each command lasts.
+        Number of model steps per command.
 
     Attributes
     ----------
     limits : np.ndarray, shape (c,)
-        Largest size of each command.
+        Maximum size of each command.
 
     """
 
@@ -135,16 +135,16 @@ class _Term(StrictModel):
 
     @abstractmethod
     def cost(self, means: Means) -> Cost:
-        """Return the cost itself."""
+        """Return the cost without its weight."""
 
     def make(self, means: Means) -> Cost:
-        """Return the cost with its weight."""
+        """Return the weighted cost."""
         cost = self.cost(means)
         return self.weight * (cost if self.half is None else cost.saturating(self.half))
 
 
 class QuadraticChoice(_Term):
-    """Squares of deviations from the goal, and of commands."""
+    """Squared deviations from the goal, and squared commands."""
 
     kind: Literal['quadratic'] = Field(description='weighted squares of deviations from the goal')
     position: Weight | Weights = Field(0.0, description='of coordinates: one, or one for each')
@@ -161,7 +161,7 @@ class QuadraticChoice(_Term):
 
 
 class EffortChoice(_Term):
-    """Squares of commands."""
+    """Squared commands."""
 
     kind: Literal['effort'] = Field(description='the squares of commands over their limits')
 
@@ -173,7 +173,7 @@ class EffortChoice(_Term):
 
 
 class RegulatedChoice(_Term):
-    """The cost of the linear regulator from a state on."""
+    """The cost-to-go of the linear regulator."""
 
     kind: Literal['regulated'] = Field(description=(
         'x . P x of the linear regulator: its cost from here on, for the end of a plan'))
@@ -186,7 +186,7 @@ class RegulatedChoice(_Term):
 
 
 class EnergyCostChoice(_Term):
-    """The energy."""
+    """The squared deviation from the goal's energy."""
 
     kind: Literal['energy'] = Field(description='(H - H*)^2, H* that of the goal')
 
@@ -206,7 +206,7 @@ class KineticChoice(_Term):
 
 
 class PointChoice(_Term):
-    """The distance of a point of a robot."""
+    """The squared distance of a point of a robot from its goal."""
 
     kind: Literal['point'] = Field(description='the squared distance of a point of a URDF')
     link: Name = Field(description='that carries the point')
@@ -220,7 +220,7 @@ class PointChoice(_Term):
 
 
 class TipChoice(_Term):
-    """The distance of the tip of a chain of rods."""
+    """The squared distance of the tip of a chain of rods from its goal."""
 
     kind: Literal['tip'] = Field(description=(
         'the squared distance of the tip of hanging rods, over their length'))
@@ -240,7 +240,7 @@ Costs = Annotated[list[CostChoice], Field(min_length=1, max_length=20)]
 
 
 class LqrChoice(StrictModel):
-    """The linear regulator alone."""
+    """The linear regulator; use it near the goal, and one of the others to get there."""
 
     kind: Literal['lqr'] = Field(description='the linear regulator of the goal')
 
@@ -250,7 +250,7 @@ class LqrChoice(StrictModel):
 
 
 class EnergyShapingChoice(StrictModel):
-    """Energy shaping."""
+    """Energy shaping for swing-ups; it needs no horizon, but a regulator at the goal."""
 
     kind: Literal['energy_shaping'] = Field(description=(
         'the energy of the goal, by what commands pump in; near the goal the linear regulator'))
@@ -264,7 +264,7 @@ class EnergyShapingChoice(StrictModel):
 
 
 class HoverChoice(StrictModel):
-    """The flight of a quadrotor."""
+    """Flight of a quadrotor to a position."""
 
     kind: Literal['hover'] = Field(description='a quadrotor flies to a place and stays there')
     place: Place = Field(description='x, y and z, upwards [m]')
@@ -279,7 +279,7 @@ class HoverChoice(StrictModel):
 
 
 class _Planning(StrictModel):
-    """A plan over a horizon."""
+    """Common options of planners over a horizon."""
 
     horizon: int = Field(ge=2, le=10_000, description='commands of a plan')
     running: Costs = Field(description='costs of each state and command, which are added')
@@ -287,9 +287,9 @@ class _Planning(StrictModel):
     seed: int = Field(0, ge=0, lt=2**63, description='of random commands')
 
     def parts(self, means: Means) -> tuple[BatchStep, Cost, Cost, int, Any]:
-        """Return what planners have in common."""
+        """Return the arguments that planners have in common."""
         d, c = means.steps.dimension, means.steps.commands
-        # Random plans have states and commands, one that derivatives improve has these.
+        # Random plans store states and commands; a plan of iLQR stores derivatives as well.
         each = max(getattr(self, 'samples', 1), means.steps.hold * 2 * d) * (2 * d + c)
         if (size := 8 * self.horizon * each) > _MOST_MEMORY:
             raise ValueError(f'a plan of {self.horizon} commands takes {1e-9 * size:.3g} GB, at '
@@ -301,7 +301,7 @@ class _Planning(StrictModel):
 
 
 class IlqrChoice(_Planning):
-    """A plan by derivatives."""
+    """iLQR: planning with derivatives; the first choice if the model is differentiable."""
 
     kind: Literal['ilqr'] = Field(description='a plan that derivatives improve, anew each period')
     budget: float = Field(gt=0.0, le=1e3, description='time for a plan [s]')
@@ -319,7 +319,7 @@ class IlqrChoice(_Planning):
 
 
 class MppiChoice(_Planning):
-    """A plan by random commands."""
+    """MPPI: planning with random commands, for models without derivatives."""
 
     kind: Literal['mppi'] = Field(description='the weighted mean of random plans')
     spread: float = Field(0.3, gt=0.0, le=10.0, description='of random commands [limits]')
@@ -333,7 +333,7 @@ class MppiChoice(_Planning):
 
 
 class Task(StrictModel):
-    """Task in a scene: its commands, how often they come, and what makes them."""
+    """A control task in a scene: inputs, period and controller."""
 
     description: str = Field('', max_length=1000, description='one line for lists and titles')
     scene: str = Field(min_length=1, max_length=4096, description=(
@@ -370,22 +370,22 @@ class Task(StrictModel):
 
 class Assignment(NamedTuple):
     """
-    A task, ready: its controller and what belongs to it.
+    A task with its controller, ready to run.
 
     Parameters
     ----------
     task : Task
-        As it was read.
+        Task as read.
     scene : Scene
-        The model, with the task's inputs and steps.
+        Model with the task's inputs and steps.
     hamiltonian : Hamiltonian
-        Its H.
+        Hamiltonian of the model.
     controller : Controller
-        What acts.
+        Controller of the task.
     prediction : Prediction
-        Where the state will be when a command acts.
+        Prediction of the state at which a command will act.
     numbers : tuple of str
-        The coordinates of the numbers of a whole command to the scene, inputs or not.
+        Coordinates of the scene's whole command, including those that are not inputs.
 
     """
 
@@ -398,44 +398,44 @@ class Assignment(NamedTuple):
 
     @property
     def limits(self) -> np.ndarray:
-        """Return the largest size of each command, shape (c,)."""
+        """Return the maximum size of each command, shape (c,)."""
         return np.array([*self.task.inputs.values()])
 
 
 class Prediction:
     """
-    The state that a command will find: some time on, under the commands that act until then.
+    Prediction of the state at which a command will act, under the commands sent before.
 
     Parameters
     ----------
     steps : BatchStep or None
         Single steps of the model; None without a delay.
     delay : float
-        From a state to when its command acts [s], rounded to steps.
+        Time from a state until its command acts [s], rounded to steps.
 
     """
 
     def __init__(self, steps: BatchStep | None, delay: float):
         self._steps, self._count = steps, round(delay / steps.duration) if steps else 0
         self.delay = self._count * steps.duration if steps else 0.0
-        # When commands act, and they, newest last.
+        # Times at which commands act, and the commands, newest last.
         self._sent: deque[tuple[float, np.ndarray]] = deque()
 
     def forget(self) -> None:
-        """Begin anew: no command is under way."""
+        """Discard pending commands."""
         self._sent.clear()
 
     def send(self, t: float, u: np.ndarray) -> None:
-        """Keep the command, shape (c,), that answers the state of a time [s]."""
+        """Queue the command, shape (c,), computed from the state at a time [s]."""
         self._sent.append((t + self.delay, u))
 
     def __call__(self, t: float, q: np.ndarray, v: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
-        """Return q and v, shape (d,) each, when the command to a state at a time [s] acts."""
+        """Return q and v, shape (d,) each, at the time the command for a state at t [s] acts."""
         if self._steps is None or not self._count:
             return q, v
         z, h = np.concatenate([q, momentum(self._steps, q, v)]), self._steps.duration
-        # A command acts in the step that begins nearest to its time.
+        # A command acts from the step that starts nearest to its time.
         while len(self._sent) > 1 and self._sent[1][0] < t + 0.5 * h:
             self._sent.popleft()
         for begin in t + h * np.arange(self._count):
@@ -452,17 +452,17 @@ def load_task(task: str | Path) -> tuple[Task, KeyPlaces, Path]:
     Parameters
     ----------
     task : str or Path
-        The name of a shipped task, or the path of a YAML file.
+        Name of a shipped task, or path of a YAML file.
 
     Returns
     -------
     tuple of (Task, KeyPlaces, Path)
-        The task, where its keys stand, and the folder that its paths start from.
+        The task, the places of its keys, and the folder its paths are relative to.
 
     Raises
     ------
     DataError
-        No such task, or one that is not valid; names file, line and key.
+        The task does not exist or is not valid; the message names file, line and key.
 
     """
     path = find_yaml('task', str(task), DataError)
@@ -479,14 +479,14 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
     task : str or Path
         See ``load_task``.
     scene : str, Path or Scene, optional
-        The model in the place of the task's; its coordinates must have the same names.
+        Model that replaces the task's; its coordinates must have the same names.
 
     Raises
     ------
     DataError
-        The task does not fit the scene; names file, line and key.
+        The task does not fit the scene; the message names file, line and key.
     HnnViRosError
-        The scene cannot be read, or built, or has effects whose steps have no derivatives.
+        The scene cannot be read or built, or has effects without differentiable steps.
 
     """
     loaded, places, folder = load_task(task)
@@ -524,7 +524,7 @@ def assign(task: str | Path, scene: str | Path | Scene = '') -> Assignment:
 
 
 def _driven(scene: Scene, task: Task) -> Scene:
-    """Return a scene in which commands drive the inputs of a task, by steps of the task's."""
+    """Return the scene with a task's inputs as commands, and with the task's step size."""
     others = [effect.model_dump(by_alias=True) for effect in scene.effects
               if effect.kind != 'external_force']
     force = {'kind': 'external_force', 'coordinates': [*task.inputs], 'timeout': 1e6}
@@ -535,7 +535,7 @@ def _driven(scene: Scene, task: Task) -> Scene:
 
 @contextmanager
 def _placed(places: KeyPlaces, key: str) -> Iterator[None]:
-    """Add where it stands in the task to what is wrong with a part of it."""
+    """Add the place in the task to errors of one of its parts."""
     try:
         yield
     except (ValueError, SceneError, UnsupportedSystem) as problem:

@@ -209,7 +209,7 @@ class Prediction:
                               self._effects, self._on_failure)
 
     def measured_at(self, states: np.ndarray) -> np.ndarray:
-        """Return what is measured of states, shape (..., 2 d): q, and H_p if velocities were."""
+        """Return the measured part of states (..., 2 d): q, and H_p if velocities are given."""
         q, p = np.split(states, 2, axis=-1)
         if self._windows.measured.shape[2] == q.shape[-1]:
             return q
