@@ -4,8 +4,8 @@
 """
 Recordings of runs: MCAP bags and the rerun viewer.
 
-``bags`` writes, reads and recovers bags; ``viewer`` draws samples. Neither depends on ROS. The
-topics that go into a bag are in ``ros``.
+``bags`` writes, reads and recovers bags; ``viewer`` shows samples. Neither depends on ROS. ``ros``
+defines the topics of a bag.
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of ``recover_bag``; import none of the modules that do its work."""
+"""The command line of ``recover_bag``; imports none of the modules that do the work."""
 
 from pathlib import Path
 

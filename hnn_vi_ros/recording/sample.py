@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sample of a run: its state and energies after a whole number of steps."""
+"""Sample of a run: state and energies after a whole number of steps."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ import numpy as np
 @dataclass(frozen=True)
 class Sample:
     """
-    The state after a whole number of steps, with the energies that belong to it.
+    The state after a whole number of steps, with its energies.
 
     Parameters
     ----------
     step : int
-        Steps since the start of the run.
+        Number of steps since the start of the run.
     stamp : int
         Simulated time since the start of the run [ns].
     q, p : np.ndarray, shape (d,)
@@ -26,15 +26,15 @@ class Sample:
     energy : float
         H(q, p) [J].
     modified_energy : float
-        The energy that the integrator nearly conserves [J]; NaN if none is known.
+        Energy nearly conserved by the integrator [J]; NaN if unknown.
     energy_error : float
-        (H - H0 - W) / |H0|, or H - H0 - W [J] where H0 is zero.
+        (H - H0 - W) / |H0|, or H - H0 - W [J] if H0 is zero.
     work : float
-        W that the scene's effects have done on the system since the start [J].
+        Work W done on the system by the scene's effects since the start [J].
     motors : np.ndarray, shape (d,), or None
-        The generalised forces that commands make [N] or [N m]; None for none.
+        Generalised forces due to commands [N] or [N m]; None without commands.
     spread : np.ndarray, shape (2 d,), or None
-        Half-widths of the bands around q, then p, of an ensemble; None for no members.
+        Half-widths of an ensemble's bands around q, then p; None without members.
 
     """
 

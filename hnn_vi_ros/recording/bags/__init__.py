@@ -1,3 +1,3 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP and rosbag2: written, read, recovered."""
+"""Write, read and recover MCAP and rosbag2 bags."""

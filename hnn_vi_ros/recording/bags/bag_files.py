@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a bag: MCAP files are read here, SQLite and packed ones by rosbags."""
+"""Files of a bag: MCAP files are read here, SQLite and compressed ones by rosbags."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
@@ -18,30 +18,30 @@ import zstandard
 
 _SUFFIXES = ('.mcap', '.db3', '.mcap.zstd', '.db3.zstd')
 _BLOCK = 2**18
-# Messages that rosbags is asked for together.
+# Number of messages requested from rosbags at once.
 _TOGETHER = 4096
 
 
 @final
 class ForeignBag:
     """
-    A bag in another format than MCAP, or whose files are packed, as rosbags reads it.
+    A bag in another format than MCAP, or with compressed files, read by rosbags.
 
-    It has the attributes of McapFile; it holds neither attachments nor metadata.
+    It has the attributes of McapFile, but neither attachments nor metadata.
 
     Parameters
     ----------
     bag : Path
-        A folder with metadata.yaml, or a file.
+        Folder with metadata.yaml, or a file.
     files : list of Path
-        Its files.
+        Files of the bag.
 
     Raises
     ------
     RecordingError
-        It cannot be read.
+        The bag cannot be read.
     MissingPackage
-        It needs rosbags, which is not installed.
+        The package rosbags is not installed.
 
     """
 
@@ -55,7 +55,7 @@ class ForeignBag:
         for path in files:
             _check_file(path)
         try:
-            # Closed with the process: what is packed lies unpacked in a folder until then.
+            # Closed at exit: until then, compressed files lie decompressed in a temporary folder.
             described = (bag / 'metadata.yaml').exists()
             self._reader = Reader(bag if described else files[0])
             self._reader.open()
@@ -75,7 +75,7 @@ class ForeignBag:
             self.held = sum(one.msgcount for one in self._connections)
             self.counted = self._reader.message_count
         except Exception as problem:
-            # Whatever its parsers raise.
+            # The parsers of rosbags may raise any exception.
             raise _unreadable(bag, problem) from problem
         parts = -(-self.held // _TOGETHER)
         length = -(-(last + 1 - first) // parts) if parts else 0
@@ -95,11 +95,11 @@ class ForeignBag:
             raise _unreadable(self.name, problem) from problem
 
     def attachment(self, name: str) -> bytes | None:
-        """Return None: there are none."""
+        """Return None: there are no attachments."""
         return None
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return nothing: there are none."""
+        """Return an empty dict: there is no metadata."""
         return {}
 
 
@@ -110,7 +110,7 @@ def _unreadable(bag: Path, problem: Exception) -> RecordingError:
 
 
 def _check_file(path: Path) -> None:
-    """Refuse what computes more than it holds: views of SQLite, and what unpacks to too much."""
+    """Reject files that could run computations or exhaust memory: SQLite views, zip bombs."""
     try:
         with open_file(path, path) as stream:
             if path.suffix == '.zstd':
@@ -140,7 +140,7 @@ def _check_file(path: Path) -> None:
 
 
 def _profiles(profiles: Iterable[Any]) -> str:
-    """Return QoS profiles as metadata has them, of those parts that replay uses."""
+    """Return QoS profiles in the form of the metadata, with the parts that replay uses."""
     return dump_yaml([{'history': one.history.name.lower(), 'depth': one.depth,
                        'reliability': one.reliability.name.lower(),
                        'durability': one.durability.name.lower()} for one in profiles])
@@ -148,25 +148,25 @@ def _profiles(profiles: Iterable[Any]) -> str:
 
 def bag_files(bag: Path) -> list[Path]:
     """
-    Return the files of a bag, in their order.
+    Return the files of a bag in order.
 
     Parameters
     ----------
     bag : Path
-        Its folder, or one file.
+        Folder of the bag, or one file.
 
     Raises
     ------
     RecordingError
-        A folder without a bag, or with several files that no metadata.yaml makes one bag.
+        The folder contains no bag, or several files that no metadata.yaml joins to one bag.
 
     """
-    # Opening the path reports why it cannot be a bag.
+    # Opening the path reports the reason.
     if not os.path.isdir(bag):
         return [bag]
     files = sorted(path for path in bag.iterdir() if path.name.endswith(_SUFFIXES))
     named = read_bag_metadata(bag).get('relative_file_paths')
-    # No path of it leads out of the folder.
+    # Only the file names are used, so no path leads out of the folder.
     names = list(dict.fromkeys(Path(str(name)).name for name in named)) \
         if isinstance(named, list) else []
     absent = [name for name in names if bag / name not in files]
@@ -183,7 +183,7 @@ def bag_files(bag: Path) -> list[Path]:
 
 
 def _nearest(folder: Path) -> str:
-    """Return which folder in this one may have been meant: a run has its bags in folders."""
+    """Suggest the subfolder that may have been meant: a run has its bags in subfolders."""
     bags = sorted(path.parent for suffix in _SUFFIXES for path in folder.glob(f'*/*{suffix}'))
     return f'; did you mean {bags[0]}?' if bags else ''
 
@@ -195,9 +195,9 @@ def open_sources(bag: Path, files: list[Path]) -> list[McapFile | ForeignBag]:
     Raises
     ------
     RecordingError
-        One is no file of a bag, or too large when unpacked.
+        A file does not belong to a bag, or is too large when decompressed.
     OSError
-        One cannot be read.
+        A file cannot be read.
 
     """
     if all(path.suffix == '.mcap' for path in files) or not any(

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Describe a recording in the form of rosbag2: its topics and its metadata.yaml."""
+"""Describe a recording in the format of rosbag2: its topics and its metadata.yaml."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,29 +12,29 @@ from hnn_vi_ros.errors import RecordingError
 from hnn_vi_ros.files import dump_yaml, open_file, parse_mapping, parse_yaml
 
 METADATA_VERSION = 9
-# rosbag2 gives a bag without messages the latest time there is as its start.
+# Start time that rosbag2 gives to a bag without messages: the latest possible time.
 NEVER = 2**63 - 1
-# No metadata.yaml is larger [bytes].
+# Maximum size of a metadata.yaml [bytes].
 _LARGEST = 2**20
 
 
 @dataclass(frozen=True)
 class Topic:
     """
-    Recorded topic, as a reader must know it to decode it and to publish it again.
+    Recorded topic with all that a reader needs to decode and republish it.
 
     Parameters
     ----------
     name : str
-        Fully resolved name, ``'/hnn_simulator/q'``.
+        Fully resolved name, such as ``'/hnn_simulator/q'``.
     type : str
-        Message type, ``'std_msgs/msg/Float64'``.
+        Message type, such as ``'std_msgs/msg/Float64'``.
     definition : str
-        Text of the .msg file, then the texts of the types that it uses.
+        Text of the .msg file, followed by the texts of the types it uses.
     type_hash : str
         RIHS01 hash of the type.
     offered_qos_profiles : str
-        YAML list of the publishers' QoS profiles, in the form of rosbag2.
+        YAML list of the publishers' QoS profiles in the format of rosbag2.
 
     """
 
@@ -47,16 +47,16 @@ class Topic:
 
 class BagTopics(NamedTuple):
     """
-    Topics that a bag holds from its start on.
+    Topics of a bag that exist from its start.
 
     Parameters
     ----------
     tick : sequence of Topic
-        Those of every tick, in the order of its payloads.
+        Topics of every tick, in the order of its payloads.
     scene : Topic
-        That of the scene.
+        Topic of the scene.
     remapped : mapping of str to str
-        What topics are called, by their own names, where these are others.
+        New names of remapped topics by original name.
 
     """
 
@@ -72,11 +72,11 @@ class Extent(NamedTuple):
     Parameters
     ----------
     name : str
-        In the bag's folder.
+        Name in the bag's folder.
     messages : int
-        How many.
+        Number of messages.
     first, last : int
-        Earliest and latest log time [ns]; meaningless without messages.
+        Earliest and latest log time [ns]; undefined without messages.
 
     """
 
@@ -87,7 +87,7 @@ class Extent(NamedTuple):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """Return what rosbag2 calls it."""
+        """Return the fields as named by rosbag2."""
         start, duration = (self.first, self.last - self.first) if self.messages else (NEVER, 0)
         return {'duration': {'nanoseconds': duration},
                 'starting_time': {'nanoseconds_since_epoch': start},
@@ -97,16 +97,16 @@ class Extent(NamedTuple):
 def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Sequence[int],
                  ros_distro: str) -> dict[str, Any]:
     """
-    Describe a bag in the fields of rosbag2's metadata, version 9.
+    Return the fields of rosbag2's metadata, version 9, for a bag.
 
     Parameters
     ----------
     files : sequence of Extent
-        In their order.
+        Files in order.
     topics : sequence of Topic
         The recorded topics.
     counts : sequence of int
-        Messages of each topic.
+        Number of messages of each topic.
     ros_distro : str
         ROS distribution of the recording.
 
@@ -123,7 +123,7 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
                 'offered_qos_profiles': qos_profiles(topic.offered_qos_profiles),
                 'type_description_hash': topic.type_hash}, 'message_count': count}
             for topic, count in zip(topics, counts, strict=True)],
-        # These two speak of compression around the file; the chunks' own is the file's affair.
+        # These two describe compression of the whole file, not that of its chunks.
         'compression_format': '', 'compression_mode': '',
         'relative_file_paths': [file.name for file in files],
         'files': [{'path': file.name, **file.fields} for file in files],
@@ -132,7 +132,7 @@ def bag_metadata(files: Sequence[Extent], topics: Sequence[Topic], counts: Seque
 
 
 def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
-    """Write ``metadata.yaml`` into the folder of a bag, whole or not at all."""
+    """Write ``metadata.yaml`` to the folder of a bag atomically."""
     temporary = folder / 'metadata.yaml.tmp'
     text = dump_yaml({'rosbag2_bagfile_information': dict(metadata)})
     temporary.write_text(text, encoding='utf-8')
@@ -140,7 +140,7 @@ def write_bag_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
 
 
 def qos_profiles(text: str) -> list[Any]:
-    """Return the QoS profiles that a channel's metadata lists; none where they are damaged."""
+    """Return the QoS profiles in a channel's metadata; an empty list if they are damaged."""
     try:
         profiles, _ = parse_yaml(text or '[]', 'offered_qos_profiles', RecordingError)
     except RecordingError:
@@ -149,7 +149,7 @@ def qos_profiles(text: str) -> list[Any]:
 
 
 def read_bag_metadata(folder: Path) -> dict[str, Any]:
-    """Return the content of ``metadata.yaml`` of a bag's folder; empty if that is not there."""
+    """Return the content of ``metadata.yaml`` in a bag's folder; empty if the file is missing."""
     path = folder / 'metadata.yaml'
     try:
         with open_file(path, path) as stream:
@@ -161,12 +161,12 @@ def read_bag_metadata(folder: Path) -> dict[str, Any]:
 
 
 def counted_messages(folder: Path, names: Sequence[str]) -> int | None:
-    """Return how many messages metadata.yaml counts in files of a bag; None if it does not."""
+    """Return the number of messages that metadata.yaml counts in files; None if unknown."""
     described = read_bag_metadata(folder)
     if described.get('relative_file_paths') == list(names):
         counts: list[Any] = [described.get('message_count')]
     else:
-        # Some files of several.
+        # Only some of several files.
         listed = described.get('files')
         entries = {str(entry.get('path')): entry for entry in listed
                    if isinstance(entry, dict)} if isinstance(listed, list) else {}
@@ -175,7 +175,7 @@ def counted_messages(folder: Path, names: Sequence[str]) -> int | None:
 
 
 def read_description(text: str | bytes) -> dict[str, Any]:
-    """Return rosbag2's description of a bag from its YAML; empty if that is damaged."""
+    """Return rosbag2's description of a bag from YAML; empty if it is damaged."""
     try:
         return parse_mapping(text, 'the description of the bag', RecordingError)[0]
     except RecordingError:

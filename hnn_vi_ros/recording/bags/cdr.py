@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Serialise messages, and decode those that carry states, without ROS."""
+"""Serialise messages, and decode those with states, without ROS."""
 
 from collections.abc import Sequence
 import re
@@ -9,23 +9,23 @@ from typing import Any, final, NamedTuple
 
 import numpy as np
 
-# Before the name of a coordinate: its momentum, and the rate of that.
+# Prefixes of a coordinate's name: for its momentum, and for the rate of the momentum.
 MOMENTUM, RATE = 'p_', 'dp_dt_'
 _SCALARS = ('H', 'work')
 
 
 class State(NamedTuple):
     """
-    A sample, as ~/state holds it.
+    A sample as published on ~/state.
 
     Parameters
     ----------
     stamp : int
         Simulated time [ns].
     q, p, dp_dt : np.ndarray, shape (d,)
-        Coordinates, momenta, and their rates; these have fewer columns where q has quaternions.
+        Coordinates, momenta, and their rates; these have fewer columns if q contains quaternions.
     energy, work : float
-        H(q, p) and what the effects have done on the system since the start [J].
+        H(q, p), and the work of the effects on the system since the start [J].
 
     """
 
@@ -38,14 +38,14 @@ class State(NamedTuple):
 
 
 def state_names(names: Sequence[str], momenta: Sequence[str] | None = None) -> list[str]:
-    """Return what ~/state names its numbers: q, p, dp/dt of the coordinates, H and the work."""
+    """Return the names of ~/state: q, p, dp/dt of the coordinates, H and the work."""
     momenta = names if momenta is None else momenta
     return [*names, *(MOMENTUM + name for name in momenta), *(RATE + name for name in momenta),
             *_SCALARS]
 
 
 def decode_state(data: bytes) -> State:
-    """Return the sample in a serialised message of ~/state; ValueError if it is none."""
+    """Return the sample in a serialised message of ~/state; raise ValueError if it is invalid."""
     joints = decode_joint_state(data)
     names, count = list(joints.names), len(joints.names) - len(_SCALARS)
     d = _momenta(names, count)
@@ -56,7 +56,7 @@ def decode_state(data: bytes) -> State:
 
 
 def _momenta(names: list[str], count: int) -> int | None:
-    """Return how many momenta ~/state has that so names its numbers; None if it is none."""
+    """Return the number of momenta in ~/state with these names; None if they do not fit."""
     d = count // 3
     if names == state_names(names[:d]):
         return d
@@ -78,11 +78,11 @@ class JointStates(NamedTuple):
     Parameters
     ----------
     stamp : int
-        Of its header [ns].
+        Stamp of the header [ns].
     names : tuple of str
-        Of the joints.
+        Names of the joints.
     position, velocity, effort : np.ndarray
-        One for each joint, or empty.
+        Values for each joint, or empty.
 
     """
 
@@ -95,7 +95,7 @@ class JointStates(NamedTuple):
 
 @final
 class _Cursor:
-    """Place where decoding stands; reading beyond the end raises ValueError."""
+    """Position of the decoder; reading beyond the end raises ValueError."""
 
     def __init__(self, data: bytes):
         if len(data) < _PREFIX or data[0] != 0 or data[1] not in _ORDERS:
@@ -113,7 +113,7 @@ class _Cursor:
         return self._take(self.number('I'))[:-1].decode()
 
     def doubles(self) -> np.ndarray:
-        """Return a sequence of numbers."""
+        """Return a sequence of doubles."""
         count = self.number('I')
         if count:
             self._align(8)
@@ -131,7 +131,7 @@ class _Cursor:
 
 
 def decode_joint_state(data: bytes) -> JointStates:
-    """Return a sensor_msgs/msg/JointState; ValueError if the bytes are none."""
+    """Return a sensor_msgs/msg/JointState; raise ValueError if the bytes are invalid."""
     cursor = _Cursor(data)
     seconds, nanoseconds = cursor.number('i'), cursor.number('I')
     cursor.text()
@@ -141,7 +141,7 @@ def decode_joint_state(data: bytes) -> JointStates:
 
 
 def decode_float64_multi_array(data: bytes) -> np.ndarray:
-    """Return the data of a std_msgs/msg/Float64MultiArray; ValueError if the bytes are none."""
+    """Return the data of a std_msgs/msg/Float64MultiArray; raise ValueError if invalid."""
     cursor = _Cursor(data)
     for _ in range(_count(cursor, data)):
         cursor.text()
@@ -152,14 +152,14 @@ def decode_float64_multi_array(data: bytes) -> np.ndarray:
 
 
 def _count(cursor: _Cursor, data: bytes) -> int:
-    """Return a number of things of at least four bytes each."""
+    """Return the length of a sequence with entries of at least four bytes each."""
     count = cursor.number('I')
     if 4 * count > len(data):
         raise ValueError(f'it names {count} entries, more than it holds')
     return count
 
 
-# Plain CDR, numbers little-endian; alignment is reckoned from behind it.
+# Header of plain little-endian CDR; alignment is relative to its end.
 _ENCAPSULATION = b'\0\1\0\0'
 _CODES = {'boolean': '?', 'octet': 'c', 'int8': 'b', 'uint8': 'B', 'int16': 'h', 'uint16': 'H',
           'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q', 'float': 'f', 'double': 'd'}
@@ -169,14 +169,14 @@ _FIXED = re.compile(rf'({"|".join(_CODES)})\[\d+\]')
 
 def serialize(message: Any) -> bytes:
     """
-    Return a message as CDR, the bytes of ``serialize_message`` with zeros for padding.
+    Return a message as CDR, equal to ``serialize_message`` with zeros for padding.
 
-    At its end too, up to a multiple of four bytes: the middleware would add them.
+    The end is padded to a multiple of four bytes as well, as the middleware does.
 
     Raises
     ------
     TypeError
-        A field is of a kind that no message of ours has, such as a wide string.
+        A field has a type that this package's messages never use, such as a wide string.
 
     """
     data = _Writer(message).data
@@ -186,17 +186,17 @@ def serialize(message: Any) -> bytes:
 @final
 class Template:
     """
-    The CDR of a message in which only numbers change, at the cost of a copy each time.
+    Serialised message of which only numbers change; each message costs one copy.
 
     Parameters
     ----------
     message : message
-        All messages share its strings and lengths.
+        Message with the strings and lengths of all messages.
 
     Attributes
     ----------
     numbers : list of np.ndarray
-        The places of its double numbers and sequences, in the order of its fields; fill them.
+        Views of its double fields and sequences, in the order of its fields; assign to them.
 
     """
 
@@ -207,16 +207,16 @@ class Template:
                         for start, count in written.doubles]
 
     def set_stamp(self, stamp: int) -> None:
-        """Set the stamp [ns] of a message that begins with a header."""
+        """Set the stamp [ns] of a message that starts with a header."""
         struct.pack_into('<iI', self._data, len(_ENCAPSULATION), *divmod(stamp, 10**9))
 
     def serialized(self) -> bytes:
-        """Return the message with its numbers of now."""
+        """Return the message with the current numbers."""
         return bytes(self._data)
 
 
 class _Writer:
-    """The CDR of a message, and where its double numbers are: first byte and count of each."""
+    """Builder of a message's CDR, with the first byte and the count of its double fields."""
 
     def __init__(self, message: Any):
         self.data = bytearray(_ENCAPSULATION)
@@ -252,7 +252,7 @@ class _Writer:
                 self._put(kind, value)
 
     def _put_numbers(self, kind: str, values: Sequence[Any]) -> None:
-        # Nothing is aligned for a sequence without entries.
+        # An empty sequence gets no alignment.
         if len(values):
             code = _CODES[kind]
             self.data += bytes((len(_ENCAPSULATION) - len(self.data)) % struct.calcsize(code))

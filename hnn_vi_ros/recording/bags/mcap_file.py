@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read an MCAP file: finished, cut off, or with damaged parts, which are left out and told.
+Read an MCAP file: finished, truncated, or with damaged parts, which are skipped and reported.
 
-Chunks and attachments are covered by checksums; records are found by their lengths, and behind a
-length that cannot be right, from the next chunk on.
+Checksums cover chunks and attachments. Records are found by their lengths; after an invalid
+length, reading continues at the next chunk.
 """
 
 from array import array
@@ -30,21 +30,21 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC as MAGIC
 import zstandard
 
-# Opcode and length come before each record's content.
+# Header of each record: opcode and length.
 PREFIX = struct.Struct('<BQ')
-# A chunk begins with: times of its first and last message, unpacked size, CRC, length of a name.
+# Start of a chunk: times of first and last message, unpacked size, CRC, length of a name.
 _CHUNK, _SIZE = struct.Struct('<QQQII'), struct.Struct('<Q')
 _HEAD = _CHUNK.size + 8 + _SIZE.size
-# Channel, sequence, log time and publish time come before a message's data.
+# Header of a message: channel, sequence, log time and publish time.
 _MESSAGE = struct.Struct('<HIQQ')
-# An index of messages begins with its channel and the size of its entries, each of two numbers.
+# Start of a message index: channel and size of the entries, each of two numbers.
 _INDEX, _ENTRY = struct.Struct('<HI'), 16
 _READERS: dict[int, type[Any]] = {
     opcode: getattr(records, opcode.name.title().replace('_', '')) for opcode in Opcode
     if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
-# No record with more bytes, and nothing that unpacks to more, is opened.
+# Maximum size of a record and of its unpacked content [bytes].
 LARGEST = 2**28
-# Messages outside of chunks are read together up to so many bytes.
+# Maximum size of a group of messages outside of chunks that is read together [bytes].
 _PIECE = 2**18
 _WINDOW = 2**20
 _COMPRESSIONS = ('', 'zstd', 'lz4')
@@ -52,16 +52,16 @@ _COMPRESSIONS = ('', 'zstd', 'lz4')
 
 class Piece(NamedTuple):
     """
-    A stretch of a file that holds messages.
+    Part of a file that contains messages.
 
     Parameters
     ----------
     first, last : int
         Times of its earliest and latest message [ns].
     start, length : int
-        Where it is in the file: in bytes, or as its reader counts.
+        Position in the file: in bytes, or in units of its reader.
     packed : bool
-        Whether it is the content of a chunk.
+        True for the content of a chunk.
 
     """
 
@@ -74,15 +74,15 @@ class Piece(NamedTuple):
 
 class _ChunkHead(NamedTuple):
     first: int  # time of the earliest message [ns]
-    last: int  # and of the latest
+    last: int  # time of the latest message [ns]
     unpacked: int  # size of the records [bytes]
-    crc: int  # of the unpacked records; 0 for none
+    crc: int  # CRC of the unpacked records; 0 for none
     compression: str
-    start: int  # where the packed records begin in the content
+    start: int  # start of the packed records in the content
 
 
 class _ReadAll(ReadDataStream):
-    """Give all bytes that are asked for, or raise EndOfFile."""
+    """Stream that returns all requested bytes, or raises EndOfFile."""
 
     def read(self, length: int) -> bytes:
         data = super().read(length)
@@ -92,7 +92,7 @@ class _ReadAll(ReadDataStream):
 
 
 def _decode(opcode: int, content: bytes) -> McapRecord | None:
-    """Return a record; None where the content is not exactly one, or its CRC does not match."""
+    """Return a record; None if the content is not exactly one record, or its CRC is wrong."""
     reader = _READERS.get(opcode)
     if reader is None:
         return None
@@ -108,13 +108,13 @@ def _decode(opcode: int, content: bytes) -> McapRecord | None:
 
 
 def _read_at(stream: BinaryIO, start: int, length: int) -> bytes:
-    """Return bytes of a stream, as far as they are there; none of more than LARGEST."""
+    """Return the bytes of a stream that exist; no bytes if more than LARGEST are requested."""
     stream.seek(start)
     return stream.read(length) if length <= LARGEST else b''
 
 
 def crc_of(stream: BinaryIO, start: int, end: int) -> int:
-    """Return the CRC of bytes of a stream."""
+    """Return the CRC of a range of a stream."""
     stream.seek(start)
     found, left = 0, end - start
     while left > 0 and (block := stream.read(min(left, _WINDOW))):
@@ -123,7 +123,7 @@ def crc_of(stream: BinaryIO, start: int, end: int) -> int:
 
 
 def _chunk_head(content: bytes) -> _ChunkHead | None:
-    """Return what a chunk says of itself before its data; None if it cannot be one."""
+    """Return the header of a chunk; None if it is invalid."""
     if len(content) < _CHUNK.size:
         return None
     first, last, unpacked, crc, letters = _CHUNK.unpack_from(content)
@@ -134,13 +134,13 @@ def _chunk_head(content: bytes) -> _ChunkHead | None:
 
 
 def unpack_zstd(data: bytes, most: int) -> bytes:
-    """Return the first bytes of what zstd frames hold, as many as are there; or ZstdError."""
+    """Decompress zstd frames up to a number of bytes; raise ZstdError if they are invalid."""
     with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as stream:
         return stream.read(most)
 
 
 def _unpack(content: bytes) -> bytes | None:
-    """Return the records of a chunk, never more than it declares; None if it is damaged."""
+    """Return the records of a chunk, at most the declared size; None if it is damaged."""
     head = _chunk_head(content)
     if head is None or head.unpacked > LARGEST:
         return None
@@ -156,7 +156,7 @@ def _unpack(content: bytes) -> bytes | None:
 
 
 def _records_in(data: bytes) -> Iterator[McapRecord | None]:
-    """Yield schemas, channels and messages among records; None, at the end, for what is none."""
+    """Yield schemas, channels and messages; yield None at invalid data, and stop."""
     end = 0
     while end + PREFIX.size <= len(data):
         opcode, length = PREFIX.unpack_from(data, end)
@@ -177,14 +177,14 @@ def _records_in(data: bytes) -> Iterator[McapRecord | None]:
 @final
 class McapFile:
     """
-    An MCAP file; nothing but its outline is held in memory.
+    An MCAP file; only its outline is held in memory.
 
     Parameters
     ----------
     path, name : Path
-        The file, and how the user calls it.
+        Path of the file, and its name for messages to the user.
     thorough : bool
-        Whether every chunk is opened now, as in a file that was not finished.
+        True to open every chunk now, as for an unfinished file.
 
     Attributes
     ----------
@@ -193,27 +193,27 @@ class McapFile:
     schemas : dict of int to Schema
         Name and definition of each type.
     pieces : list of Piece
-        In the order of the file.
+        Pieces in the order of the file.
     unread : dict of int to int
-        Lengths of the parts that cannot be read, by their place [bytes]; those in chunks are
-        known once these are opened.
+        Lengths of unreadable parts by position [bytes]; those in chunks are known once the chunks
+        have been opened.
     incomplete : int
-        Bytes of a record with which the file breaks off.
+        Size of the truncated record at the end of the file [bytes].
     held : int
-        How many messages there are, by all that tells it before they are read.
+        Number of messages, as far as known before they are read.
     counted : int or None
-        How many the recorder has counted; None where it has not.
+        Number of messages counted by the recorder; None if unknown.
     finished : bool
-        Whether the recorder has completed the file, and its summary counts what is there.
+        True if the recorder has completed the file, and its summary matches the content.
     header : Header or None
         Profile and library.
 
     Raises
     ------
     RecordingError
-        It is no MCAP file, or holds a second one.
+        It is not an MCAP file, or contains a second one.
     OSError
-        It cannot be read.
+        The file cannot be read.
 
     """
 
@@ -226,11 +226,11 @@ class McapFile:
         self.incomplete, self.held, self._listed = 0, 0, 0
         self.counted: int | None = None
         self.header: Header | None = None
-        self.data_end: tuple[int, int] | None = None  # where the data end, and their CRC
+        self.data_end: tuple[int, int] | None = None  # end of the data section, and its CRC
         self._metadata: list[Metadata] = []
         self._attachments: list[tuple[int, int]] = []  # start, length
         self._chunks: set[tuple[_ChunkHead, int]] = set()
-        # Behind the data: definitions, counts and the footer, which only its CRC confirms.
+        # After the data: definitions, counts and the footer, confirmed only by its CRC.
         self._summary: list[McapRecord] = []
         with open_file(path, name) as stream:
             size = os.fstat(stream.fileno()).st_size
@@ -244,7 +244,7 @@ class McapFile:
             self._finish(stream, end, size, thorough)
 
     def _scan(self, stream: BinaryIO, size: int) -> int:
-        """Note the records up to the end; return where the footer ends."""
+        """Index the records up to the end; return the end of the footer."""
         place = len(MAGIC)
         while place < size and not (self._summary and isinstance(self._summary[-1], Footer)):
             opcode, length = PREFIX.unpack(_read_at(stream, place, PREFIX.size).ljust(9, b'\0'))
@@ -253,7 +253,7 @@ class McapFile:
                 place = start + length
                 continue
             if self.data_end is not None:
-                # What is behind the data can be made again.
+                # Everything after the data section can be reconstructed.
                 return size
             found = _next_chunk(stream, place + 1, size)
             if found == size and start + length > size and 0 < opcode <= Opcode.DATA_END:
@@ -266,13 +266,13 @@ class McapFile:
         return place
 
     def _add(self, stream: BinaryIO, opcode: int, start: int, length: int) -> bool:
-        """Note a record; return False if there is none."""
+        """Index a record; return False if it is invalid."""
         if opcode == Opcode.CHUNK:
             head = _chunk_head(_read_at(stream, start, min(length, _HEAD)))
             if head is None or head.start > length:
                 return False
             if head.crc and (head, length) in self._chunks:
-                # A copy of one before it.
+                # A copy of an earlier one.
                 return False
             self._chunks.add((head, length))
             self.pieces.append(Piece(head.first, head.last, start, length, True))
@@ -301,7 +301,7 @@ class McapFile:
         return True
 
     def _add_message(self, stream: BinaryIO, start: int, length: int) -> bool:
-        """Note a message outside of chunks, together with the one before it if there is one."""
+        """Index a message outside of chunks; join it to the piece before it if possible."""
         _, _, time, _ = _MESSAGE.unpack(_read_at(stream, start, _MESSAGE.size))
         begin, before = start - PREFIX.size, self.pieces[-1] if self.pieces else None
         self.held += 1
@@ -314,7 +314,7 @@ class McapFile:
         return True
 
     def _refuse_second(self, stream: BinaryIO, size: int) -> None:
-        """Refuse a file that goes on with another one, whose channels have the same numbers."""
+        """Raise an error if a second file is appended; its channels have the same numbers."""
         begin = MAGIC + bytes([Opcode.HEADER])
         for place in _found(stream, re.compile(re.escape(begin)), 1, size, len(begin)):
             if not any(start <= place < start + length for start, length in self._attachments):
@@ -323,7 +323,7 @@ class McapFile:
                     f'`tail -c +{place + 1} {self.name}`, and the first with `head -c {place}`')
 
     def _finish(self, stream: BinaryIO, end: int, size: int, thorough: bool) -> None:
-        """Take the summary if it is whole; else open all chunks for what they define."""
+        """Use the summary if it is intact; otherwise open all chunks for their definitions."""
         counts = [record for record in self._summary if isinstance(record, Statistics)
                   and record.message_count == sum(record.channel_message_counts.values())]
         self.counted = counts[-1].message_count if counts else None
@@ -333,7 +333,7 @@ class McapFile:
                 self._define(record)
         known = self.finished and len(self.channels) == counts[0].channel_count
         if self._chunks and self.held:
-            # Where chunks are, messages outside of them are damaged records.
+            # In a file with chunks, messages outside of them are damaged records.
             loose = [piece for piece in self.pieces if not piece.packed]
             self.unread |= {piece.start: piece.length for piece in loose}
             self.pieces = [piece for piece in self.pieces if piece.packed]
@@ -358,7 +358,7 @@ class McapFile:
                 0, crc_of(stream, summary, end - 4))
 
     def _open_all(self, stream: BinaryIO) -> int:
-        """Take what chunks define and the times of their messages; return how many these are."""
+        """Read definitions and message times from all chunks; return the number of messages."""
         held, contradicted = 0, False
         for number, piece in enumerate(self.pieces):
             times, sound = array('Q'), not contradicted
@@ -368,7 +368,7 @@ class McapFile:
                 elif record is None:
                     sound = False
                 elif not self._define(record):
-                    # From here on the channels are those of another recording.
+                    # From here on, channels belong to another recording.
                     sound, contradicted = False, True
                     break
             if not sound:
@@ -384,13 +384,13 @@ class McapFile:
         return [None] if data is None else _records_in(data)
 
     def _define(self, record: McapRecord) -> bool:
-        """Take a schema or a channel; return False if it contradicts one of its number."""
+        """Add a schema or a channel; return False if its number is already used for another."""
         known: dict[int, Any] = self.schemas if isinstance(record, Schema) else self.channels
         assert isinstance(record, Schema | Channel)
         return known.setdefault(record.id, record) == record
 
     def read(self, piece: Piece) -> Iterator[Message]:
-        """Yield the messages of a piece that can be read, all of known channels."""
+        """Yield the readable messages of a piece that belong to known channels."""
         with open_file(self.path, self.name) as stream:
             found = self._records(stream, piece)
         for record in found:
@@ -405,7 +405,7 @@ class McapFile:
             yield from self.read(piece)
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yield the files that are kept with the messages."""
+        """Yield the attachments."""
         with open_file(self.path, self.name) as stream:
             for start, length in self._attachments:
                 record = _decode(Opcode.ATTACHMENT, _read_at(stream, start, length))
@@ -413,27 +413,27 @@ class McapFile:
                     yield record
 
     def attachment(self, name: str) -> bytes | None:
-        """Return a file that is kept with the messages; None if there is none of this name."""
+        """Return an attachment by name; None if it does not exist."""
         return next((found.data for found in self.attachments() if found.name == name), None)
 
     @property
     def all_metadata(self) -> list[Metadata]:
-        """Return all metadata, in the order of the file."""
+        """Return all metadata in the order of the file."""
         return self._metadata
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the newest metadata of a name; empty if there is none."""
+        """Return the newest metadata with a name; empty if it does not exist."""
         found = [record.metadata for record in self._metadata if record.name == name]
         return found[-1] if found else {}
 
 
-# The opcode of a chunk, a length below 4 GiB, and the name of a compression where it has to be.
+# Opcode of a chunk, a length below 4 GiB, and the name of a compression at its position.
 _CHUNK_START = re.compile(
     rb'\x06.{4}\x00{4}.{28}(?:\x00{4}|\x04\x00{3}zstd|\x03\x00{3}lz4)', re.DOTALL)
 
 
 def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
-    """Return where the next chunk with a checksum seems to begin; the size if none does."""
+    """Return the start of the next plausible chunk with a checksum, or the file size."""
     for start in _found(stream, _CHUNK_START, place, size, PREFIX.size + _HEAD):
         _, length = PREFIX.unpack(_read_at(stream, start, PREFIX.size))
         head = _chunk_head(_read_at(stream, start + PREFIX.size, _HEAD))
@@ -444,7 +444,7 @@ def _next_chunk(stream: BinaryIO, place: int, size: int) -> int:
 
 def _found(stream: BinaryIO, pattern: re.Pattern[bytes], place: int, size: int, longest: int
            ) -> Iterator[int]:
-    """Yield where a pattern is found, of so many bytes at most."""
+    """Yield the positions of a pattern whose matches have at most `longest` bytes."""
     for begin in range(place, size, _WINDOW):
         window = _read_at(stream, begin, min(_WINDOW + longest - 1, size - begin))
         yield from (begin + match.start() for match in pattern.finditer(window))

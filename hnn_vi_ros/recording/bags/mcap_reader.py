@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read the messages of a bag in the order of their times, an unfinished or damaged one as well."""
+"""Read the messages of a bag in the order of their times, even if it is unfinished or damaged."""
 
 from collections.abc import Collection, Iterator
 from hashlib import file_digest, sha256
@@ -16,8 +16,8 @@ from mcap.records import Channel, Schema
 import zstandard
 
 _ZSTD = b'\x28\xb5\x2f\xfd'
-# Messages that wait for earlier ones hold at most so many bytes, as much as some largest chunks;
-# each takes so many more.
+# Maximum size of messages buffered for sorting, equal to a few of the largest chunks; and overhead
+# per message [bytes].
 _HELD, _BESIDES = 2**30, 160
 
 
@@ -32,7 +32,7 @@ class Recorded(NamedTuple):
     channel : int
         Number of its channel.
     data : bytes
-        As it was serialised.
+        Serialised message.
 
     """
 
@@ -42,7 +42,7 @@ class Recorded(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """A piece of one of the files, with the numbers that their channels have here."""
+    """A piece of a file, with the map of its channel numbers to those of the reader."""
 
     piece: Piece
     source: McapFile | ForeignBag
@@ -52,20 +52,20 @@ class _Part(NamedTuple):
 @final
 class BagReader:
     """
-    A bag, finished, cut off or damaged; nothing but its outline is held in memory.
+    A bag: finished, truncated or damaged; only its outline is held in memory.
 
-    It is one MCAP file or several, as rosbag2 splits them, whose messages may be packed one by
-    one; or what else rosbags reads. The channels of a topic in several files are one.
+    It is one MCAP file, several split by rosbag2, possibly with messages compressed one by one, or
+    another format supported by rosbags. Channels of one topic in several files are merged.
 
     Parameters
     ----------
     bag : Path
-        A folder with the files of one bag, or one file.
+        Folder with the files of one bag, or one file.
 
     Attributes
     ----------
     path : Path
-        The file; the folder, if there are several.
+        Path of the file, or of the folder if there are several.
     channels : dict of int to Channel
         Topic, encoding and metadata of each channel.
     schemas : dict of int to Schema
@@ -76,7 +76,7 @@ class BagReader:
     Raises
     ------
     RecordingError
-        It is no bag, or cannot be read.
+        It is not a bag, or cannot be read.
 
     """
 
@@ -100,7 +100,7 @@ class BagReader:
 
     @property
     def damage(self) -> str:
-        """Return what is to be reported of parts that could not be read; empty if none."""
+        """Describe the parts that could not be read; '' if there are none."""
         found = []
         if places := [(source, start) for source in self._sources
                       for start in sorted(source.unread)]:
@@ -113,7 +113,7 @@ class BagReader:
                   if source.counted not in (None, source.held)]
         held = sum(source.held for source in self._sources)
         counted = counted_messages(self._files[0].parent, [path.name for path in self._files])
-        # None is counted as long as a recorder writes.
+        # Recorders write the counts only at the end.
         if counted and counted != held and not found:
             found.append(f'{self.path}: holds {held} messages, and its metadata.yaml counts '
                          f'{counted}')
@@ -128,26 +128,26 @@ class BagReader:
         return found.hexdigest()
 
     def attachment(self, name: str) -> bytes | None:
-        """Return a file that is kept with the bag; None if there is none of this name."""
+        """Return an attachment of the bag by name; None if it does not exist."""
         found = (source.attachment(name) for source in self._sources)
         return next((data for data in found if data is not None), None)
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return the newest metadata of a name; empty if there is none."""
+        """Return the newest metadata with a name; empty if it does not exist."""
         found = [source.metadata(name) for source in self._sources]
         return next(filter(None, reversed(found)), {})
 
     def messages(self, channels: Collection[int] | None = None, first: int = 0,
                  last: int = 2**64 - 1) -> Iterator[Recorded]:
         """
-        Yield messages in the order of their log times, equal times in the order of recording.
+        Yield messages in the order of their log times; equal times in the order of recording.
 
         Parameters
         ----------
         channels : collection of int, optional
-            Their channels; without it all.
+            Channels to read; all by default.
         first, last : int
-            Earliest and latest log time [ns].
+            Minimum and maximum log time [ns].
 
         """
         wanted = self.channels.keys() if channels is None else frozenset(channels)
@@ -166,7 +166,7 @@ class BagReader:
                         f'order: to sort them needs more than {in_bytes(_HELD)}; sort it with '
                         '`mcap sort`')
             held.sort(key=lambda message: message.time)
-            # Messages that a later piece may precede are kept.
+            # Hold messages back that a later piece may precede.
             until = parts[i + 1].piece.first if i + 1 < len(parts) else 2**64
             place = 0
             while place < len(held) and held[place].time < until:
@@ -176,13 +176,13 @@ class BagReader:
             del held[:place]
 
     def _read(self, part: _Part, wanted: Collection[int]) -> Iterator[Recorded]:
-        """Yield the messages of a piece, unpacked."""
+        """Yield the decompressed messages of a piece."""
         for message in part.source.read(part.piece):
             number = part.numbers[message.channel_id]
             if number not in wanted:
                 continue
             data: bytes | None = message.data
-            # A message that is not packed begins with its encoding, 00 .. in CDR.
+            # An uncompressed message starts with its encoding, 00 .. in CDR.
             if message.data.startswith(_ZSTD) and self.channels[number].message_encoding == 'cdr':
                 data = _unpacked(message.data)
             if data is None:
@@ -191,7 +191,7 @@ class BagReader:
                 yield Recorded(message.log_time, number, data)
 
     def _join(self, source: McapFile | ForeignBag) -> dict[int, int]:
-        """Take the channels of a file; return the numbers that they have here."""
+        """Add the channels of a file; return their numbers in this reader."""
         known = {self._key(channel, self.schemas): number
                  for number, channel in self.channels.items()}
         numbers = {}
@@ -215,7 +215,7 @@ class BagReader:
 
 
 def _unpacked(data: bytes) -> bytes | None:
-    """Return a message that was packed by itself; None if it is damaged or too large."""
+    """Decompress a single message; None if it is damaged or too large."""
     try:
         size = zstandard.get_frame_parameters(data).content_size
         if size > LARGEST and size != zstandard.CONTENTSIZE_UNKNOWN:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check an MCAP bag and make it whole if it was interrupted or damaged."""
+"""Check an MCAP bag, and recover it if it was interrupted or damaged."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -27,32 +27,32 @@ _CHUNK_SIZE = 256 * 1024
 @dataclass
 class Recovery:
     """
-    Content of a file once it is whole, and what is lost.
+    Content of a recovered file, and its losses.
 
     Parameters
     ----------
     path : Path
-        The MCAP file.
+        Path of the MCAP file.
     messages : int
-        Those that are kept.
+        Number of messages kept.
     first, last : int
         Earliest and latest log time [ns].
     changed : bool
-        Whether the file was rewritten.
+        True if the file was rewritten.
     described : bool
-        Whether metadata.yaml was written.
+        True if metadata.yaml was written.
     original : Path or None
-        Where the original file is kept.
+        Path of the original file, if kept.
     incomplete : int
-        Bytes with which a recording breaks off: no damage, its last second or less.
+        Size of the truncated end of a recording [bytes]: its last second or less, not damage.
     damaged : int
-        Parts that cannot be read.
+        Number of unreadable parts.
     unread : int
-        Their bytes.
+        Size of the unreadable parts [bytes].
     altered : bool
-        Whether the header or metadata, which nothing else confirms, differ from the recording.
+        True if the header or metadata, which have no checksum, differ from the recording.
     fewer : int
-        Messages that there were, by the counts in the file or metadata.yaml's, and are not kept.
+        Number of lost messages, according to the counts in the file or in metadata.yaml.
 
     """
 
@@ -71,34 +71,34 @@ class Recovery:
 
     @property
     def lost(self) -> bool:
-        """Return whether something that was recorded is not kept, or not known to be."""
+        """Return whether recorded data are lost, or possibly lost."""
         return bool(self.damaged or self.altered or self.fewer)
 
     @property
     def seconds(self) -> float:
-        """Return the time from the first message to the last [s]."""
+        """Return the time between the first and the last message [s]."""
         return (self.last - self.first) * 1e-9 if self.messages else 0.0
 
 
 def recover(bag: Path, replace: bool = False) -> Recovery:
     """
-    Make a bag whole: indexes, summary and footer of its file, and its metadata.yaml.
+    Recover a bag: indexes, summary and footer of its file, and its metadata.yaml.
 
-    A whole bag stays unchanged. Otherwise all that can be read goes into a new file next to it,
-    which is read back and then takes its place in one stroke; a failure before changes nothing.
-    Chunks whose checksum fails are left out.
+    An intact bag is not changed. Otherwise all readable data are written to a new file next to it,
+    which is read back and then replaces the bag atomically; an earlier failure changes nothing.
+    Chunks with a wrong checksum are skipped.
 
     Parameters
     ----------
     bag : Path
-        A folder with one MCAP file, or the file.
+        Folder with one MCAP file, or the file.
     replace : bool
-        Whether the original goes; else it is kept as ``<file>.orig``.
+        True to delete the original; otherwise it is kept as ``<file>.orig``.
 
     Raises
     ------
     RecordingError
-        Nothing can be recovered, it is being recorded, or its folder cannot be written.
+        Nothing can be recovered, the bag is being recorded, or its folder cannot be written.
 
     """
     files = bag_files(bag)
@@ -126,7 +126,7 @@ def recover(bag: Path, replace: bool = False) -> Recovery:
 
 
 class _Content:
-    """Counts of the messages of a file, by channel, and their extent; it reads them all."""
+    """Counts of the messages of a file by channel, and their extent; it reads all messages."""
 
     def __init__(self, file: McapFile):
         self.counts = Counter[int]()
@@ -155,19 +155,19 @@ def _description(file: McapFile) -> dict[str, object]:
 
 @contextmanager
 def _not_being_recorded(stream: BinaryIO, path: Path) -> Iterator[None]:
-    """Hold the file against a second recovery; refuse it while a recorder holds it."""
+    """Lock the file against a second recovery; raise an error if a recorder has locked it."""
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as problem:
         raise RecordingError(f'{path}: is still being recorded; stop that first') from problem
     except OSError:
-        # A file system without locks: the recorder could not hold it either.
+        # The file system has no locks, so a recorder has none either.
         pass
     yield
 
 
 def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
-    """Compare what can be read with what was counted; raise if there is nothing."""
+    """Compare the readable messages with the counts; raise an error if there are none."""
     messages = content.extent.messages
     recovery = Recovery(file.path, *content.extent[1:])
     recovery.altered = file.finished and file.data_end is not None and file.data_end[1] not in (
@@ -187,7 +187,7 @@ def _compared(file: McapFile, content: _Content, stream: BinaryIO) -> Recovery:
 
 
 def _write_anew(file: McapFile, content: _Content, recovery: Recovery, replace: bool) -> None:
-    """Write what can be read of a file into another, which then takes its place."""
+    """Write the readable content of a file to a new one, which then replaces it."""
     path = file.path.resolve()
     handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', suffix='.tmp', dir=path.parent)
     temporary = Path(name)
@@ -206,7 +206,7 @@ def _write_anew(file: McapFile, content: _Content, recovery: Recovery, replace: 
 
 
 def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
-    """Write a whole file with all channels, messages, attachments and metadata of another."""
+    """Write a complete file with the channels, messages, attachments and metadata of another."""
     writer = Writer(target, chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD,
                     enable_data_crcs=True)
     header = file.header
@@ -216,7 +216,7 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
     for attachment in file.attachments():
         writer.add_attachment(attachment.create_time, attachment.log_time, attachment.name,
                               attachment.media_type, attachment.data)
-    # Schema 0 means no schema.
+    # Schema 0 means that there is no schema.
     schemas = {0: 0} | {
         number: writer.register_schema(schema.name, schema.encoding, schema.data)
         for number, schema in file.schemas.items()}
@@ -226,13 +226,13 @@ def copy_messages(file: McapFile, content: _Content, target: BinaryIO) -> None:
     for message in file.messages():
         writer.add_message(channels[message.channel_id], message.log_time, message.data,
                            message.publish_time, message.sequence)
-    # At the end, what the bag holds, as its recorder would have done.
+    # Final description of the bag, as its recorder would have written it.
     writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(content.described)})
     writer.finish()
 
 
 def _read_back(path: Path, messages: int) -> None:
-    """Read all of a file that was written; RecordingError unless every message is in it."""
+    """Read a written file back; raise RecordingError unless all messages are in it."""
     copy = McapFile(path, path, thorough=True)
     with open_file(path, path) as stream:
         found = _compared(copy, _Content(copy), stream)
@@ -242,14 +242,14 @@ def _read_back(path: Path, messages: int) -> None:
 
 
 def _keep(path: Path) -> Path:
-    """Give a file a second name, that none has yet, and return that."""
+    """Hard-link a file to an unused name, and return that name."""
     for original in numbered(path.with_name(f'{path.name}.orig')):
         try:
             os.link(path, original)
         except FileExistsError:
             continue
         except PermissionError:
-            # A file system without second names.
+            # The file system has no hard links.
             if original.exists():
                 continue
             path.rename(original)
@@ -258,10 +258,10 @@ def _keep(path: Path) -> Path:
 
 
 def _is_bag(path: Path) -> bool:
-    """Return whether a file is a bag by itself: not one of many, nor one that lies anywhere."""
+    """Return whether a file is a complete bag in its own folder, not one of several files."""
     folder = path.parent
     try:
         return path.name == f'{folder.absolute().name}_0.mcap' and bag_files(folder) == [path]
     except RecordingError:
-        # It lies among others that are no one bag.
+        # It is next to files that do not form one bag.
         return False

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Record serialised messages as a rosbag2 folder that holds one MCAP file."""
+"""Record serialised messages as a rosbag2 folder with one MCAP file."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -23,20 +23,20 @@ from mcap.writer import CompressionType, LIBRARY_IDENTIFIER, Writer
 
 
 class _Record(bytes):
-    """A record as the file will hold it."""
+    """A record in serialised form."""
 
     __slots__ = ()
 
     def write(self, builder: RecordBuilder) -> None:
-        """Add it to the records of the summary."""
+        """Append the record to those of the summary."""
         builder.write(self)
 
 
 class _Records(list[Any]):
-    """Notes of a writer on its chunks."""
+    """List of a writer's chunk indexes in serialised form."""
 
     def append(self, index: ChunkIndex) -> None:
-        """Note a chunk."""
+        """Append the index of a chunk."""
         builder = RecordBuilder()
         index.write(builder)
         super().append(_Record(builder.end()))
@@ -44,19 +44,19 @@ class _Records(list[Any]):
 
 def compact_index(writer: Writer) -> None:
     """
-    Let a writer that has begun no chunk keep its index as the bytes it will be written as.
+    Make a writer without chunks store its chunk index in serialised form.
 
-    It has two chunks a second of wall time, and keeps an object with a dictionary of each until
-    the file is closed: 6 MB an hour.
+    There are two chunks per second of wall time; by default each keeps an object with a dictionary
+    until the file is closed, which takes 6 MB an hour.
     """
     parts: Any = writer
     parts._Writer__chunk_indices = _Records()
 
 
 CHUNK_SIZE = 256 * 1024
-# A quarter of the second that an interruption may cost [s].
+# Interval of flushes [s]: a quarter of the second that an interruption may cost.
 FLUSH_INTERVAL = 0.25
-# Room for all that comes before the first message [bytes].
+# Size of the buffer, which must hold everything before the first message [bytes].
 _BUFFER = 2**20
 
 
@@ -65,21 +65,20 @@ class McapSink:
     """
     Write the messages of each tick, and others, to ``<folder>/<folder name>_0.mcap``.
 
-    What explains the recording is with the operating system once it is open, and whatever is
-    older than a second: it outlives a killed process. A thread hands it over each FLUSH_INTERVAL,
-    whether or not other messages follow.
-    Nothing here calls ROS, so a recording can be closed after ROS was shut down.
+    Once open, the attachments and all messages older than a second are with the operating system
+    and survive a killed process: a thread flushes every FLUSH_INTERVAL, even if no other messages
+    follow. Nothing here calls ROS, so a recording can be closed after the shutdown of ROS.
 
     Parameters
     ----------
     folder : Path
-        The bag. It must not exist; its parents are created.
+        Folder of the bag. It must not exist; its parents are created.
     topics : sequence of Topic
         Topics recorded at each tick, in the order of its payloads.
     attachments : mapping of str to bytes
-        Files that explain the recording, by name: the scene, the parameters.
+        Files that document the recording, by name: the scene, the parameters.
     ros_distro : str
-        ROS distribution that the log names as its origin.
+        ROS distribution named in the log.
 
     Raises
     ------
@@ -92,7 +91,7 @@ class McapSink:
                  ros_distro: str = 'jazzy'):
         self._topics, self._ros_distro = tuple(topics), ros_distro
         self._ticks = 0
-        # Topics without a message each tick: their channel, and how many messages they have.
+        # Topics without a message at each tick: channel, and number of messages.
         self._others: dict[Topic, list[int]] = {}
         self._schemas: dict[str, int] = {}
         self._first, self._last = NEVER, 0
@@ -110,11 +109,11 @@ class McapSink:
             self._writer.start('ros2', f'hnn_vi_ros {LIBRARY_IDENTIFIER}')
             self._add_metadata()
             self._attach(attachments)
-            # It shows whether the same run could be had again, bit by bit.
+            # This records whether the run can be reproduced bit by bit.
             self._writer.add_metadata('hnn_vi_ros', origin)
             self._channels = [self._register(topic) for topic in self._topics]
             self._writer.flush()
-            # A file under this name can be read, whenever the process is killed.
+            # A file with the final name is readable at any time, even if the process is killed.
             os.rename(hidden, self._path)
         Thread(target=self._flush_by_the_clock, daemon=True).start()
 
@@ -125,9 +124,9 @@ class McapSink:
         Parameters
         ----------
         stamp_ns : int
-            Time of all messages of the tick [ns], not negative.
+            Common time of the messages [ns], not negative.
         payloads : sequence of bytes
-            One serialised message for each topic, in their order.
+            Serialised message of each topic, in order.
 
         Raises
         ------
@@ -135,7 +134,7 @@ class McapSink:
             The file cannot be written any more; the recording is closed.
 
         """
-        # The format holds the sequence in 32 bits.
+        # The format has 32 bits for the sequence number.
         sequence = self._ticks & 0xFFFFFFFF
         with self._abandoning():
             for channel, payload in zip(self._channels, payloads, strict=True):
@@ -143,17 +142,17 @@ class McapSink:
             self._ticks += 1
             self._extend_to(stamp_ns)
             if self._ticks == 1:
-                # At once: of a run that began there is a sample.
+                # Flush immediately, so that a started run has a sample.
                 self._flush()
 
     def write_other(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
         """
-        Record a message that does not come each tick.
+        Record a message that does not belong to each tick.
 
         Parameters
         ----------
         topic : Topic
-            Which the bag holds only if something is written to it.
+            Topic of the message; the bag lists it only if it has messages.
         stamp_ns : int
             Time of the message [ns], not negative.
         payload : bytes
@@ -175,7 +174,7 @@ class McapSink:
 
     def flush(self) -> None:
         """
-        Hand everything to the operating system now, rather than within FLUSH_INTERVAL.
+        Pass all data to the operating system immediately instead of within FLUSH_INTERVAL.
 
         Raises
         ------
@@ -191,7 +190,7 @@ class McapSink:
 
     def close(self) -> None:
         """
-        Complete the file and write metadata.yaml; a second call does nothing.
+        Complete the file and write metadata.yaml; a second call has no effect.
 
         Raises
         ------
@@ -215,7 +214,7 @@ class McapSink:
             self._writer.add_attachment(time.time_ns(), 0, name, media, data)
 
     def _register(self, topic: Topic) -> int:
-        """Describe a topic, and its type once; return its channel."""
+        """Register a topic, and its type if it is new; return its channel."""
         if topic.type not in self._schemas:
             self._schemas[topic.type] = self._writer.register_schema(
                 topic.type, 'ros2msg', topic.definition.encode())
@@ -235,12 +234,12 @@ class McapSink:
         return bag_metadata([file], [*self._topics, *self._others], counts, self._ros_distro)
 
     def _add_metadata(self) -> None:
-        # As rosbag2 does: once at the start for a file that is cut off, once at the end.
+        # As in rosbag2: once at the start for a truncated file, once at the end.
         self._writer.add_metadata('rosbag2', {'serialized_metadata': dump_yaml(self._metadata())})
 
     def _flush(self) -> None:
         self._writer.flush()
-        # What goes into a file that was removed is lost.
+        # Detect a removed file: data written to it would be lost.
         self._path.stat()
         self._unflushed = False
 
@@ -251,7 +250,7 @@ class McapSink:
                     try:
                         self.flush()
                     except RecordingError as problem:
-                        # The next call raises it.
+                        # The next call raises the error.
                         self._problem = problem
 
     def _raise_problem(self) -> None:
@@ -267,7 +266,7 @@ class McapSink:
 
     @contextmanager
     def _abandoning(self) -> Iterator[None]:
-        """Abandon the file in its current state where it cannot be written any more."""
+        """Close the file as it is if it cannot be written any more."""
         with self._lock:
             self._raise_problem()
             if self._stream is None:
@@ -278,7 +277,7 @@ class McapSink:
                 raise self._abandoned(problem) from problem
 
     def _abandoned(self, problem: OSError) -> RecordingError:
-        # Closing tries once more what has just failed; that failure is the one we report.
+        # Closing retries the failed write; only the first failure is reported.
         with suppress(OSError):
             self._end()
         kept = 'the file was removed'
@@ -290,7 +289,7 @@ class McapSink:
 
 
 def _create(path: Path) -> BinaryIO:
-    """Create the file in a new folder, or leave nothing behind."""
+    """Create the file in a new folder; leave nothing behind on failure."""
     folder = path.parent
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -303,7 +302,7 @@ def _create(path: Path) -> BinaryIO:
                              'record to a folder that can be written') from problem
     try:
         stream = path.open('xb', buffering=_BUFFER)
-        # Held until it is closed, or the process ends: nobody makes whole what still grows.
+        # Lock the file until it is closed or the process ends: it must not be recovered meanwhile.
         with suppress(OSError):
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return stream

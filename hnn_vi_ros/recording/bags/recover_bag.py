@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Make bags whole whose recording was interrupted, or that were damaged."""
+"""Recover bags whose recording was interrupted, or that were damaged."""
 
 from pathlib import Path
 import sys
@@ -12,13 +12,13 @@ from hnn_vi_ros.recording.bags.mcap_recovery import recover, Recovery
 
 
 def main(argv: list[str]) -> int:
-    """Make each bag whole, and print its contents."""
+    """Recover each bag, and print its contents."""
     options = arguments.recover_bag().parse_args(argv)
     return max(_recover(bag, options.replace) for bag in options.bag)
 
 
 def _recover(bag: Path, replace: bool) -> int:
-    """Make a bag whole; return the exit status."""
+    """Recover a bag; return the exit status."""
     try:
         recovery = recover(bag, replace)
     except RecordingError as problem:

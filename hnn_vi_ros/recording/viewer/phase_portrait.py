@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The still part of a phase portrait: its frame, its ticks and the level sets of H."""
+"""The static part of a phase portrait: its frame, its ticks and the level sets of H."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,24 +11,23 @@ from hnn_vi_ros.phase_space import scalar_columns
 import numpy as np
 
 GRID, LEVELS, _GAPS = 81, 12, 5
-# Margins on each side: of a path that is known, and of one that leaves its frame, as shares of
-# their extents.
+# Margins relative to the extents: around a known path, and around one that leaves its frame.
 _MARGIN, _LEFT = 0.1, 0.05
-# Lowest and highest q and p, shape (d, 2) each.
+# Minimum and maximum of q and p, shape (d, 2) each.
 Bounds = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Frame:
     """
-    The plane of one coordinate and its momentum, and the rectangle of it that is shown.
+    The visible rectangle in the plane of one coordinate and its momentum.
 
     Parameters
     ----------
     axis : int
         Index of the coordinate.
     q, p : tuple of float
-        Lowest and highest coordinate and momentum.
+        Minimum and maximum of the coordinate and of the momentum.
 
     """
 
@@ -38,12 +37,12 @@ class Frame:
 
 
 def box_of(q: np.ndarray, p: np.ndarray) -> Bounds:
-    """Return the lowest and highest finite q and p, of shape (n, d) each, with a margin."""
+    """Return the minimum and maximum of finite q and p, of shape (n, d) each, with a margin."""
     states = np.hstack([q, p])
     states = states[np.isfinite(states).all(axis=1)]
     extremes = np.stack([states.min(axis=0), states.max(axis=0)], axis=-1)
     extent = np.ptp(extremes, axis=-1)
-    # What stays where it is, but for rounding, is shown with one unit on either side.
+    # A constant quantity, up to rounding, is shown with one unit on either side.
     moves = extent > 1e-9 * np.maximum(1.0, abs(extremes).max(axis=-1))
     margin = np.where(moves, _MARGIN * extent, 1.0)[:, None]
     box = extremes + margin * np.array([-1.0, 1.0])
@@ -51,7 +50,7 @@ def box_of(q: np.ndarray, p: np.ndarray) -> Bounds:
 
 
 def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, box: Bounds) -> np.ndarray:
-    """Return the lowest and the highest q, shape (2, d), with the attitudes of the start."""
+    """Return the minimum and maximum q, shape (2, d), with the initial attitudes."""
     ends = np.array([q0, q0], dtype=np.float64)
     for axis in scalar_columns(hamiltonian.coordinates).values():
         ends[:, axis] = _widen(box[0][axis], q0[axis])
@@ -59,14 +58,14 @@ def ends_of(hamiltonian: Hamiltonian, q0: np.ndarray, box: Bounds) -> np.ndarray
 
 
 def reach_of(hamiltonian: Hamiltonian, ends: np.ndarray) -> float:
-    """Return the largest coordinate between the ends; 1 m about a point that does not move."""
+    """Return the largest absolute coordinate in the range; 1 m for a point that does not move."""
     places = list(scalar_columns(hamiltonian.coordinates).values())
     return float(abs(ends[:, places]).max()) if places else 1.0
 
 
 def frame_of(axis: int, q0: np.ndarray, p0: np.ndarray, box: Bounds) -> Frame:
     """
-    Choose the rectangle to show: the box, and the initial state.
+    Choose the visible rectangle, which contains the box and the initial state.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def frame_of(axis: int, q0: np.ndarray, p0: np.ndarray, box: Bounds) -> Frame:
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p of the training data, or of a path.
+        Minimum and maximum of q and p of the training data, or of a path.
 
     """
     return Frame(axis, _widen(box[0][axis], q0[axis]), _widen(box[1][axis], p0[axis]))
@@ -83,14 +82,14 @@ def frame_of(axis: int, q0: np.ndarray, p0: np.ndarray, box: Bounds) -> Frame:
 
 def fitted(frame: Frame, path: np.ndarray) -> Frame:
     """
-    Return the frame, which is shown in any case, widened to hold a recorded path.
+    Return the frame, enlarged if necessary to contain a recorded path.
 
     Parameters
     ----------
     frame : Frame
-        The one that was chosen before the path was known.
+        Frame chosen before the path was known.
     path : np.ndarray, shape (2, 2)
-        Its lowest and highest q (first row) and p.
+        Minimum and maximum of q (first row) and p on the path.
 
     """
     sides = []
@@ -108,38 +107,38 @@ def _widen(interval: np.ndarray, value: float) -> tuple[float, float]:
 def contours(hamiltonian: Hamiltonian, frame: Frame, q0: np.ndarray, p0: np.ndarray
              ) -> list[tuple[float, list[np.ndarray]]]:
     """
-    Return level sets of H in the frame, the other coordinates at their initial values.
+    Return level sets of H in the frame, with the other coordinates at their initial values.
 
-    The levels lie at H_min + (H_max - H_min) ((k - 1/2) / LEVELS)^2 for k = 1 to LEVELS, which
-    spaces the ellipses of an oscillator evenly. Vertices are linear interpolations along the
-    edges of a grid with GRID points a side: H there is off its level by at most
-    max(abs(H'')) spacing^2 / 8.
+    The levels are H_min + (H_max - H_min) ((k - 1/2) / LEVELS)^2 for k = 1 to LEVELS, which spaces
+    the ellipses of an oscillator evenly. Vertices are interpolated linearly along the edges of a
+    grid with GRID points per side; H at a vertex deviates from its level by at most max(abs(H''))
+    spacing^2 / 8.
 
     Returns
     -------
     list of (float, list of np.ndarray of shape (m, 2))
-        Each level of H [J] with its lines of points (q, p).
+        Levels of H [J], each with its lines of points (q, p).
 
     """
     x, y = np.linspace(*frame.q, GRID), np.linspace(*frame.p, GRID)
     q = np.tile(np.asarray(q0, dtype=np.float64), (GRID, GRID, 1))
     p = np.tile(np.asarray(p0, dtype=np.float64), (GRID, GRID, 1))
     q[..., frame.axis], p[..., frame.axis] = x[None, :], y[:, None]
-    # Where H is infinite, as in the centre of a Kepler problem, no line is drawn.
+    # No line is drawn where H is infinite, as at the centre of a Kepler problem.
     energy = np.ma.masked_invalid(hamiltonian.energy(q, p))
     lowest, highest = float(energy.min()), float(energy.max())
     levels = lowest + (highest - lowest) * ((np.arange(LEVELS) + 0.5) / LEVELS) ** 2
-    # One of several forms of lines, by another argument.
+    # Typed as Any: the form of the lines depends on an argument.
     generator: Any = contour_generator(x, y, energy)
     return [(float(level), generator.lines(level)) for level in levels]
 
 
 def ticks(interval: tuple[float, float]) -> list[float]:
-    """Return the multiples in the interval of a round number, with at most five gaps."""
+    """Return multiples of a round number in the interval, with at most five gaps."""
     low, high = interval
     rough = (high - low) / _GAPS
     power = 10.0 ** np.floor(np.log10(rough))
     spacing = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= rough)
     first, last = np.ceil(low / spacing - 1e-9), np.floor(high / spacing + 1e-9)
-    # Adding zero turns -0.0 into 0.0, which reads better.
+    # Adding zero turns -0.0 into 0.0.
     return [float(k * spacing) + 0.0 for k in np.arange(first, last + 1.0)]

@@ -18,17 +18,17 @@ import rerun.blueprint as rrb
 PALETTE = ((88, 166, 255), (242, 165, 65), (86, 211, 100), (219, 109, 190), (121, 216, 217),
            (255, 123, 114), (210, 168, 255), (225, 210, 90))
 BACKGROUND, INK, GREY, WHITE = (13, 17, 23), (170, 180, 195), (72, 82, 98), (245, 247, 250)
-# What samples cost, with the unit, by entity.
+# Wall time of a step by entity, with the unit.
 TIMING = {'/timing/microseconds_per_step': ['p50 [µs]', 'p99 [µs]'],
           '/timing/real_time_factor': ['real-time factor']}
-# The bands around coordinates and momenta.
+# Bands around coordinates and momenta.
 BANDS = '/state/q_band', '/state/p_band'
 _SUPERSCRIPTS = str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹')
 LOW, HIGH = np.array([38, 62, 104]), np.array([92, 138, 190])
 
 
 def raised(unit: str) -> str:
-    """Return a unit with its exponents as superscripts: kg m²/s of kg m2/s."""
+    """Return a unit with exponents as superscripts, for example kg m²/s for kg m2/s."""
     return re.sub('(?<=[A-Za-z])-?[0-9]+', lambda power: power[0].translate(_SUPERSCRIPTS), unit)
 
 
@@ -46,22 +46,22 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
                   modified: bool, invariants: Sequence[str] = (), band: bool = False
                   ) -> dict[str, list[str]]:
     """
-    Return what each series is called, with its unit, by entity.
+    Return the names of each entity's series, with units.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        One series each under ``/state/q`` and ``/state/p``.
+        Coordinates, with one series each under ``/state/q`` and ``/state/p``.
     relative : bool
-        Whether the energy error is relative to H0.
+        True if the energy error is relative to H0.
     conservative : bool
-        Whether no effect does work; else the work W is shown.
+        True if no effect does work; otherwise the work W is shown.
     modified : bool
-        Whether a modified energy is known, to be shown where no work is done.
+        True if a modified energy is known; it is shown if no work is done.
     invariants : sequence of str, optional
-        Names of what else is conserved; one series each.
+        Names of other invariants, with one series each.
     band : bool, optional
-        Whether there are bands around q and p: their lower ends, then their upper ones.
+        True if there are bands around q and p: lower ends, then upper ends.
 
     """
     error = 'H - H0' if conservative else 'H - H0 - W'
@@ -85,7 +85,7 @@ def series_labels(coordinates: Sequence[Coordinate], relative: bool, conservativ
 
 
 def without_unit(names: Sequence[str]) -> tuple[list[str], str]:
-    """Return several names without the unit that all of them have, and ' [it]' for a title."""
+    """Return names without their common unit, and the unit as ' [unit]' for a title."""
     parts = [name.rpartition(' [') for name in names]
     unit = parts[0][2]
     if len(names) < 2 or not parts[0][1] or any(part[1:] != (' [', unit) for part in parts):
@@ -111,12 +111,12 @@ def log_series_styles(stream: rr.RecordingStream, labels: Mapping[str, Sequence[
 def log_phase_portrait(stream: rr.RecordingStream, hamiltonian: Hamiltonian, frame: Frame,
                        q0: np.ndarray, p0: np.ndarray, side: float) -> None:
     """
-    Draw the energy contours, the frame and its ticks, and set how trail and state look.
+    Draw the energy contours, the frame and its ticks, and style the trail and the state.
 
-    ``side`` is the width of the frame in points, for the places of the labels.
+    ``side`` is the width of the frame in points, for placing the labels.
 
-    Every point is logged as (q, p). The entity's transform turns the frame into the square from
-    -1 to 1 with p upwards, since a 2D view has its y axis down and equal scales.
+    Every point is logged as (q, p). The entity's transform maps the frame to the square from -1 to
+    1 with p upwards, since a 2D view has its y axis down and equal scales.
     """
     coordinate = hamiltonian.coordinates[frame.axis]
     path = phase_path(coordinate)
@@ -156,7 +156,7 @@ def _frame_lines(frame: Frame) -> rr.LineStrips2D:
 def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Points2D:
     """Place the labels; the viewer writes each just below its point, so p's labels are raised."""
     (left, right), (low, high) = frame.q, frame.p
-    # One point, in the units of each axis.
+    # One point in the units of each axis.
     dq, dp = (right - left) / side, (high - low) / side
     texts = {(q, low - 2.0 * dp): f'{q:g}' for q in ticks(frame.q)}
     texts |= {(left - 24.0 * dq, p + 15.0 * dp): f'{p:g}' for p in ticks(frame.p)}
@@ -169,7 +169,7 @@ def _frame_labels(frame: Frame, coordinate: Coordinate, side: float) -> rr.Point
 
 
 def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) -> None:
-    """Draw the parts that stand still, and set how those that move look."""
+    """Draw the fixed parts, and style the moving ones."""
     stream.log('/world', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
     for name, part in parts.items():
         still: rr.AsComponents
@@ -186,46 +186,46 @@ def log_mechanism_styles(stream: rr.RecordingStream, parts: Mapping[str, Part]) 
         stream.log(part_path(name), still, static=True, strict=True)
 
 
-# Where a controller means to take the last body of the mechanism.
+# Planned path of the last body of the mechanism.
 PLAN = '/world/plan'
 
 
 def log_plan_style(stream: rr.RecordingStream, radius: float) -> None:
-    """Set how a plan looks in the view of the mechanism, as in the phase portraits."""
+    """Style a plan in the view of the mechanism and in the phase portraits."""
     stream.log(PLAN, rr.LineStrips3D.from_fields(colors=[PALETTE[2]], radii=[radius]),
                static=True, strict=True)
 
 
 TRAIL_SAMPLES = 300
-# Sizes in points: the column of mechanism and portraits in a window of 1400 x 900, the bar above
-# each view, and what a portrait's labels need on the left, right, top and bottom of its frame.
+# Sizes in points: column of mechanism and portraits in a window of 1400 x 900, bar above each
+# view, and margins for a portrait's labels on the left, right, top and bottom.
 COLUMN, BAR, MARGINS = (588.0, 830.0), 28.0, (58.0, 18.0, 46.0, 60.0)
 # The viewer's vertical angle of view.
 VIEW_ANGLE = np.radians(55.0)
-# Series in one plot.
+# Series of the energy plot.
 ENERGIES = ('/energy/H', '/energy/modified', '/energy/work')
 INVARIANTS = '/invariants'
-# Shares of the time axis left free at its end for a legend, and for the last label alone.
+# Free shares of the time axis at its end: for a legend, and for the last label only.
 _LEGEND_ROOM, _END_ROOM = 0.25, 0.04
-# Widths of a plot, a letter of a legend and the legend's edges, heights of a line of a legend and
-# of the rest of a plot below its bar, and the least height of a view, in points.
+# In points: widths of a plot, of a letter and of the edges of a legend, heights of a legend's line
+# and of the rest of a plot below its bar, and minimum height of a view.
 _PLOT, _LETTER, _LEGEND_EDGES, _LINE, _MARGIN, _LEAST_HEIGHT = 775.0, 7.6, 42.0, 23.0, 40.0, 120.0
-# Least share of a run with a known end that a trail shows.
+# Minimum share of a run with known duration that a trail shows.
 _TRAIL_SHARE = 0.2
-# Gaps between ticks of the height of a plot.
+# Maximum number of gaps between ticks over the height of a plot.
 _MOST_GAPS = 5.0
 
 
 class Extent(NamedTuple):
     """
-    Times and values that series cover.
+    Ranges of times and values covered by series.
 
     Parameters
     ----------
     times : tuple of int
-        First and last [ns].
+        First and last time [ns].
     values : mapping of str to (float, float)
-        Least and greatest of the finite ones, by entity.
+        Minimum and maximum finite value by entity.
 
     """
 
@@ -243,9 +243,9 @@ class Arrangement:
     portraits : int
         Number of phase portraits.
     bounds : np.ndarray, shape (2, 3), or None
-        Lowest and highest corner of the mechanism's reach [m]; None without a mechanism.
+        Minimum and maximum corner of the mechanism's reach [m]; None without a mechanism.
     hidden : str, optional
-        The entity of the mechanism below which nothing is shown.
+        Entity of the mechanism whose children are hidden.
 
     """
 
@@ -255,7 +255,7 @@ class Arrangement:
 
     @property
     def tabbed(self) -> bool:
-        """Return whether the portraits lie on top of each other, since there are too many."""
+        """Return whether there are too many portraits to show them next to each other."""
         return self.portraits > 4
 
     @property
@@ -272,7 +272,7 @@ class Arrangement:
 
     @property
     def world_share(self) -> float:
-        """Share of the height that the mechanism has to itself."""
+        """Share of the height reserved for the mechanism."""
         if self.bounds is None or self.quarters:
             return 0.0
         # Two portraits in a row are half as high as one; four fill two such rows.
@@ -300,26 +300,26 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
                    trails: Sequence[str] = (), extent: Extent | None = None
                    ) -> rrb.Blueprint:
     """
-    Lay the views out for a window of about 1400 x 900 points.
+    Return the layout of the views for a window of about 1400 x 900 points.
 
     Parameters
     ----------
     coordinates : sequence of Coordinate
-        One phase portrait each.
+        Coordinates with one phase portrait each.
     labels : mapping of str to sequence of str
-        What :func:`series_labels` returns.
+        Result of :func:`series_labels`.
     arrangement : Arrangement
-        Of as many portraits.
+        Arrangement with as many portraits.
     interval : int
-        Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long, and of a
-        run whose extent is known at least a fifth of it.
+        Simulated time between two samples [ns]; the trail is TRAIL_SAMPLES of them long, and if
+        the extent is known at least a fifth of the run.
     pace : float, optional
-        The real-time factor that is asked for.
+        Requested real-time factor.
     trails : sequence of str, optional
-        Parts of the mechanism that leave a trail of that length as well.
+        Parts of the mechanism with a trail of the same length.
     extent : Extent, optional
-        Times and values of the series, if known: else the viewer fits its axes to the data, and
-        a legend lies on them.
+        Times and values of the series, if known; otherwise the viewer fits its axes to the data,
+        and a legend covers part of them.
 
     """
     trail = 1e-9 * TRAIL_SAMPLES * interval
@@ -351,7 +351,7 @@ def make_blueprint(coordinates: Sequence[Coordinate], labels: Mapping[str, Seque
 
 def _left_column(world: rrb.View | None, views: Sequence[rrb.View], arrangement: Arrangement
                  ) -> rrb.Container | rrb.View | None:
-    """Put the mechanism and portraits that exist into a column, without empty places."""
+    """Arrange the existing mechanism and portraits in a column without gaps."""
     if not views:
         return world
     if arrangement.quarters:
@@ -374,7 +374,7 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
     many = len(names) > 1
     axis_x = None
     if extent is not None:
-        # A legend has the place after the last sample.
+        # The legend is placed after the last sample.
         begin, end = extent.times
         last = end + round(room_after(names) * max(end - begin, 1))
         axis_x = rrb.TimeAxis(view_range=rr.TimeRange(
@@ -390,13 +390,13 @@ def _series_view(title: str, paths: Sequence[str], labels: Mapping[str, Sequence
 
 
 def names_of(paths: Sequence[str], labels: Mapping[str, Sequence[str]]) -> tuple[list[str], str]:
-    """Return what a legend shows of the series in a view, and the unit for its title."""
+    """Return the legend entries of a view's series, and the unit for its title."""
     found = [without_unit(labels[path]) for path in paths]
     return [name for names, _ in found for name in names], found[0][1]
 
 
 def room_after(names: Sequence[str]) -> float:
-    """Return the share of the times that is left free after them, for a legend of these names."""
+    """Return the share of the time axis to leave free for a legend of these names."""
     if len(names) < 2:
         return _END_ROOM
     share = min((_LEGEND_EDGES + _LETTER * max(map(len, names))) / _PLOT, 0.5)
@@ -404,20 +404,20 @@ def room_after(names: Sequence[str]) -> float:
 
 
 def height_for(names: Sequence[str]) -> float:
-    """Return the height of a view, in points, in which a legend shows up to eight names."""
+    """Return the height of a view, in points, for a legend of up to eight names."""
     return max(_LEAST_HEIGHT, BAR + _MARGIN + _LINE * min(len(names), len(PALETTE)))
 
 
 def with_ticks(low: float, high: float) -> tuple[float, float]:
     """
-    Return a range that holds the values, a margin, and two ticks with their labels.
+    Return a range with the values, a margin, and two ticks with their labels.
 
-    The viewer labels the multiples of a power of ten that are at least some 25 points apart: in a
-    plot of 130 points, the multiples of the least power of ten that fits into the range at most
-    _MOST_GAPS times.
+    The viewer labels multiples of a power of ten that are at least some 25 points apart: in a plot
+    of 130 points, multiples of the smallest power of ten that fits at most _MOST_GAPS times into
+    the range.
     """
     if high - low <= 1e-9 * max(abs(low), abs(high)):
-        # A constant: show it with zero, or with one of its digits.
+        # A constant: show zero as well, or one of its digits.
         low, high = min(low, 0.0), max(high, 0.0)
     if high == low:
         return -1.0, 1.0
@@ -426,7 +426,7 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
     low, high = middle - 0.5 * width, middle + 0.5 * width
     gap = 10.0 ** np.ceil(np.log10(width / _MOST_GAPS) - 1e-9)
     first, last = np.ceil(low / gap), np.floor(high / gap)
-    # The range is grown to the nearest ticks until there are two, each with room for its label.
+    # Extend the range to the nearest ticks until there are two, with room for their labels.
     while last - first < 1.0:
         if low - (first - 1.0) * gap < (last + 1.0) * gap - high:
             first -= 1.0
@@ -437,7 +437,7 @@ def with_ticks(low: float, high: float) -> tuple[float, float]:
 
 
 def _timing_views(pace: float | None, extent: Extent | None) -> rrb.Vertical:
-    # From zero on: else the plot would be filled by a jitter of a percent.
+    # Start the axis at zero; otherwise jitter of a percent would fill the plot.
     least = None if pace is None else (0.0, 1.25 * pace)
     step_time, factor = TIMING
     return rrb.Vertical(_series_view('Step time', [step_time], TIMING, extent),
@@ -451,7 +451,7 @@ def _events_view() -> rrb.TextLogView:
 
 
 def _recent(seconds: float) -> rrb.VisibleTimeRanges:
-    """Return the times that a trail goes back to."""
+    """Return the time range of a trail."""
     recent = rrb.TimeRangeBoundary.cursor_relative(seconds=-seconds)
     now, step_now = (rrb.TimeRangeBoundary.cursor_relative(),
                      rrb.TimeRangeBoundary.cursor_relative(seq=0))
@@ -484,12 +484,12 @@ def _world_view(bounds: np.ndarray, aspect: float, trails: Mapping[str, rrb.Visi
 
 def eye_of(bounds: np.ndarray, aspect: float) -> np.ndarray:
     """
-    Return from where all within the bounds is seen: from the front, what lies flat from above.
+    Return a camera position that sees the bounds: from the front, flat ones from above.
 
     Parameters
     ----------
     bounds : np.ndarray, shape (2, 3)
-        Lowest and highest corner [m].
+        Minimum and maximum corner [m].
     aspect : float
         Width of the view over its height.
 

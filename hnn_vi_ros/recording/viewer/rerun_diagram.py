@@ -18,16 +18,16 @@ _LEAST = np.finfo(np.float64).tiny
 def write_curves(path: Path, name: str,
                  curves: Mapping[str, tuple[Sequence[int], Sequence[float]]]) -> None:
     """
-    Write curves to a recording, as their decimal logarithms: the viewer has no such axis.
+    Write the decimal logarithms of curves to a recording: the viewer has no logarithmic axis.
 
     Parameters
     ----------
     path : Path
         The .rrd file to write.
     name : str
-        Of the run.
+        Name of the run.
     curves : mapping of str to (sequence of int, sequence of float)
-        For each, its steps and its positive values.
+        Steps and positive values of each curve.
 
     """
     recording = rr.RecordingStream('hnn_vi_ros_training', recording_id=name)
@@ -48,18 +48,18 @@ _TIME = 'time'
 
 class PredictedRun(NamedTuple):
     """
-    A measured run, and what was predicted of it.
+    A measured run with its predictions.
 
     Parameters
     ----------
     name : str
-        Of the run.
+        Name of the run.
     t : np.ndarray, shape (N,)
         Times [s].
     q : np.ndarray, shape (N, d)
         Measured coordinates.
     predicted : sequence of (np.ndarray of shape (m,), np.ndarray of shape (m, d))
-        Times and coordinates of each prediction, all of them finite.
+        Times and finite coordinates of each prediction.
 
     """
 
@@ -72,18 +72,18 @@ class PredictedRun(NamedTuple):
 def write_predictions(path: Path, name: str, coordinates: Sequence[Coordinate],
                       runs: Sequence[PredictedRun]) -> None:
     """
-    Write a recording with a tab for each run and a view for each of its coordinates.
+    Write a recording with a tab for each run and a view for each coordinate.
 
     Parameters
     ----------
     path : Path
         The .rrd file to write.
     name : str
-        Of what predicts.
+        Name of the model that predicts.
     coordinates : sequence of Coordinate
-        d of them.
+        Tuple of d coordinates.
     runs : sequence of PredictedRun
-        Each over its own time.
+        Runs, each with its own times.
 
     """
     stream = rr.RecordingStream('hnn_vi_ros_evaluation', recording_id=name)

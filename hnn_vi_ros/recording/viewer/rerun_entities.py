@@ -21,12 +21,12 @@ import numpy as np
 import rerun as rr
 from rerun.urdf import UrdfTree
 
-# The entity whose frame holds the root of the robot, and the entities that move its joints.
+# Entity with the frame of the robot's root, and entities that move its joints.
 _WORLD, _JOINTS, _ROOT = '/world', '/joints', '/joints/root'
-# Below the world, which the view of the mechanism shows.
+# Entities below the world, which are visible in the view of the mechanism.
 _EFFORTS, _SKELETON = '/world/efforts', '/world/skeleton'
-# An arrow at the limit of the effort is this share of the reach long; its colours (red, green,
-# blue) at no effort and at the limit.
+# Length of an arrow at the effort limit relative to the reach; its colours (red, green, blue) at
+# zero effort and at the limit.
 _ARROW, _IDLE, _FULL = 0.4, np.array([60.0, 200.0, 255.0]), np.array([235.0, 20.0, 60.0])
 _GRAVITY = 9.81
 
@@ -39,16 +39,16 @@ class RobotPicture:
     Parameters
     ----------
     robot : Robot
-        Read from a file, from which its shapes and meshes are read too.
+        Robot from a file, which also provides its shapes and meshes.
     coordinates : sequence of str
-        The joints that move, in the order of q; the others are held.
+        Names of the moving joints in the order of q; the others are fixed.
     recording : rerun.RecordingStream
-        What takes the data.
+        Recording that receives the data.
 
     Attributes
     ----------
     problem : str
-        Why its skeleton is drawn, too; empty where all shapes are there.
+        Reason for also drawing the skeleton; '' if all shapes are available.
 
     Raises
     ------
@@ -73,7 +73,7 @@ class RobotPicture:
             translation=[0.0, 0.0, 0.0], parent_frame=f'tf#{_WORLD}',
             child_frame=tree.root_link().name), static=True)
         own = {joint.name: joint for link in robot.links.values() for joint in link.joints}
-        # Its path, and which coordinate it is, or where it is held.
+        # Path of each joint, and the index of its coordinate or its fixed value.
         self._joints = [
             (own[name], f'{_JOINTS}/{rr.escape_entity_path_part(name)}',
              list(coordinates).index(name) if name in coordinates else None,
@@ -103,18 +103,18 @@ class RobotPicture:
         Parameters
         ----------
         times : list of rerun.TimeColumn
-            Of n samples.
+            Times of n samples.
         q : np.ndarray, shape (n, d)
             Coordinates [rad], [m].
         efforts : np.ndarray, shape (n, d), optional
-            Efforts of motors [N m], [N]: an arrow along each joint's axis, by the right-hand
-            rule, longer and redder the nearer the effort is to the joint's limit. A joint without
-            a limit takes the robot's weight at its reach, or its weight.
+            Efforts of motors [N m], [N]. An arrow along each joint's axis (right-hand rule) is
+            longer and redder the nearer the effort is to the joint's limit. Without a limit, the
+            reference is the moment of the robot's weight at its reach, or the weight.
 
         """
         for joint, path, column, held in self._joints:
             values = np.full(len(q), held) if column is None else q[:, column]
-            # Not as the SDK moves it, whose axes are not brought to length one.
+            # Computed here, because the SDK does not normalise axes.
             places, turns = moved(joint, values)
             self._recording.send_columns(path, times, rr.Transform3D.columns(
                 translation=places, quaternion=turns.as_quat(),
@@ -126,7 +126,7 @@ class RobotPicture:
 
     def _send_effort(self, times: list[rr.TimeColumn], joint: Joint, effort: np.ndarray) -> None:
         path = f'{_EFFORTS}/{rr.escape_entity_path_part(joint.name)}'
-        # In the frame of the link that the joint moves, in which its axis stays.
+        # In the frame of the moved link, in which the joint's axis is constant.
         self._recording.log(path, rr.CoordinateFrame(joint.child), static=True)
         usual = self._usual / (self._reach if joint.kind == SLIDING else 1.0)
         share = np.clip(effort / (joint.limits.effort or usual), -1.0, 1.0)
@@ -138,16 +138,16 @@ class RobotPicture:
 
 
 def collisions_of(robot: Robot) -> str:
-    """Return the entity below which the SDK puts shapes for collisions, which hide the others."""
+    """Return the entity of the SDK's collision shapes, which hide the visual ones."""
     return f'{_WORLD}/{rr.escape_entity_path_part(robot.name)}/collision_geometries'
 
 
 def bounds_of_robot(robot: Robot) -> np.ndarray:
     """
-    Return two corners of the space that a view of a robot has to show, shape (2, 3) [m].
+    Return two corners of the space that a view of a robot must show, shape (2, 3) [m].
 
-    It is the cube within the sphere that the robot stays in whatever its joints do: from the
-    distance from which all corners of it are seen, the sphere is.
+    It is the cube inscribed in the sphere that contains the robot in any configuration: a camera
+    that sees all corners of the cube sees the sphere.
     """
     half = _reach_of(robot) / np.sqrt(3.0)
     return np.array([[-half] * 3, [half] * 3])
@@ -157,18 +157,18 @@ def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> n
     """
     Return two corners of the space that a robot fills on a path, shape (2, 3) [m].
 
-    They hold the origins of its links and, twice as far from that as its centre of mass, about
-    where one without joints ends, and a twentieth of the largest edge on each side: links are not
-    thin.
+    The box contains the origins of the links and the approximate ends of those without joints,
+    which are twice as far away as the centre of mass. A margin of a twentieth of the largest edge
+    on each side allows for the thickness of the links.
 
     Parameters
     ----------
     robot : Robot
-        Its links; a joint that is no coordinate is where it is held, or at zero.
+        Robot; joints that are not coordinates are at their fixed value, or at zero.
     coordinates : sequence of str
-        The joints that move, in the order of q.
+        Names of the moving joints in the order of q.
     q : np.ndarray, shape (n, d)
-        The path [rad], [m].
+        Path of the joints [rad], [m].
 
     """
     points = [*bones(robot, coordinates, q).values()] or [np.zeros((1, 2, 3))]
@@ -178,7 +178,7 @@ def bounds_of_path(robot: Robot, coordinates: Sequence[str], q: np.ndarray) -> n
 
 
 def _reach_of(robot: Robot) -> float:
-    """Return the radius of a sphere about the root that all of a robot stays in [m]."""
+    """Return the radius of a sphere about the root that always contains the robot [m]."""
     reach, waiting = 0.0, [(robot.root, 0.0)]
     while waiting:
         name, distance = waiting.pop()
@@ -193,19 +193,19 @@ def _reach_of(robot: Robot) -> float:
 
 
 def _usual_effort(robot: Robot) -> float:
-    """Return the moment of the weight of all links at the reach [N m]."""
+    """Return the moment of the total weight at the reach [N m]."""
     mass = sum(link.inertial.mass for link in robot.links.values() if link.inertial is not None)
     return _GRAVITY * max(mass, 1e-3) * _reach_of(robot)
 
 
-# What commands make.
+# Name of the forces due to commands.
 MOTORS = 'motors'
-# Shares of half the mechanism's extent: the arrow of the largest force of the first samples at
-# most, and the radius of an arrow.
+# Length of the largest arrow among the first samples, at most, and radius of an arrow, relative to
+# half of the mechanism's extent.
 _SHARE, _RADIUS = 1.0, 0.03
-# What q is varied by, relative to its range, for the derivatives of places.
+# Step of finite differences, relative to the range of q, for derivatives of positions.
 _STEP = 1e-6
-# Those of the palette, from its third on: the first two are taken by mechanisms.
+# Colours of the palette from the third on: mechanisms use the first two.
 _COLORS = ('green', 'pink', 'turquoise', 'red', 'violet', 'yellow')
 
 
@@ -214,27 +214,27 @@ class ForceArrows:
     """
     The generalised force of each effect, as forces on the bodies that a mechanism draws.
 
-    Of all forces F on the bodies that make the generalised force f, J^T F = f with the Jacobian J
-    of their places, the ones with the least sum of squares are drawn: in Cartesian coordinates the
-    force itself, of a pendulum the torque over the drawn length of its rod, across the rod.
+    Many forces F on the bodies produce the generalised force f: J^T F = f with the Jacobian J of
+    their positions. The minimum-norm solution is drawn: in Cartesian coordinates the force itself;
+    for a pendulum, the torque over the drawn length of its rod, across the rod.
 
     Parameters
     ----------
     effects : sequence of Effect
-        All of the scene; those that are not ``drawn`` are left out.
+        All effects of the scene; those that are not ``drawn`` are ignored.
     hamiltonian : Hamiltonian
         H, whose coordinates the effects name.
     mechanism : callable
         The mechanism to draw; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     step_size : float
-        h [s]: effects count the time from step 0 on.
+        Step size h [s]; effects count time from step 0.
     reach, size : float
-        The reach of the mechanism, and half of its extent [m].
+        Reach of the mechanism, and half of its extent [m].
 
     Attributes
     ----------
     scale : float
-        Length of the arrow of a force of 1 N [m]; NaN before there was a force.
+        Arrow length of a force of 1 N [m]; NaN before the first force.
 
     """
 
@@ -246,7 +246,7 @@ class ForceArrows:
         state = EffectState.empty(len(effects), d)
         kinds = {effect: kind for kind, effect in EFFECTS.items() if effect.drawn}
         known = [effect for effect in effects if type(effect) in kinds]
-        # All are resolved before one acts: friction has to know of magnetic fields.
+        # All effects are resolved before any acts: friction needs to know the magnetic fields.
         resolved = [effect.resolve(hamiltonian.coordinates, state) for effect in known]
         self._effects: list[tuple[str, Effect, Any]] = []
         for effect, own in zip(known, resolved, strict=True):
@@ -258,7 +258,7 @@ class ForceArrows:
         self.scale = math.nan
 
     def columns(self, samples: Sequence[Sample]) -> Iterator[tuple[str, rr.ComponentColumnList]]:
-        """Yield the name of each force and its arrows at n samples, from where the bodies are."""
+        """Yield each force's name and its arrows at n samples, starting at the bodies."""
         q = np.array([sample.q for sample in samples])
         forces = {name: np.array([self._force(effect, own, sample) for sample in samples])
                   for name, effect, own in self._effects}
@@ -278,12 +278,12 @@ class ForceArrows:
                 yield name, _arrows(places, self.scale * vectors)
 
     def style(self, name: str) -> rr.Arrows3D:
-        """Return how the arrows of a force look; labels in the view would hide them."""
+        """Return the style of a force's arrows, without labels, which would hide them."""
         return rr.Arrows3D.from_fields(
             colors=[PALETTE[2 + self._color(name)]], radii=[_RADIUS * self._size])
 
     def legend(self, names: Sequence[str]) -> str:
-        """Return what the arrows of forces show, for those who look at them."""
+        """Return a legend of the arrows for the user."""
         colors = ', '.join(f'{name} {_COLORS[self._color(name)]}' for name in names)
         return f'arrows of forces, 1 N is {self.scale:g} m long: {colors}'
 
@@ -305,7 +305,7 @@ class ForceArrows:
         return f_p
 
     def _bodies(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return places of the m bodies, shape (n, m, 3), and their derivatives, (n, 3 m, d)."""
+        """Return positions of m bodies, shape (n, m, 3), and their derivatives, (n, 3 m, d)."""
         step = _STEP * max(self._reach, 1.0)
         columns = [(self._places(q + shift) - self._places(q - shift)) / (2.0 * step)
                    for shift in step * np.eye(q.shape[1])]
@@ -318,7 +318,7 @@ class ForceArrows:
                          if isinstance(part, Ball | Box) and part.moves], axis=1)
 
     def _scale_of(self, arrows: np.ndarray) -> float:
-        """Return a length of 1, 2 or 5 times a power of ten for 1 N, to show the largest force."""
+        """Return a length for 1 N that shows the largest force: 1, 2 or 5 times a power of ten."""
         largest = float(np.linalg.norm(arrows, axis=-1).max(initial=0.0, where=np.isfinite(
             arrows).all(axis=-1)))
         if largest == 0.0:
@@ -329,7 +329,7 @@ class ForceArrows:
 
 
 def _arrows(places: np.ndarray, vectors: np.ndarray) -> rr.ComponentColumnList:
-    """Return a row of arrows, one for each body, for each of n samples."""
+    """Return rows of arrows, one arrow per body, one row per sample."""
     n, bodies, _ = places.shape
     return rr.Arrows3D.columns(origins=places.reshape(-1, 3), vectors=vectors.reshape(-1, 3)
                                ).partition([bodies] * n)
@@ -343,15 +343,15 @@ class Portraits:
     Parameters
     ----------
     recording : rerun.RecordingStream
-        What takes the data.
+        Recording that receives the data.
     hamiltonian : Hamiltonian
         H.
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p of the training data, or of a path.
+        Minimum and maximum of q and p of the training data, or of a path.
     count : int
-        Of the portraits.
+        Number of portraits.
     side : float
         Width of a frame in points.
 
@@ -362,21 +362,21 @@ class Portraits:
         self._recording, self._hamiltonian = recording, hamiltonian
         self._start, self._side = (q0, p0), side
         self._frames = [frame_of(axis, q0, p0, box) for axis in range(count)]
-        # The newest (q, p) of each, and the lowest and highest: shapes (count, 2), (count, 2, 2).
+        # Newest (q, p) of each, and minimum and maximum: shapes (count, 2), (count, 2, 2).
         self._last: np.ndarray | None = None
         self._path = np.tile([np.inf, -np.inf], (count, 2, 1))
         self._draw()
 
     def send(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
         """
-        Add to each path the segments that lead to n new points.
+        Extend each path with the segments to n new points.
 
         Parameters
         ----------
         times : list of rerun.TimeColumn
-            Of n samples.
+            Times of n samples.
         q, p : np.ndarray, shape (n, d)
-            Where they are.
+            States at these times.
 
         """
         count = len(self._frames)
@@ -395,7 +395,7 @@ class Portraits:
                 self._recording.send_columns(f'{path}/{child}', times, columns, strict=True)
 
     def plan(self, times: list[rr.TimeColumn], q: np.ndarray, p: np.ndarray) -> None:
-        """Draw a path, of shape (n, d) each, on which a controller means to go on."""
+        """Draw the planned path of a controller, of shape (n, d) each."""
         count = len(self._frames)
         self._note(np.stack([q[:, :count], p[:, :count]], axis=-1))
         for frame in self._frames:
@@ -404,13 +404,13 @@ class Portraits:
                 strips=np.stack([q[:, frame.axis], p[:, frame.axis]], axis=-1)[None]), strict=True)
 
     def _note(self, points: np.ndarray) -> None:
-        """Widen the known lowest and highest (q, p) by points, shape (n, count, 2)."""
+        """Extend the known range of (q, p) by points, shape (n, count, 2)."""
         low, high = (np.where(np.isfinite(points), points, end) for end in (np.inf, -np.inf))
         self._path[..., 0] = np.minimum(self._path[..., 0], low.min(axis=0, initial=np.inf))
         self._path[..., 1] = np.maximum(self._path[..., 1], high.max(axis=0, initial=-np.inf))
 
     def fit(self) -> None:
-        """Draw the still parts again, in frames that hold the paths."""
+        """Redraw the static parts in frames that contain the paths."""
         self._frames = [
             fitted(frame, self._path[frame.axis])
             if np.isfinite(self._path[frame.axis]).all() else frame for frame in self._frames]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Show samples in the rerun viewer: to a file, to a running viewer, or as a server."""
+"""Send samples to the rerun viewer: to a file, to a running viewer, or as a server."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -24,59 +24,59 @@ from hnn_vi_ros.recording.viewer.rerun_stream import RerunStream, Target
 import numpy as np
 import rerun as rr
 
-# More phase portraits would not fit into a window.
+# Maximum number of phase portraits that fit into a window.
 MOST_PORTRAITS = 8
-# Wall time between sends [s]. A viewer should not lag. A file loses so much when the process is
-# killed, a tenth of the run at most; but of each send the SDK keeps some 20 kB until the file is
-# closed, for its index, and a send takes 0.2 MB for each second: 2.4 MB an hour and 6 MB once.
+# Wall time between sends [s], short for a live viewer. A file loses this much when the process is
+# killed, at most a tenth of the run; but the SDK keeps some 20 kB of each send for the file's
+# index until it is closed, and a send takes 0.2 MB per second: 2.4 MB an hour and 6 MB once.
 GATHER_LIVE, GATHER_FILE = 0.15, 0.5
 GATHER_SHARE, GATHER_MOST = 0.1, 30.0
-# Of the line of a plan, over the reach of the mechanism.
+# Radius of the line of a plan, relative to the reach of the mechanism.
 _PLAN_RADIUS = 0.003
-# More samples than this are sent at once: a run that no clock holds back hands out many.
+# Number of pending samples that triggers a send: an unpaced run produces samples quickly.
 MOST_PENDING = 1024
 
 
 @final
 class RerunSink:
     """
-    A recording of one run: state and energy series, phase portraits, the mechanism, events.
+    A recording of one run: series of states and energies, phase portraits, mechanism, events.
 
-    A robot that a URDF describes is drawn as the SDK reads it, with an arrow at each joint whose
-    motor works. On the bodies of a mechanism arrows show the forces of effects; see ForceArrows.
-    Phase portraits are drawn of the first MOST_PORTRAITS coordinates. Three timelines:
-    ``sim_time`` (simulated time), ``step`` and ``ros_time``. Samples are thinned out in
-    simulated time and gathered for a moment of wall time between sends.
+    A robot from a URDF is drawn by the SDK, with an arrow at each joint with an active motor.
+    Arrows on the bodies of a mechanism show the forces of effects; see ForceArrows. The first
+    MOST_PORTRAITS coordinates have phase portraits. There are three timelines: ``sim_time``
+    (simulated time), ``step`` and ``ros_time``. Samples are thinned out in simulated time and sent
+    in batches.
 
     Parameters
     ----------
     name : str
         Name of the scene; recordings of one name share a layout in the viewer.
     target : Path, str or int
-        A file to write (must not exist), the URL of a viewer to connect to
-        (``rerun+http://127.0.0.1:9876/proxy``), or the port to serve viewers on.
+        File to write (must not exist), URL of a viewer (``rerun+http://127.0.0.1:9876/proxy``), or
+        port to serve viewers on.
     hamiltonian : Hamiltonian
-        H, for the contours of the phase portraits and the names and units of the series.
+        H for the contours of the phase portraits, and for the names and units of the series.
     q0, p0 : np.ndarray, shape (d,)
         Initial state.
     box : tuple of np.ndarray, shape (d, 2) each
-        Lowest and highest q and p of the training data, or of a path.
+        Minimum and maximum of q and p of the training data, or of a path.
     mechanism : callable, optional
-        What to draw for q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
+        Function that draws q; see :mod:`hnn_vi_ros.hamiltonians.mechanisms`.
     effects : sequence of Effect, optional
-        Of the scene, whose forces are shown on the bodies of the mechanism.
+        Effects of the scene; their forces are shown on the bodies of the mechanism.
     step_size : float
-        h [s], for forces that depend on time.
+        Step size h [s], for forces that depend on time.
     conservative : bool
-        Whether no effect does work; else the work is shown.
+        True if no effect does work; otherwise the work is shown.
     modified : bool
-        Whether a modified energy is known, to be shown where no work is done.
+        True if a modified energy is known; it is shown if no work is done.
     band : bool
-        Whether samples have a spread, to be shown as bands around q and p.
+        True if samples have a spread, which is shown as bands around q and p.
     interval : int
-        Simulated time between two samples that are shown [ns]; 0 shows every sample.
+        Simulated time between two shown samples [ns]; 0 shows every sample.
     pace : float, optional
-        The real-time factor that is asked for.
+        Requested real-time factor.
     begin : tuple of int
         Stamp [ns] and step of the initial state.
 
@@ -94,7 +94,7 @@ class RerunSink:
                  modified: bool = True, band: bool = False, interval: int = 33_333_333,
                  pace: float | None = None, begin: tuple[int, int] = (0, 0)):
         self._coordinates, self._mechanism = hamiltonian.coordinates, mechanism
-        # In a body that turns, no coordinate has a plane of its own with its momentum.
+        # For a rotating body, coordinates and momenta do not pair up in planes.
         self._portrayed = () if hamiltonian.rotations else self._coordinates[:MOST_PORTRAITS]
         self._invariants = hamiltonian.invariants
         self._robot = hamiltonian.robot
@@ -104,23 +104,23 @@ class RerunSink:
         self._pending: list[Sample] = []
         # Stamp, step, microseconds per step (median and p99), real-time factor.
         self._timings: list[tuple[int, int, tuple[float, float], float]] = []
-        # The newest sample, and the newest that is to be shown.
+        # The newest sample, and the newest one selected for display.
         self._newest: Sample | None = None
         self._kept: Sample | None = None
         self._reach = 0.0
-        # Effects, h, their arrows, and which arrows have been styled.
+        # Effects, h, their arrows, and the arrows that have a style.
         self._effects, self._step_size = effects, step_size
         self._forces: ForceArrows | None = None
         self._arrows: set[str] = set()
         self._planned = False
-        # Where trails end, by name.
+        # End of each trail by name.
         self._trails: dict[str, np.ndarray] = {}
         # Stamp, step, text and level.
         self._events: list[tuple[int, int, str, str]] = []
-        # Extent of the sent data: first and last stamp [ns], least and greatest values by entity.
+        # Extent of the sent data: first and last stamp [ns], minimum and maximum by entity.
         self._times_shown: tuple[int, int] | None = None
         self._values_shown: dict[str, tuple[float, float]] = {}
-        # Around all that was drawn [m].
+        # Bounds of everything drawn [m].
         self._bounds_shown: np.ndarray | None = None
         self._closed = False
         self._stream = RerunStream(f'hnn_vi_ros_{name}', target)
@@ -132,11 +132,11 @@ class RerunSink:
         self._began = self._sent_at = time.monotonic()
 
     def write(self, sample: Sample) -> None:
-        """Show a sample, unless it falls in the same interval as the one shown before it."""
+        """Show a sample, unless one in the same interval has been shown."""
         self._newest = sample
         if sample.stamp < self._due:
             return
-        # On the grid of the interval, so that the mean rate holds for any rate of samples.
+        # Align to a grid of the interval, which keeps the mean rate for any rate of samples.
         self._due = (sample.stamp // self._interval + 1) * self._interval
         self._kept = sample
         self._pending.append(sample)
@@ -146,7 +146,7 @@ class RerunSink:
             self._send_if_due()
 
     def event(self, text: str, level: str = 'INFO', at: tuple[int, int] | None = None) -> None:
-        """Show a line at a stamp [ns] and step, by default at the newest sample's."""
+        """Show an event at a stamp [ns] and step, by default those of the newest sample."""
         if self._closed:
             raise RecordingError('the rerun recording is closed; open a new one')
         newest = (self._newest.stamp, self._newest.step) if self._newest else self._begin
@@ -158,14 +158,14 @@ class RerunSink:
 
     def plan(self, stamp: int, q: np.ndarray, p: np.ndarray) -> None:
         """
-        Show where a controller means to go, next to the motion, until its next plan.
+        Show the plan of a controller, next to the motion, until the next plan.
 
         Parameters
         ----------
         stamp : int
-            At which the plan begins [ns].
+            Start time of the plan [ns].
         q, p : np.ndarray, shape (n, d)
-            Its states; none, where nothing is planned any more.
+            States of the plan; empty to remove it.
 
         """
         times = self._times([stamp], [round(stamp * 1e-9 / self._step_size)])
@@ -182,23 +182,23 @@ class RerunSink:
             self._columns(layout.PLAN, times, rr.LineStrips3D.columns(strips=path[None]))
 
     def timing(self, microseconds_per_step: tuple[float, float], real_time_factor: float) -> None:
-        """Show the wall time of a step [us], median and p99, and the pace, if there is one."""
+        """Show the wall time of a step [us], median and p99, and the real-time factor if paced."""
         if self._newest is not None and np.isfinite(real_time_factor):
             self._timings.append((self._newest.stamp, self._newest.step,
                                   microseconds_per_step, real_time_factor))
-        # The last to come where no sample follows: it takes what waits along.
+        # If no sample follows, this is the last call, and sends pending samples.
         self._send_if_due()
 
     def close(self) -> None:
         """
-        Send what is left, the newest sample included, and close the target within a second.
+        Send the pending data with the newest sample, and close the target within a second.
 
         Closing again does nothing.
 
         Raises
         ------
         RecordingError
-            Not everything was taken, because the viewer is gone or the disk is full.
+            Some data are lost, because the viewer is gone or the disk is full.
 
         """
         if self._closed:
@@ -209,7 +209,7 @@ class RerunSink:
         try:
             self._send()
             if not self._stream.live and self._times_shown is not None:
-                # Whoever opens the file finds frames, axes and the eye fitted to its content.
+                # When the file is opened, frames, axes and camera fit its content.
                 self._portraits.fit()
                 self._stream.send_blueprint(self._blueprint(
                     self._arrangement if self._bounds_shown is None else
@@ -257,7 +257,7 @@ class RerunSink:
             self._picture = self._draw_robot(self._robot)
 
     def _draw_robot(self, robot: Robot) -> RobotPicture | None:
-        """Draw the robot; if the SDK cannot, report that, and show the rest."""
+        """Draw the robot; if the SDK fails, report it and show the rest."""
         names = [coordinate.name for coordinate in self._coordinates]
         try:
             picture = RobotPicture(robot, names, self._stream.recording)
@@ -332,7 +332,7 @@ class RerunSink:
                 self._columns(path, times, _scalars(np.array(values)))
 
     def _note(self, path: str, values: np.ndarray) -> None:
-        """Widen what is known of the values of a series."""
+        """Extend the known range of the values of a series."""
         finite = values[np.isfinite(values)]
         if finite.size:
             low, high = self._values_shown.get(path, (np.inf, -np.inf))
@@ -340,7 +340,7 @@ class RerunSink:
                                         max(high, float(finite.max())))
 
     def _show(self, bounds: np.ndarray) -> None:
-        """Widen the known bounds of the picture; a run that ends in NaN ends nowhere."""
+        """Extend the known bounds of the picture; NaN is ignored."""
         if np.isfinite(bounds).all():
             self._bounds_shown = _around(bounds, self._bounds_shown)
 
@@ -348,7 +348,7 @@ class RerunSink:
         self._show(bounds_of(parts))
         for name, part in parts.items():
             if isinstance(part, Trail):
-                # The segments that lead to the new points.
+                # The segments up to the new points.
                 before = self._trails.get(name, part.point[0])
                 points = np.vstack([before, part.point])
                 self._trails[name] = points[-1]
@@ -382,7 +382,7 @@ class RerunSink:
 
 
 def _around(one: np.ndarray, other: np.ndarray | None) -> np.ndarray:
-    """Return the corners around what two pairs of corners hold, of shape (2, 3) each."""
+    """Return the corners of the union of two boxes, of shape (2, 3) each."""
     if other is None:
         return one
     return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
@@ -396,6 +396,6 @@ def _moved(part: Line | Box | Ball) -> rr.ComponentColumnList:
 
 
 def _scalars(values: np.ndarray) -> rr.ComponentColumnList:
-    """Make one row a sample, of shape (n,) or (n, d)."""
+    """Make one row per sample from shape (n,) or (n, d)."""
     columns = rr.Scalars.columns(scalars=values.reshape(-1))
     return columns if values.ndim == 1 else columns.partition([values.shape[1]] * len(values))

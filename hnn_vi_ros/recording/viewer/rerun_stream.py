@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""A stream of the rerun SDK to one target, which reports failures and leaves nothing behind."""
+"""A stream of the rerun SDK to one target, which reports failures and cleans up."""
 
 from pathlib import Path
 import socket
@@ -16,33 +16,33 @@ from rerun import bindings  # type: ignore[attr-defined]  # not exported, but ne
 import rerun.blueprint as rrb
 
 Target = Path | str | int
-# What closing may take [s]: for the last samples to leave, for a connection to end, for a server
-# or the index of a file.
+# Time limits of closing [s]: to flush the last samples, to end a connection, and to finish a
+# server or the index of a file.
 FLUSH, HANG_UP, FINISH = 0.5, 0.3, 10.0
-# How long a server may keep its port after that [s]; milliseconds on an idle machine.
+# Time limit for a server to release its port afterwards [s]; milliseconds on an idle machine.
 RELEASE = 2.0
-# Those that wait for a target that may never answer.
+# Threads that wait for a target that may never answer.
 _waiting: list[threading.Thread] = []
 
 
 @final
 class RerunStream:
     """
-    A stream to a file, a viewer, or those that connect to a port.
+    A stream to a file, to a viewer, or to viewers that connect to a port.
 
     Parameters
     ----------
     application : str
-        Recordings of one application share a layout in the viewer.
+        Application; its recordings share a layout in the viewer.
     target : Path, str or int
-        A file to write (must not exist), the URL of a viewer, or the port to serve viewers on.
+        File to write (must not exist), URL of a viewer, or port to serve viewers on.
 
     Attributes
     ----------
     live : bool
-        Whether viewers show what is sent at once.
+        True if viewers show data immediately.
     recording : rerun.RecordingStream
-        What takes the data.
+        Recording that receives the data.
 
     Raises
     ------
@@ -58,10 +58,10 @@ class RerunStream:
 
     def send_blueprint(self, blueprint: rrb.Blueprint) -> None:
         """
-        Lay the views out.
+        Send the layout of the views.
 
-        The SDK's own function leaves its stream in a circle with the memory that it writes to,
-        where nothing frees it; here it is disconnected from it.
+        The SDK's own function creates a reference cycle of its stream with a memory recording,
+        which is never freed; here the cycle is broken.
         """
         _number(blueprint.root_container, 'root')
         stream = rr.RecordingStream._from_native(bindings.new_blueprint(
@@ -75,12 +75,12 @@ class RerunStream:
 
     def check(self) -> None:
         """
-        Look whether what was sent before has arrived in the file.
+        Check that the data sent so far have reached the file.
 
         Raises
         ------
         RecordingError
-            The file was removed, or cannot be written any more; the stream is closed.
+            The file was removed or cannot be written any more; the stream is closed.
 
         """
         if not isinstance(self._target, Path):
@@ -88,7 +88,7 @@ class RerunStream:
         try:
             before, self._size = self._size, self._target.stat().st_size
             if self._size == before:
-                # The disk is slow, or the thread that writes has ended, which only this tells.
+                # The disk is slow, or the writing thread has ended (only this call tells).
                 self.recording.flush(timeout_sec=FLUSH)
         except (OSError, RuntimeError) as problem:
             self._hang_up(HANG_UP)
@@ -98,12 +98,12 @@ class RerunStream:
 
     def close(self) -> None:
         """
-        Let the last data leave, and close the target; within a second, but for a slow disk.
+        Flush the last data and close the target, within a second unless the disk is slow.
 
         Raises
         ------
         RecordingError
-            Not everything was taken, because the viewer is gone or the disk is full.
+            Some data are lost, because the viewer is gone or the disk is full.
 
         """
         try:
@@ -120,10 +120,10 @@ class RerunStream:
 
     def _hang_up(self, longest: float) -> None:
         """
-        Close the target, or give that up [s].
+        Close the target, or give up after a time limit [s].
 
-        A viewer that is gone would keep the caller waiting for 10 s, and a file whose disk is full
-        for ever, at the end of the process as well.
+        Otherwise a lost viewer would block the caller for 10 s, and a file on a full disk would
+        block it for ever, even at the exit of the process.
         """
         thread = threading.Thread(target=self.recording.disconnect, daemon=True)
         thread.start()
@@ -136,7 +136,7 @@ class RerunStream:
 
 
 def _number(part: rrb.Container | rrb.View, place: str) -> None:
-    """Give a view the same id each time: of random ones the SDK keeps the paths for ever."""
+    """Give a view a fixed id: the SDK never frees the paths of random ones."""
     part.id = uuid5(NAMESPACE_OID, place)
     if isinstance(part, rrb.Container):
         for number, child in enumerate(part.contents):
@@ -147,7 +147,7 @@ def _open(application: str, target: Target) -> rr.RecordingStream:
     try:
         if isinstance(target, Path):
             target.parent.mkdir(parents=True, exist_ok=True)
-            # Creating it here, exclusively, is what keeps an existing file from being overwritten.
+            # Exclusive creation here ensures that an existing file is not overwritten.
             target.open('xb').close()
         elif isinstance(target, str):
             _check_viewer(target)
@@ -162,8 +162,8 @@ def _open(application: str, target: Target) -> rr.RecordingStream:
 
 
 def _connect(application: str, target: Target) -> rr.RecordingStream:
-    # The SDK keeps every closed recording, with two threads and half a megabyte, until a clean-up
-    # call (rerun issue 2116), such as in its own rr.init; that waits for all of them.
+    # The SDK keeps each closed recording (two threads, half a megabyte) until a clean-up call
+    # (rerun issue 2116), for example in rr.init; the clean-up waits for all of them.
     if not any(thread.is_alive() for thread in _waiting):
         bindings.flush_and_cleanup_orphaned_recordings()
     stream = rr.RecordingStream(application)
@@ -178,7 +178,7 @@ def _connect(application: str, target: Target) -> rr.RecordingStream:
 
 
 def _check_viewer(url: str) -> None:
-    """Knock first: connecting to a viewer that is not there takes the SDK five seconds."""
+    """Check that a viewer listens: connecting to a missing one takes the SDK five seconds."""
     parts = urlsplit(url)
     if parts.scheme not in ('rerun', 'rerun+http', 'rerun+https') or not parts.hostname:
         raise RecordingError(f'{url}: no address of a rerun viewer; it looks like '
@@ -192,14 +192,14 @@ def _check_viewer(url: str) -> None:
 
 
 def _check_port(port: int) -> None:
-    """Bind it once: the SDK only logs that a port is taken."""
+    """Check that a port is free by binding it: the SDK only logs that a port is taken."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         probe.bind(('', port))
 
 
 def _wait_for_port(port: int) -> None:
-    """Wait until the SDK's server, which ends in a thread of its own, has let go of its port."""
+    """Wait until the SDK's server, which ends in its own thread, has released its port."""
     until = time.monotonic() + RELEASE
     while time.monotonic() < until:
         try:
