@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-The command ``hnn``: its table of commands, and those without a room of their own.
+The command ``hnn``: its table of commands, and those without a package of their own.
 
-The others are in the rooms of their work: ``learning``, ``identify``, ``sweeps``, ``recording``
-and ``ros``.
+The other commands are in the packages of their topics: ``learning``, ``identify``, ``sweeps``,
+``recording`` and ``ros``.
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of this room; this file imports none of the libraries that the work takes."""
+"""The command lines of this package; imports none of the libraries that the work needs."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -60,7 +60,7 @@ def scene() -> Parser:
             'ros2 run hnn_vi_ros scene --check pendulum mine.yaml'], (
                 'The new scene of a robot has its joints, their limits and friction. A line in '
                 'the others\nnames the schema by which editors complete and check them.'))
-    # argparse would keep a group of exclusive options on one line, however long.
+    # argparse would put a group of exclusive options on one line, however long.
     parser.usage = (f'{parser.prog} --list | --explain NAME | --check NAME ... | --compile '
                     '[NAME ...] [--no-rescue] |\n       --schema | --new [FILE] [--like SCENE | '
                     '--formula H | --robot URDF] [--force]')

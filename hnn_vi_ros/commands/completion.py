@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Completion of ``hnn`` in shells: argcomplete asks the parsers themselves."""
+"""Completion of ``hnn`` in shells: argcomplete queries the parsers."""
 
 import argparse
 from functools import partial
@@ -14,17 +14,17 @@ from hnn_vi_ros.files import shipped_names
 
 
 def main(argv: list[str]) -> int:
-    """Print the script by which a shell asks ``hnn`` for completions."""
+    """Print the script with which a shell asks ``hnn`` for completions."""
     shell = arguments.completion().parse_args(argv).shell
     print(argcomplete.shellcode(['hnn'], shell=shell), end='')
     return 0
 
 
 def complete() -> None:
-    """Answer a shell that asks what can follow the words of ``COMP_LINE``, and exit."""
+    """Answer a shell's request to complete ``COMP_LINE``, and exit."""
     whole = argparse.ArgumentParser(add_help=False)
     commands = whole.add_subparsers()
-    # Dashes may stand in names of commands, too.
+    # Names of commands may be written with dashes.
     dashed = [word for word in os.environ['COMP_LINE'].split()[1:2]
               if word.replace('-', '_') in COMMANDS]
     for name in (*COMMANDS, *dashed):
@@ -36,9 +36,9 @@ def complete() -> None:
 
 
 def _words(kind: str, prefix: str, **_: object) -> list[str]:
-    """Return the names of a kind, with the files that may stand in their place."""
+    """Return the names of a kind, and files that are accepted instead."""
     if kind != 'integrator':
         return [*shipped_names(kind), *FilesCompleter()(prefix)]
-    # It takes a second to import.
+    # Imported lazily: it takes a second.
     from hnn_vi_ros.integrators import INTEGRATORS
     return [*INTEGRATORS]

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of accuracy in a scene: a table, a picture, and what to take for an error."""
+"""Cost of accuracy in a scene: a table, a plot, and a recommendation for an error."""
 
 from collections.abc import Iterator
 import csv
@@ -17,7 +17,7 @@ from hnn_vi_ros.scene import AutoChoice, load_scene, Parts, Scene
 from hnn_vi_ros.simulation import build, Cost, CostStudy, measure_costs, Method, problem_of
 import numpy as np
 
-# Candidates for the columns of the table, and how many columns it has at most.
+# Candidate errors for the columns of the table, and its maximum number of columns.
 _ERRORS, _COLUMNS = [10.0 ** -k for k in range(1, 15)], 4
 _CELL = 18
 _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_simulated_second',
@@ -25,7 +25,7 @@ _FIELDS = ('method', 'step_size', 'path_error', 'energy_error', 'seconds_per_sim
 
 
 def main(argv: list[str]) -> int:
-    """Measure, print the table, and write the files that were asked for."""
+    """Measure, print the table, and write the requested files."""
     options = arguments.cost().parse_args(argv)
     for name in ('error', 'duration', 'seconds'):
         value = getattr(options, name)
@@ -34,7 +34,7 @@ def main(argv: list[str]) -> int:
     paths = {'--csv': options.csv, '--plot': options.plot}
     check_outputs(paths, options.force)
     if options.plot is not None:
-        # Found out now, not after a minute: a package may be missing.
+        # Import now, so that a missing package is reported before a minute of work.
         from hnn_vi_ros.commands.cost_figure import draw
     scene = load_scene(options.scene)
     study = _measured(scene, options.duration, options.seconds, options.error)
@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
 def _measured(scene: Scene, duration: float, seconds: float, error: float | None) -> CostStudy:
     own, problem = None, problem_of(scene)
     if not isinstance(scene.integrator, AutoChoice):
-        # Whatever is wrong with the scene itself is said by its place in the file.
+        # Errors in the scene itself are reported with their place in the file.
         build(Parts(scene, problem.hamiltonian, scene.create_integrator(), list(problem.effects)))
         given = scene.integrator.model_dump(exclude={'kind'}, exclude_defaults=True)
         own = Method(scene.integrator.kind, given)
@@ -61,7 +61,7 @@ def _measured(scene: Scene, duration: float, seconds: float, error: float | None
 
 
 def _lines(scene: Scene, study: CostStudy) -> Iterator[str]:
-    """Yield how errors were measured, the table, and the methods that are not in it."""
+    """Yield lines on the error measurement, the table, and the methods not in it."""
     what = 'path errors' if not study.no_path else (
         f'energy errors, over {study.known.energy_scale:.3g} J')
     yield f'{scene.name}: {what} up to {study.reference.horizon:g} s, and the time they take'
@@ -107,7 +107,7 @@ def _cell(cost: Cost | None, best: Cost | None) -> str:
 
 
 def _recommend(study: CostStudy, error: float) -> int:
-    """Print what to take for an error; return 1 where nothing holds it."""
+    """Print the recommendation for an error; return 1 if no method reaches it."""
     best = study.recommended(error)
     if best is None:
         nearest = min(study.costs, key=study.error)
@@ -124,7 +124,7 @@ def _recommend(study: CostStudy, error: float) -> int:
 
 
 def _write_csv(study: CostStudy, path: Path) -> None:
-    """Write a line for each method and step size; what there is none of is empty."""
+    """Write a row for each method and step size; missing values are empty."""
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file, lineterminator='\n')
         writer.writerow(_FIELDS)

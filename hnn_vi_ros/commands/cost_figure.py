@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of what accuracy costs: error against time, a labelled line for each method."""
+"""Plot the cost of accuracy: error against time, with a labelled line for each method."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ _LINE = 9.0
 
 
 class Label(NamedTuple):
-    """A text, its colour, and the point that it belongs to, in data coordinates."""
+    """A text, its colour, and its point in data coordinates."""
 
     text: str
     color: str
@@ -37,16 +37,16 @@ class Label(NamedTuple):
 
 def label_front(ax: Axes, labels: Iterable[Label]) -> None:
     """
-    Write texts at the points that none to the left is below, as far apart as their lines are high.
+    Label the points of the Pareto front, at least one line height apart.
 
-    Nothing stands to the lower left of such a point, where its text is.
+    The area to the lower left of such a point is empty, so its label is put there.
 
     Parameters
     ----------
     ax : Axes
-        With costs to the right and errors upwards; its limits are final.
+        Axes with costs to the right and errors upwards; their limits are final.
     labels : iterable of Label
-        Of all points.
+        Labels of all points.
 
     """
     least = math.inf
@@ -62,16 +62,16 @@ def _styles() -> dict[str, tuple[str, str]]:
     """
     Return a colour and a marker for each method.
 
-    A family, whose names differ in their numbers alone, has one hue, the darker the later it
-    lists a method; markers go round, so that no two of a family have the same.
+    Methods of a family, whose names differ only in numbers, share a hue, which is darker for
+    methods later in the list; markers differ within a family.
     """
     styles, met, markers = {}, Counter[str](), cycle('osD^v<>pPhX*d8H')
-    # Methods for rotations are in no picture with the others: they look like those, but paler.
+    # Methods for rotations are never in one plot with others; they use paler variants.
     for name in dict.fromkeys(kind.removeprefix('lie_') for kind in INTEGRATORS):
         family = name.rstrip(digits)
         met[family] += 1
-        # Steps of the golden ratio around the circle of hues leave no two of eight families close
-        # together; each eight that follow are darker.
+        # Steps of the golden ratio around the colour circle separate eight families well; each
+        # further group of eight is darker.
         number = list(met).index(family)
         hue, value = number / golden % 1.0, 0.95 - 0.07 * met[family] - 0.25 * (number // 8)
         styles[name] = [to_hex(hsv_to_rgb((hue, saturation, value)).tolist())
@@ -90,25 +90,25 @@ _SIZE, _DPI = (10.4, 6.4), 150
 
 def draw(path: Path, name: str, study: CostStudy, error: float | None) -> None:
     """
-    Draw error against time, and mark what is cheapest.
+    Plot error against time, and mark the cheapest methods.
 
     Parameters
     ----------
     path : Path
-        Where to write; its suffix says the kind of file.
+        Path of the plot; its suffix selects the format.
     name : str
-        Of the scene.
+        Name of the scene.
     study : CostStudy
-        The costs.
+        Measured costs.
     error : float or None
-        For which what to take is circled.
+        Error whose recommended method is circled.
 
     """
     figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor='white')
     FigureCanvasAgg(figure)
     ax = figure.add_axes((0.08, 0.1, 0.65, 0.74))
     good = [cost for cost in study.costs if study.error(cost) <= study.lost]
-    # Left out: steps so long that solving their equations takes more time than shorter steps do.
+    # Omit steps so long that solving their equations takes more time than shorter steps do.
     kinds = dict.fromkeys(cost.method.kind for cost in good)
     lines = [_draw_line(ax, study, _front(
         study, [cost for cost in good if cost.method.kind == kind])) for kind in kinds]
@@ -138,7 +138,7 @@ def _draw_line(ax: Axes, study: CostStudy, costs: list[Cost]) -> Line2D:
 
 
 def _dress(ax: Axes, study: CostStudy, good: list[Cost]) -> None:
-    """Give the axes their scales, limits and labels."""
+    """Set scales, limits and labels of the axes."""
     ax.set(xscale='log', yscale='log')
     if good:
         x, y = np.array([_point(study, cost) for cost in good]).T
@@ -167,7 +167,7 @@ def _inverse(x: ArrayLike) -> np.ndarray:
 
 
 def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D | Patch]:
-    """Draw what is known and what is asked for; return the entries of the legend."""
+    """Draw the accuracy limit and the requested error; return the entries of the legend."""
     handles: list[Line2D | Patch] = []
     if study.floor > 0.0:
         ax.axhspan(ax.get_ylim()[0], study.floor, color='#ececec', zorder=0.5)
@@ -186,7 +186,7 @@ def _draw_levels(ax: Axes, study: CostStudy, error: float | None) -> list[Line2D
 
 
 def _front(study: CostStudy, good: list[Cost]) -> list[Cost]:
-    """Return the costs than which nothing cheaper errs less; the cheapest first."""
+    """Return the Pareto front of error and time; the cheapest first."""
     front: list[Cost] = []
     for cost in sorted(good, key=lambda cost: cost.seconds):
         if not front or study.error(cost) < study.error(front[-1]):

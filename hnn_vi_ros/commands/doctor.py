@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Report of the installation: what is there, and what does not work and why."""
+"""Report on the installation: installed parts, and the reasons for parts that do not work."""
 
 from collections.abc import Iterator
 from importlib import metadata
@@ -19,7 +19,7 @@ from hnn_vi_ros.ros import distribution, settle_ros_environment
 from hnn_vi_ros.simulation import usable_processors
 from hnn_vi_ros.version import __version__
 
-# Import names of packages that simulating needs, and of optional ones; names on PyPI that differ.
+# Import names of required and of optional packages; names on PyPI that differ.
 _NEEDED = ('numpy', 'numba', 'llvmlite', 'scipy', 'pydantic', 'yaml', 'safetensors', 'mcap',
            'contourpy')
 _OPTIONAL = {'rerun': 'the viewer', 'matplotlib': 'figures', 'torch': 'training',
@@ -77,7 +77,7 @@ def _version(name: str) -> str:
 
 
 def _kernels() -> Finding:
-    """Look where compiled code is kept: in the package's own folders, or in that of the user."""
+    """Locate the cache of compiled code: in the package's own folders, or in that of the user."""
     package = Path(__file__).resolve().parents[1]
     usual = package if os.access(package, os.W_OK) else cache_folder() / 'numba'
     folder = Path(os.environ.get('NUMBA_CACHE_DIR') or usual)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Write a scene file to begin from: a copy of a shipped one, a scene of a robot or a formula."""
+"""Write a new scene file: a copy of a shipped one, a scene of a robot or of a formula."""
 
 from argparse import Namespace
 from collections.abc import Iterable
@@ -20,11 +20,11 @@ from hnn_vi_ros.scene import load_scene
 import numpy as np
 from scipy.optimize import minimize
 
-# Steps in the shortest period of small motions about the state of rest; and what friction may
-# take of a velocity in a step.
+# Number of steps per shortest period of small oscillations about equilibrium; and maximum share of
+# a velocity that friction removes in a step.
 _STEPS, _SHARE = 100, 0.5
 _LONGEST_STEP, _SHORTEST_STEP = 0.01, 1e-5
-# Speed of dry friction, unless the step needs a larger one: the default of the effect.
+# Speed of dry friction, the default of the effect, unless the step size needs a larger one.
 _SPEED = 0.01
 
 
@@ -35,11 +35,11 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
     Parameters
     ----------
     file : str
-        A URDF: its path, or package://PACKAGE/PATH.
+        URDF of the robot: a path, or package://PACKAGE/PATH.
     out : Path or None
-        The scene; by default that of the URDF's name in the working directory.
+        Path of the scene; by default named after the URDF, in the working directory.
     force : bool, optional
-        Whether it may take the place of another file.
+        True if an existing file may be replaced.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def write_scene(file: str, out: Path | None, force: bool = False) -> Path:
         print(f'held, as locked in the scene says: {told}', file=sys.stderr)
     try:
         tree = RigidBodyTree(str(urdf), locked=locked)
-        # Rotors change how fast it falls, not where it rests.
+        # Rotors change how fast the robot falls, but not its equilibrium.
         rest = resting_state(tree)
         rotors = missing_rotors(tree, rest)
         tree = RigidBodyTree(str(urdf), locked=locked, rotor_inertia=rotors)
@@ -85,9 +85,9 @@ def _find(file: str) -> Path:
 
 def held(robot: Robot) -> dict[str, tuple[float, str]]:
     """
-    Return the joints that are to be held, where, and why.
+    Return the joints to be fixed, with the value and the reason for each.
 
-    Those that follow others, those whose limits leave no room, and of many the last ones.
+    They are joints that mimic others, joints whose limits leave no room, and the last of too many.
     """
     moving, locked = 0, {}
     waiting = list(reversed(robot.links[robot.root].joints))
@@ -100,7 +100,7 @@ def held(robot: Robot) -> dict[str, tuple[float, str]]:
             if joint.mimics is not None:
                 why = f'it follows {joint.mimics}'
             elif low is not None and low == high:
-                # So exports of CAD say that there are none.
+                # CAD exports mark missing limits like this.
                 why = f'limits {low:g} and {high:g} leave no room'
             elif moving == MOST_JOINTS:
                 why = f'at most {MOST_JOINTS} joints move'
@@ -114,10 +114,10 @@ def held(robot: Robot) -> dict[str, tuple[float, str]]:
 
 def resting_state(tree: RigidBodyTree) -> np.ndarray:
     """
-    Return where a robot rests within its limits, shape (d,): a least V(q), p = 0.
+    Return the equilibrium of a robot within its limits, shape (d,): a minimum of V(q), p = 0.
 
-    What gravity does not move is at zero, or at the limit next to it. A slide without limits on
-    which gravity acts would fall for ever: it is at zero as well.
+    Joints that gravity does not move are at zero, or at the nearest limit. A slide without limits
+    on which gravity acts would fall for ever; it is at zero as well.
     """
     low, high = _range(tree)
     start = np.clip(np.zeros(tree.dimension), low, high)
@@ -127,7 +127,7 @@ def resting_state(tree: RigidBodyTree) -> np.ndarray:
         return float(tree.energy(q, zero)) / scale
 
     best = start
-    # A second start next to it: at zero the robot may stand upright, in balance as well.
+    # A second start next to zero, where the robot may be in unstable equilibrium.
     for kick in (0.0, 0.1):
         found = minimize(
             potential, np.clip(start + kick, low, high), method='L-BFGS-B',
@@ -147,10 +147,10 @@ def resting_state(tree: RigidBodyTree) -> np.ndarray:
 
 def moving_state(tree: RigidBodyTree, rest: np.ndarray) -> np.ndarray:
     """
-    Return a state off that of rest, shape (d,), from which gravity moves the joints it acts on.
+    Return a state off equilibrium, shape (d,), from which gravity moves the joints it acts on.
 
-    Each joint is a fifth of the way from where it rests to the middle of its limits, or to its
-    upper one if it rests near the middle; one that turns freely is at 0.3 rad from there.
+    Each joint is a fifth of the way from equilibrium to the middle of its limits, or to its upper
+    limit if it rests near the middle; a joint without limits is 0.3 rad away.
     """
     low, high = _range(tree)
     bounded = np.isfinite(high - low)
@@ -162,10 +162,10 @@ def moving_state(tree: RigidBodyTree, rest: np.ndarray) -> np.ndarray:
 
 def missing_rotors(tree: RigidBodyTree, rest: np.ndarray) -> dict[str, float]:
     """
-    Return rotor inertias for joints that feel next to none, which real motors have.
+    Return rotor inertias for joints with almost no inertia; real motors have some.
 
-    Such a joint, whose inertia is below a thousandth of the largest of its kind, would make
-    motions so fast that every other one waits for them.
+    A joint with less than a thousandth of the largest inertia of its kind would make motions so
+    fast that they dictate the step size.
     """
     inertia = rates(tree, rest)[1]
     kinds = np.array([joint.kind == SLIDING for joint in tree.joints])
@@ -192,7 +192,7 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     curvature = np.column_stack([tree.hessian_vector(q, zero, unit, zero)[0]
                                  for unit in np.eye(q.size)])
     mass = tree.masses(q[None])[0]
-    # In units of each joint's own inertia: an arm and its gripper differ by orders of magnitude.
+    # In units of each joint's own inertia: those of arm and gripper differ by orders of magnitude.
     size = np.sqrt(np.diag(mass))
     try:
         with np.errstate(all='ignore'):
@@ -241,7 +241,7 @@ def scene_text(file: str, out: Path, tree: RigidBodyTree, locked: dict[str, floa
 
 
 def _template(name: str) -> str:
-    """Return the text of a scene, with the places of its values in braces."""
+    """Return the text of a scene with placeholders in braces."""
     path = share_folder() / 'config' / 'templates' / f'{name}.yaml.in'
     return path.read_text(encoding='utf-8')
 
@@ -257,7 +257,7 @@ def _locked(robot: Robot, locked: dict[str, float]) -> str:
 
 
 def _rotors(rotors: dict[str, float], first: str) -> str:
-    """Return the lines on rotors, of which those of light links are needed."""
+    """Return the lines on rotors; those of light links are required."""
     if not rotors:
         return f'\n  # rotor_inertia: {{{first}: 0.1}}'
     named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())
@@ -266,12 +266,12 @@ def _rotors(rotors: dict[str, float], first: str) -> str:
 
 
 def _units(units: Iterable[str]) -> str:
-    """Return units in brackets, each once."""
+    """Return the distinct units in brackets."""
     return ', '.join(f'[{unit}]' for unit in dict.fromkeys(units))
 
 
 def _told(joint: Joint) -> str:
-    """Return what a comment says of a joint."""
+    """Return the comment on a joint."""
     low, high = joint.bounds
     parts = [joint.kind if low is None else f'{joint.kind}, {low:g} to {high:g} {joint.units.q}']
     if joint.damping or joint.friction:
@@ -281,7 +281,7 @@ def _told(joint: Joint) -> str:
 
 
 def _round(value: float, up: bool) -> float:
-    """Return the next of 1, 2 and 5 times a power of ten."""
+    """Return the next of 1, 2 and 5 times a power of ten, in the given direction."""
     power = math.floor(math.log10(value))
     steps = [float(f'{digit}e{power + more}') for more in (-1, 0, 1) for digit in (1, 2, 5)]
     near = 1e-9 * value
@@ -290,23 +290,23 @@ def _round(value: float, up: bool) -> float:
 
 
 def _quoted(text: str) -> str:
-    """Return a text quoted for YAML, inside of brackets too."""
+    """Return a text quoted for YAML, also valid inside of brackets."""
     plain = dump_yaml([text]).removeprefix('- ').strip()
     return plain if plain == text and not set(text) & set(',:#[]{}') else json.dumps(text)
 
 
-# The line by which editors find the schema; shipped scenes name it by a relative path.
+# Line that points editors to the schema; shipped scenes have a relative path in it.
 _SCHEMA = re.compile(r'(?m)^# yaml-language-server: \$schema=.*$')
 
 
 def formula_text(text: str, schema: str) -> str:
     """
-    Return the YAML of a scene of a formula, whose coordinates are those of its momenta.
+    Return the YAML of a formula's scene; the coordinates follow from its momenta.
 
     Raises
     ------
     SceneError
-        It cannot be read, has no momentum, or no value where the scene begins.
+        The formula cannot be read, has no momentum, or is not finite at the initial state.
 
     """
     try:
@@ -324,7 +324,7 @@ def formula_text(text: str, schema: str) -> str:
         raise SceneError(f'--formula: {problem}') from problem
     hessian, kernel = np.empty((2 * d, 2 * d)), hamiltonian.kernel
     for unit, row in zip(np.eye(2 * d), hessian, strict=True):
-        # As plain Python: a few calls are over before they would be compiled.
+        # Run as plain Python: a few calls take less time than compilation.
         kernel.hessian_vector.py_func(  # type: ignore[attr-defined]
             kernel.parameters, q, p, unit[:d], unit[d:], row[:d], row[d:])
     rate = np.abs(np.linalg.eigvals(np.vstack([hessian[d:], -hessian[:d]]))).max()
@@ -337,7 +337,7 @@ def formula_text(text: str, schema: str) -> str:
 
 
 def write_new(options: Namespace, parser: Parser) -> int:
-    """Do what `scene --new` asks for: write the file, and print what can be done with it."""
+    """Run `scene --new`: write the file, and print the next steps."""
     if options.file is None and options.robot is None:
         parser.error('FILE is missing: name what to write')
     path = options.file if options.file is None or options.file.suffix in ('.yaml', '.yml') else \
@@ -351,7 +351,7 @@ def write_new(options: Namespace, parser: Parser) -> int:
         scene = load_scene(options.like or 'exact_pendulum')
         text = _SCHEMA.sub(lambda line: schema, scene.source.read_text(encoding='utf-8'))
         for name, file in scene.model_files().items():
-            # Paths relative to the folder of the original would not be found from the copy.
+            # Paths relative to the folder of the original would be wrong for the copy.
             if '/' in name and '://' not in name:
                 text = text.replace(name, str(file.resolve()))
     write_new_scene(path, text, options.force)
@@ -359,7 +359,7 @@ def write_new(options: Namespace, parser: Parser) -> int:
 
 
 def _written(path: Path) -> int:
-    """Print what can be done with a scene."""
+    """Print the next steps with a scene."""
     print(path)
     print(f'  change it; check it by: {command(f"scene --check {path}")}')
     print(f'  run it by: {command(f"run {path}")}')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Simulate a scene without ROS, and draw, show or keep its trajectory."""
+"""Simulate a scene without ROS, and plot, show or save its trajectory."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -13,9 +13,9 @@ from hnn_vi_ros.files import elapsed, no_file, replacing
 from hnn_vi_ros.simulation import is_wrong, simulate, Trajectory
 import numpy as np
 
-# The exit status of a run that is not to be trusted, if asked for.
+# Exit status of an unreliable run, if requested.
 _WRONG = 3
-# Suffixes by option; options that are not listed take any.
+# Suffixes by option; options without an entry accept any suffix.
 _PICTURES = ('.png', '.svg', '.pdf')
 SUFFIXES = {'--plot': _PICTURES, '--portrait': _PICTURES, '--animate': ('.gif',),
             '--rerun': ('.rrd',)}
@@ -28,15 +28,14 @@ def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
     Parameters
     ----------
     paths : mapping
-        By option; None where one is not asked for.
+        Paths by option; None if an option is not given.
     force : bool
-        Whether files that exist may be overwritten.
+        True if existing files may be overwritten.
 
     Raises
     ------
     ParameterError
-        A file has another suffix, exists already, is asked for twice, or its folder does not
-        exist.
+        A file has a wrong suffix, exists already or is given twice, or its folder does not exist.
 
     """
     asked = {option: path for option, path in paths.items() if path is not None}
@@ -59,14 +58,14 @@ def check_outputs(paths: Mapping[str, Path | None], force: bool) -> None:
 def write_outputs(paths: Mapping[str, Path | None],
                   writers: Mapping[str, Callable[[Path], object]]) -> None:
     """
-    Write the files that are asked for, and print the path of each.
+    Write the requested files, and print the path of each.
 
     Parameters
     ----------
     paths : mapping
         See ``check_outputs``.
     writers : mapping
-        By option, what writes to a path.
+        Function that writes to a path, by option.
 
     Raises
     ------
@@ -91,12 +90,12 @@ def write_outputs(paths: Mapping[str, Path | None],
 
 def main(argv: list[str]) -> int:
     """
-    Simulate, print the result in a line, and write the files that were asked for.
+    Simulate, print the result in a line, and write the requested files.
 
     Returns
     -------
     int
-        3 with ``--strict`` where an alarm says that the run may be qualitatively wrong, else 0.
+        3 with ``--strict`` if an alarm says the run may be qualitatively wrong, else 0.
 
     """
     options = arguments.run().parse_args(argv)
@@ -122,7 +121,7 @@ def main(argv: list[str]) -> int:
 
 
 def _write_csv(trajectory: Trajectory, path: Path) -> None:
-    """Write t [s], coordinates, momenta and H [J], each so that it is read back unchanged."""
+    """Write t [s], coordinates, momenta and H [J]; they are read back exactly."""
     q, p = trajectory.names
     table = np.column_stack([trajectory.t, trajectory.q, trajectory.p, trajectory.energy])
     np.savetxt(path, table, delimiter=',', header=','.join(['t', *q, *p, 'H']), comments='',

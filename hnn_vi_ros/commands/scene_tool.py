@@ -17,14 +17,14 @@ from hnn_vi_ros.scene import AutoChoice, load_scene, Scene
 if TYPE_CHECKING:
     from hnn_vi_ros.run import EffectCosts
 
-# What simulates is imported by what needs it: a list and a schema are there without it at once.
+# The simulation is imported lazily, so that lists and schemas are shown immediately.
 
-# Steps during which neighbouring motions are followed; of an H that is plain Python.
+# Number of steps over which neighbouring trajectories are followed; fewer if H is plain Python.
 _STEPS, _PLAIN_STEPS = 2 ** 16, 2 ** 12
 
 
 def main(argv: list[str]) -> int:
-    """Do what the one option asks for; return 1 if a scene is not valid."""
+    """Run the selected option; return 1 if a scene is not valid."""
     parser = arguments.scene()
     options = parser.parse_args(argv)
     if options.new:
@@ -56,7 +56,7 @@ def main(argv: list[str]) -> int:
 
 
 def check(names: Sequence[str]) -> int:
-    """Print one line a scene: what it is, or to the standard error stream what is wrong."""
+    """Print one line per scene: a summary, or on standard error the problem."""
     from hnn_vi_ros.run import ensemble_card
     from hnn_vi_ros.simulation import build, resolve, watched
     status = 0
@@ -89,7 +89,7 @@ def compile_all(names: Sequence[str], rescue: bool) -> int:
 
 
 def list_scenes() -> list[str]:
-    """Return a line for each shipped scene: its name, its description, whether it can run."""
+    """Return a line for each shipped scene: name, description, and whether it can run."""
     names = shipped_names('scene')
     width = max(map(len, names))
     lines = []
@@ -139,7 +139,7 @@ def explain(scene: Scene) -> Iterator[str]:
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
-    """Describe the coordinates and where they start, of what turns column by column."""
+    """Describe the coordinates and their initial values; those of rotations column by column."""
     q, p = (zip(names, units, values, strict=True) for names, units, values in zip(
         columns(coordinates), column_units(coordinates),
         (scene.initial_state.q, scene.initial_state.p), strict=True))
@@ -162,7 +162,7 @@ def _choice(role: str, choice: Any) -> Iterator[str]:
 
 
 def lyapunov_line(scene: Scene, steps: int) -> str:
-    """Return the line on the Lyapunov time, looked for during so many steps."""
+    """Return the line on the Lyapunov time, estimated over a number of steps."""
     from hnn_vi_ros.simulation import lyapunov_time
     duration = steps * scene.known_step_size
     try:

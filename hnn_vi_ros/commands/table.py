@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of ``hnn``: every executable, and some more."""
+"""Commands of ``hnn``: all executables, and some more."""
 
 from collections.abc import Sequence
 from importlib import import_module
@@ -9,7 +9,7 @@ from typing import NoReturn
 from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.files import Parser
 
-# Each command, by what it is for, and the module of the package whose ``main(argv)`` it calls.
+# Commands by purpose, each with the module of the package whose ``main(argv)`` it calls.
 GROUPS = {
     'simulate': {'run': 'commands.run', 'scene': 'commands.scene_tool', 'cost': 'commands.cost',
                  'sweep': 'sweeps.running'},
@@ -23,30 +23,30 @@ GROUPS = {
     'this installation': {'doctor': 'commands.doctor', 'completion': 'commands.completion'},
 }
 COMMANDS = {name: module for group in GROUPS.values() for name, module in group.items()}
-# Older names, and what they mean.
+# Deprecated names and their replacements.
 ALIASES = {'new_scene': ('scene', '--new')}
-# ROS 2 finds the others as executables.
+# Commands that are not ROS 2 executables.
 _WITHOUT_ROS = ('run', 'cost', 'doctor', 'completion')
 EXECUTABLES = [name for name in (*COMMANDS, *ALIASES) if name not in _WITHOUT_ROS]
 
 
 def module_of(name: str, argv: Sequence[str]) -> str:
-    """Return the name of the module that does what a command is asked for."""
+    """Return the name of the module that runs a command."""
     if name == 'sweep' and {'mcap', '--episodes=mcap'} & {*argv}:
-        # Bags are made of messages of ROS, which no other sweep takes.
+        # Bags consist of ROS messages, which other sweeps do not need.
         return 'hnn_vi_ros.ros.replay.episode_bags'
     return f'hnn_vi_ros.{COMMANDS[name]}'
 
 
 def parser_of(name: str) -> Parser:
-    """Return the parser of a command, without the libraries that its work takes."""
+    """Return the parser of a command, without importing the libraries that its work needs."""
     room = COMMANDS[name].partition('.')[0]
     arguments = import_module(f'hnn_vi_ros.{room}.arguments')
     return getattr(arguments, name)()
 
 
 def hnn() -> Parser:
-    """Return the parser of the one command, whose help lists all commands."""
+    """Return the parser of ``hnn``, whose help lists all commands."""
     width = max(map(len, COMMANDS))
     lines = [line for group, names in GROUPS.items() for line in (
         f'{group}:', *(f'  {name:{width}}  {first_line(parser_of(name))}' for name in names), '')]
@@ -65,7 +65,7 @@ def first_line(parser: Parser) -> str:
 
 
 def refuse(word: str) -> NoReturn:
-    """Print help or the version, if that is the word, or that there is no such command."""
+    """Print help or version if requested; otherwise report an unknown command."""
     parser = hnn()
     if word.startswith('-'):
         parser.parse_args([word])

@@ -4,8 +4,8 @@
 """
 Read and write files: YAML, XML, standard streams, command lines, size limits.
 
-Every file from outside is read here, within limits and without running its content. The formats
-of bags are in ``recording``, those of logs to learn from in ``learning.data``.
+All external files are read here, within limits and without executing their content. ``recording``
+has the formats of bags, ``learning.data`` those of logs to learn from.
 """
 
 from typing import TYPE_CHECKING

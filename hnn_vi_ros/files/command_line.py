@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command lines of the executables: what they have in common."""
+"""Common parts of the command lines of all executables."""
 
 import argparse
 from collections.abc import Sequence
@@ -13,42 +13,42 @@ from hnn_vi_ros.errors import did_you_mean
 from hnn_vi_ros.files.standard_streams import write_problem
 from hnn_vi_ros.version import __version__
 
-# How an executable is called where ROS 2 finds it, and by the command for all of them.
+# Prefixes of a command: the executable found by ROS 2, and the common command.
 _BY_ROS, _BY_HNN = 'ros2 run hnn_vi_ros', 'hnn'
 _called: ContextVar[str] = ContextVar('called', default=_BY_ROS)
-# The status of a command line that is not understood, as argparse has it.
+# Exit status for an invalid command line, as in argparse.
 _USAGE = 2
 _WIDTH = 99
 
 
 def call_by_hnn() -> None:
-    """Let what is shown from now on name executables as ``hnn NAME``, not ``ros2 run``."""
+    """Name executables as ``hnn NAME`` instead of ``ros2 run`` in all further output."""
     _called.set(_BY_HNN)
 
 
 def called(name: str) -> str:
-    """Return what an executable calls itself in its help and its errors."""
+    """Return the name of an executable for its help and its errors."""
     return name if _called.get() == _BY_ROS else f'{_BY_HNN} {name}'.strip()
 
 
 def command(words: str) -> str:
-    """Return a command line that a user can type: an executable, and its arguments."""
+    """Return a command line that a user can type: an executable with its arguments."""
     return f'{_called.get()} {words}'
 
 
 def complete_by(action: argparse.Action, kind: str) -> None:
-    """Let shells complete an argument by names of a kind; see commands/completion.py."""
+    """Let shells complete an argument with names of a kind; see commands/completion.py."""
     setattr(action, 'names_of', kind)  # noqa: B010  argparse declares no such attribute
 
 
 def seconds(text: str) -> float:
     """
-    Return the number of seconds that an argument gives: the type of such an argument.
+    Return the number of seconds given by an argument; use it as the argument's type.
 
     Raises
     ------
     argparse.ArgumentTypeError
-        It is no number, as one with a unit.
+        The text is not a number, for example because it has a unit.
 
     """
     try:
@@ -60,20 +60,20 @@ def seconds(text: str) -> float:
 
 class Parser(argparse.ArgumentParser):
     """
-    Parser that takes no abbreviations, and whose errors are one line each.
+    Parser without abbreviations, whose errors are one line each.
 
     Parameters
     ----------
     name : str
-        Of the executable.
+        Name of the executable.
     description : str
-        Its purpose.
+        Purpose of the executable.
     examples : sequence of str
-        Command lines that show it.
+        Example command lines.
     details : str, optional
-        Further text of its help, before the examples.
+        Further text of the help, before the examples.
     parameters : sequence of str, optional
-        ROS parameters, which users mistake for options.
+        ROS parameters, which users may mistake for options.
 
     """
 
@@ -89,18 +89,18 @@ class Parser(argparse.ArgumentParser):
 
     @property
     def known(self) -> list[argparse.Action]:
-        """Return all arguments, those of groups too, of which argparse has no public list."""
+        """Return all arguments including those of groups; argparse has no public list of them."""
         return self._actions
 
     @property
     def options(self) -> list[str]:
-        """Return the words of all options."""
+        """Return the strings of all options."""
         return [word for action in self.known for word in action.option_strings]
 
     def parse_args(  # type: ignore[override]  # nothing is added to a namespace of others
             self, args: Sequence[str], namespace: None = None) -> argparse.Namespace:
-        """Return what the arguments say, or exit with one line if they are not understood."""
-        # Check before argparse misses a required option that this may misspell.
+        """Return the parsed arguments, or exit with one line if they are invalid."""
+        # Check this first: argparse would report a misspelt required option as missing.
         options = self.options
         for word in args:
             option = word.partition('=')[0]
@@ -116,8 +116,8 @@ class Parser(argparse.ArgumentParser):
         return found
 
     def error(self, message: str) -> NoReturn:
-        """Exit with one line."""
-        # The types of Python are no words of a user.
+        """Exit with a one-line error."""
+        # Replace the names of Python types, which a user need not know.
         message = re.sub(r"invalid (int|float) value: ('.*')", lambda found: (
             f'{found[2]} is no {"whole " * (found[1] == "int")}number'), ' '.join(message.split()))
         line = f'{self.prog}: {message}; see {self.prog} --help'

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read files, whoever wrote them, within limits that are checked before the work.
+Read untrusted files within limits that are checked before the work.
 
-A file's claims are compared with its content before memory is taken for it. YAML and XML have
-limits of their own, in ``yaml_text`` and ``xml_text``; bags in the room ``bags``.
+Sizes declared by a file are compared with its content before memory is allocated. YAML and XML
+have their own limits, in ``yaml_text`` and ``xml_text``; bags in the package ``bags``.
 """
 
 from collections.abc import Iterator
@@ -24,17 +24,17 @@ from hnn_vi_ros.files.regular_file import in_bytes, limited
 import numpy as np
 from numpy.lib import format as npy
 
-# Characters of a line of text.
+# Maximum length of a line of text [characters].
 LONGEST_LINE = 1 << 20
-# Values of JSON: a covariance of a thousand parameters has a million.
+# Maximum number of values in JSON: a covariance of a thousand parameters has a million.
 MOST_VALUES = 1_200_000
-# Header of safetensors [bytes]: the card of an ensemble of a thousand members takes 3 MiB.
+# Maximum header of safetensors [bytes]: the card of an ensemble of 1000 members takes 3 MiB.
 LONGEST_HEADER = 4 << 20
-# Directory of an archive [bytes]: 80 thousand arrays.
+# Maximum directory of an archive [bytes]: 80 thousand arrays.
 _LONGEST_DIRECTORY = 4 << 20
-# An array's dtype and shape in numpy's header [bytes].
+# Maximum header of an array with dtype and shape in numpy's format [bytes].
 _LONGEST_ARRAY_HEADER = 10_000
-# Opcodes of a pickle that name something; and the names in pickles of tensors.
+# Opcodes of a pickle that refer to names; and the names in pickles of tensors.
 _NAMING = frozenset({'GLOBAL', 'STACK_GLOBAL', 'INST', 'EXT1', 'EXT2', 'EXT4'})
 _PLAIN = re.compile(r'collections OrderedDict|torch\._utils _rebuild_\w+|torch (?!Tensor\b)\w+|'
                     r'torch\.storage \w+|torch\.serialization _get_layout|'
@@ -49,14 +49,14 @@ def sha256_of(path: Path, most: int) -> str:
 
 def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
     """
-    Yield the lines of a text file, without their breaks, each with its number from 1 on.
+    Yield the lines of a text file without line breaks, each with its number from 1.
 
     Raises
     ------
     OSError
         See ``limited``.
     ValueError
-        A line is too long, or not UTF-8; begins with its number.
+        A line is too long, or not UTF-8; the message starts with its number.
 
     """
     number = 0
@@ -66,7 +66,7 @@ def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
             try:
                 line = stream.readline(LONGEST_LINE + 1)
             except UnicodeDecodeError as problem:
-                # It is decoded ahead of the lines.
+                # Decoding is ahead of the lines, so the line number is a lower bound.
                 raise ValueError(f'{number}: not a text file in UTF-8, here or below: '
                                  f'{problem.reason}') from problem
             if not line:
@@ -78,7 +78,7 @@ def text_lines(path: Path, most: int) -> Iterator[tuple[int, str]]:
 
 
 def plain_number(text: str) -> float:
-    """Return a number that is written in decimals; NaN for all else, such as 1_5 for 15."""
+    """Return a number in decimal notation; NaN for anything else, such as 1_5 for 15."""
     try:
         return math.nan if '_' in text else float(text)
     except ValueError:
@@ -87,15 +87,15 @@ def plain_number(text: str) -> float:
 
 def parse_json(text: bytes) -> Any:
     """
-    Return what JSON holds.
+    Parse JSON.
 
     Raises
     ------
     ValueError
-        It is none, has too many values, is nested too deep, or not UTF-8; one line.
+        The text is not JSON, has too many values, is nested too deeply, or is not UTF-8; one line.
 
     """
-    # Not one of them is read before: each of an empty list or key takes a hundred bytes.
+    # Checked before parsing: each empty list or key would take a hundred bytes.
     if sum(map(text.count, (b',', b'[', b'{'))) > MOST_VALUES:
         raise ValueError(f'more than {MOST_VALUES} values')
     try:
@@ -106,12 +106,12 @@ def parse_json(text: bytes) -> Any:
 
 def safetensors_header(stream: BinaryIO) -> bytes:
     """
-    Return the header of safetensors, which is JSON.
+    Return the JSON header of a safetensors file.
 
     Raises
     ------
     ValueError
-        It is cut off, or too long.
+        The header is truncated or too long.
 
     """
     size = int.from_bytes(stream.read(8), 'little')
@@ -131,21 +131,21 @@ def array_names(path: Path, most: int) -> list[str]:
 
 def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
     """
-    Return the arrays of an .npz file by their keys; nothing in it is unpickled.
+    Return the arrays of an .npz file by key; nothing is unpickled.
 
     Parameters
     ----------
     path : Path
         The file.
     most : int
-        How large it may be, and what it unpacks to [bytes].
+        Maximum size of the file, and of its unpacked content [bytes].
 
     Raises
     ------
     OSError
-        See ``limited``; or it unpacks to more.
+        See ``limited``; or the unpacked content is larger.
     ValueError
-        It is no archive of plain arrays, or is damaged; one line.
+        The file is not an archive of plain arrays, or is damaged; one line.
 
     """
     with _archive(path, most) as archive:
@@ -157,7 +157,7 @@ def unpack_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 
 class _Bounded(BufferedReader):
-    """A file that refuses to read more at a time than a directory of an archive may have."""
+    """A file that rejects reads larger than the maximum directory of an archive."""
 
     def read(self, size: int | None = -1) -> bytes:
         if size is not None and size > _LONGEST_DIRECTORY:
@@ -173,17 +173,17 @@ def _archive(path: Path, most: int) -> Iterator[zipfile.ZipFile]:
                 yield archive
         except OSError:
             raise
-        except Exception as problem:  # what damaged archives raise has no common class
-            # Not numpy's own words, which advise to unpickle what anybody may have written.
+        except Exception as problem:  # damaged archives raise exceptions without a common class
+            # Not numpy's message, which recommends unpickling untrusted files.
             raise ValueError('not an .npz file of plain arrays') from problem
 
 
 def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    # Others unpack all that a part of them holds at once.
+    # Other methods decompress a whole block at once.
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise zipfile.BadZipFile('packed in a way that numpy does not use')
     with archive.open(member) as content:
-        # numpy reads a header before it looks how long it is.
+        # numpy reads a header before checking its length.
         length = 2 if npy.read_magic(content) == (1, 0) else 4
         if int.from_bytes(content.read(length), 'little') > _LONGEST_ARRAY_HEADER:
             raise ValueError('too long a header')
@@ -193,15 +193,15 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
 
 def check_pickles(path: Path) -> None:
     """
-    Raise ValueError where a file of torch.save names anything but what tensors are made of.
+    Raise ValueError if a torch.save file refers to anything but parts of tensors.
 
-    ``weights_only`` runs no code of others, but it makes a bytearray, or an empty tensor, of any
-    size that is asked for.
+    ``weights_only`` runs no foreign code, but creates a bytearray or an empty tensor of any
+    requested size.
     """
     with path.open('rb') as stream:
         if not zipfile.is_zipfile(stream):
             stream.seek(0)
-            # A magic number, a version, the system, what was saved, and the names of its storages.
+            # Legacy format: magic number, version, system, object, storage names.
             for _ in range(5):
                 _check_pickle(stream)
             return

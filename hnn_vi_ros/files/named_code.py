@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Python code that data name, as ``package.module:function``: who may name it, and how it is found.
+Python code named in data as ``package.module:function``: permission, and import.
 
-A schema marks what names code by ``NAMES_CODE``. Such a value is refused unless whoever validates
-the data says that it is trusted, as is done for files that the user names and for nothing else.
+A schema marks a value that names code with ``NAMES_CODE``. Such a value is rejected unless the
+caller of the validation trusts the data, which holds only for files given by the user.
 """
 
 from contextvars import ContextVar
@@ -19,7 +19,7 @@ _TRUST = 'trust_code'
 
 
 def trusting(trust_code: bool) -> dict[str, bool]:
-    """Return the context of a validation of data that may, or may not, name code."""
+    """Return a validation context that permits or forbids code in the data."""
     return {_TRUST: trust_code}
 
 
@@ -34,13 +34,13 @@ def _check(name: str | None, info: ValidationInfo) -> str | None:
 NAMES_CODE = AfterValidator(_check)
 
 
-# The folder of the scene whose code is imported next, and the folders of all scenes so far.
+# Folder of the scene whose code is imported next, and folders of all scenes so far.
 _folder: ContextVar[str | None] = ContextVar('folder', default=None)
 _folders: set[str] = set()
 
 
 def find_beside(folder: str | None) -> None:
-    """Let Python's modules be found in a folder too, that of a scene file; None for none."""
+    """Add the folder of a scene file to the path of Python's modules; None for none."""
     _folder.set(folder)
     if folder is None:
         return
@@ -50,21 +50,21 @@ def find_beside(folder: str | None) -> None:
         sys.path.remove(folder)
     else:
         return
-    # After what is installed, and before the folders of other scenes.
+    # After installed packages, and before the folders of other scenes.
     at = next((i for i, path in enumerate(sys.path) if path in _folders), len(sys.path))
     sys.path.insert(at, folder)
 
 
 def import_named(name: str) -> Any:
     """
-    Return what ``package.module:function`` names, from the path of Python's modules.
+    Import ``package.module:function`` from the path of Python's modules.
 
     Raises
     ------
     ImportError
-        A module of that name is loaded already, and another one is next to the scene.
+        A different module of that name is already loaded than the one next to the scene.
     Exception
-        What importing the module raises, or AttributeError.
+        Any exception of the module at import, or AttributeError.
 
     """
     module, _, function = name.partition(':')
@@ -75,9 +75,9 @@ def import_named(name: str) -> Any:
 
 
 def _check_origins(named: str, folder: Path) -> None:
-    """Refuse a module in place of another one of its name next to the scene."""
+    """Raise an error if a loaded module hides one of its name next to the scene."""
     for name, module in list(sys.modules.items()):
-        # Not by getattr, for which a module may run code of its own.
+        # Without getattr, for which a module may define its own code.
         file = getattr(module, '__dict__', {}).get('__file__')
         if '.' in name or not isinstance(file, str):
             continue
@@ -86,7 +86,7 @@ def _check_origins(named: str, folder: Path) -> None:
         if name != named and str(home) not in _folders:
             continue
         for own in (folder / f'{name}.py', folder / name / '__init__.py'):
-            # A copy does the same.
+            # An identical copy is accepted.
             if own.is_file() and not own.samefile(taken) and (
                     own.read_bytes() != taken.read_bytes()):
                 raise ImportError(f'{name} was imported from {taken}, and {own} is another; '

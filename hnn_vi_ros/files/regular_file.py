@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Open regular files, refuse what only looks like one, and write files that are new."""
+"""Open regular files, reject pointers and special files, and write new files."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,16 +19,16 @@ _BEGIN = b'version https://git-lfs'
 
 def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> None:
     """
-    Raise if a file is no more than a pointer.
+    Raise an error if a file is only a pointer.
 
     Parameters
     ----------
     raw : bytes
-        The file, or its first 32 bytes.
+        Content of the file, or its first 32 bytes.
     where : object
-        The file's name.
+        Name of the file.
     error : type of HnnViRosError
-        What to raise, with one line.
+        Exception to raise, with one line.
 
     """
     if raw.startswith(_BEGIN):
@@ -38,14 +38,14 @@ def refuse_pointer(raw: bytes, where: object, error: type[HnnViRosError]) -> Non
 
 def check_new(option: str, path: Path) -> None:
     """
-    Check that a file or folder can be written, and make the folder that it is to stand in.
+    Check that a file or folder can be written, and create its parent folder.
 
     Parameters
     ----------
     option : str
-        The option of the command line that names it, such as ``--out``.
+        Option of the command line that names it, such as ``--out``.
     path : Path
-        What is to be written.
+        Path of the file or folder to write.
 
     Raises
     ------
@@ -67,9 +67,9 @@ def check_new(option: str, path: Path) -> None:
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """
-    Yield a temporary file beside another, which it replaces unless an error stops the writing.
+    Yield a temporary file next to a file, which it replaces if no error occurs.
 
-    So nobody finds half a file, and a full disk or a power failure leaves what was there.
+    The replacement is atomic: a full disk or a power failure leaves the old file intact.
     """
     with _beside(path) as temporary:
         yield temporary
@@ -79,7 +79,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """Yield the name of a temporary file beside another."""
+    """Yield the name of a temporary file next to another file."""
     temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
     try:
         yield temporary
@@ -96,13 +96,13 @@ def _put_on_disk(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8 in the place of a file, whole or not at all."""
+    """Write a text in UTF-8 to a file atomically, replacing it."""
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode())
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Write a file that is new, whole or not at all; FileExistsError if there is one."""
+    """Write a new file atomically; raise FileExistsError if it exists."""
     with _beside(path) as temporary:
         temporary.write_bytes(content)
         _put_on_disk(temporary)
@@ -110,14 +110,14 @@ def write_new(path: Path, content: bytes) -> None:
             os.link(temporary, path)
         except FileExistsError:
             raise
-        except OSError:  # of a file system without second names
+        except OSError:  # the file system has no hard links
             path.open('xb').close()
             temporary.replace(path)
 
 
 def write_new_scene(path: Path, text: str, force: bool = False) -> None:
     """
-    Write the text of a scene; with ``force``, in the place of a file that exists.
+    Write the text of a scene; with ``force``, replace an existing file.
 
     Raises
     ------
@@ -139,24 +139,24 @@ def write_new_scene(path: Path, text: str, force: bool = False) -> None:
 
 
 def numbered(path: Path, suffix: str = '') -> Iterator[Path]:
-    """Yield a path, and then others of its name, with -2, -3 and so on before a suffix of it."""
+    """Yield a path, then variants with -2, -3 and so on before the suffix."""
     yield path
     for number in count(2):
         yield path.with_name(f'{path.name.removesuffix(suffix)}-{number}{suffix}')
 
 
 def no_file(path: Path, missing: str = 'no such file') -> str:
-    """Return what there is in the place of a file that cannot be read as one."""
+    """Describe the object at a path that cannot be read as a file."""
     if os.path.isdir(path):
         return 'is a folder'
     return 'is no regular file' if os.path.exists(path) else missing
 
 
 def regular(path: Path) -> Path:
-    """Return a path to read, or raise OSError: a FIFO would be waited for, a device never end."""
+    """Return a path to read; raise OSError for a FIFO, which may block, or a device."""
     try:
         there = os.stat(path)
-    except ValueError as problem:  # of a name that no file can have
+    except ValueError as problem:  # the name is not valid for a file
         raise OSError(errno.EINVAL, str(problem)) from problem
     if not stat.S_ISREG(there.st_mode):
         raise OSError(errno.EINVAL, no_file(path))
@@ -166,12 +166,12 @@ def regular(path: Path) -> Path:
 @contextmanager
 def limited(path: Path, most: int) -> Iterator[BufferedReader]:
     """
-    Open a regular file to read.
+    Open a regular file for reading.
 
     Raises
     ------
     OSError
-        It is none, cannot be read, or is larger than so many bytes.
+        It is not a regular file, cannot be read, or is larger than `most` bytes.
 
     """
     with regular(path).open('rb') as stream:
@@ -181,9 +181,9 @@ def limited(path: Path, most: int) -> Iterator[BufferedReader]:
 
 
 def read_limited(path: Path, most: int) -> bytes:
-    """Return what a regular file holds; see ``limited``."""
+    """Return the content of a regular file; see ``limited``."""
     with limited(path, most) as stream:
-        # Files of the kernel are larger than their size tells.
+        # Files of the kernel (/proc) may be larger than their reported size.
         content = stream.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f'larger than {in_bytes(most)}')
@@ -199,24 +199,24 @@ def in_bytes(count: int) -> str:
 
 def open_file(path: Path, name: Path) -> BinaryIO:
     """
-    Return a stream of a regular file; a FIFO without a writer does not hold it up.
+    Return a stream of a regular file; a FIFO without a writer does not block.
 
     Parameters
     ----------
     path : Path
         The file.
     name : Path
-        How the user calls it.
+        Name of the file for messages to the user.
 
     Raises
     ------
     RecordingError
         It is a folder, a device, a FIFO or a socket.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
 
     """
-    # First: to open a device may be to do something.
+    # Check this first: opening a device may have side effects.
     if not stat.S_ISREG(os.stat(path).st_mode):
         raise RecordingError(f'{name}: is no regular file; give the folder of a bag, or its file')
     stream = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), 'rb')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Find shipped files, files of ROS packages, and the folders of the user."""
+"""Find shipped files, files of ROS packages, and folders of the user."""
 
 import os
 from pathlib import Path
@@ -16,17 +16,17 @@ SCHEME = 'package://'
 
 def package_file(uri: str) -> Path:
     """
-    Return the file that a URI of a package names; it need not exist.
+    Return the file of a package URI; it need not exist.
 
     Parameters
     ----------
     uri : str
-        ``package://PACKAGE/PATH``, a path in the share folder of the package.
+        ``package://PACKAGE/PATH``, with a path in the share folder of the package.
 
     Raises
     ------
     ValueError
-        No such URI or no such package; one line.
+        The URI is malformed or the package is unknown; one line.
 
     """
     package, _, path = uri.removeprefix(SCHEME).partition('/')
@@ -40,33 +40,33 @@ def package_file(uri: str) -> Path:
 
 
 def prefixes() -> list[Path]:
-    """Return the folders that ROS packages are installed in, first what overlays others."""
+    """Return the folders in which ROS packages are installed; overlays come first."""
     # Wheels put share/ next to the interpreter's lib/ and need no AMENT_PREFIX_PATH for it.
     listed = os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)
     return [Path(prefix) for prefix in (*listed, sys.prefix) if prefix]
 
 
 def expand_user(path: str | Path) -> Path:
-    """Return a path with ``~`` as the home; unchanged if the user, or ``~NAME``, has none."""
+    """Return a path with ``~`` expanded; unchanged if there is no home folder for it."""
     return Path(os.path.expanduser(path))
 
 
 def usual_folder(variable: str = 'XDG_CACHE_HOME', name: str = '.cache') -> Path | None:
-    """Return the folder that a variable names, or that in the home; None if it is read-only."""
+    """Return the folder of a variable, or the default in the home; None if read-only."""
     folder = Path(os.environ.get(variable) or expand_user('~') / name)
     return folder if folder.is_absolute() and can_be_written(folder) else None
 
 
 def cache_folder() -> Path:
-    """Return where caches of the user are: the usual folder, else a private one."""
+    """Return the folder of the user's caches, or a private one if that is read-only."""
     return usual_folder() or private_folder()
 
 
 def private_folder() -> Path:
     """
-    Return a folder of this user alone among temporary files, the same each time.
+    Return a folder in the temporary directory that is private to this user and persistent.
 
-    What others can write is not taken: cached code is run. There it is another one each time.
+    Cached code is executed: a folder that others can write to is replaced by a new one.
     """
     folder = Path(tempfile.gettempdir(), f'hnn_vi_ros-cache-{os.getuid()}')
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -78,7 +78,7 @@ def private_folder() -> Path:
 
 
 def can_be_written(folder: Path) -> bool:
-    """Return whether files can be made in a folder, which need not exist yet."""
+    """Return whether files can be created in a folder, which need not exist yet."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     return os.access(folder, os.W_OK)
@@ -91,18 +91,18 @@ _FOLDERS = {
     'training': ('config/training', '.yaml'),
     'model': ('resource/models', '.safetensors'),
 }
-# What lists all shipped ones of a kind.
+# Command that lists all shipped files of a kind.
 _ALL = {'scene': '; `hnn scene --list` lists them'}
-# What users call a kind, where that is another word.
+# Names of kinds in messages, if different.
 _WHAT = {'training': 'training configuration'}
 
 
 def share_folder() -> Path:
     """
-    Return the folder that holds ``config/`` and ``resource/``.
+    Return the folder with ``config/`` and ``resource/``.
 
-    That is the checkout for a source tree, ``<prefix>/share/hnn_vi_ros`` for anything installed
-    (colcon, a Debian package, pip).
+    In a source tree it is the checkout, in an installation (colcon, Debian package, pip)
+    ``<prefix>/share/hnn_vi_ros``.
     """
     package = Path(__file__).resolve().parents[1]
     for folder in package.parents:
@@ -113,36 +113,36 @@ def share_folder() -> Path:
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the sorted names of the shipped files of a kind: scene, sweep, task and so on."""
+    """Return the sorted names of the shipped files of a kind, such as scene, sweep, task."""
     folder, suffix = _FOLDERS[kind]
     return sorted(path.stem for path in (share_folder() / folder).glob(f'*{suffix}'))
 
 
 def shipped_file(kind: str, name: str) -> Path:
-    """Return where a shipped file of this kind and name lies; it need not exist."""
+    """Return the path of a shipped file of this kind and name; it need not exist."""
     folder, suffix = _FOLDERS[kind]
     return share_folder() / folder / f'{name}{suffix}'
 
 
 def is_path(kind: str, name: str) -> bool:
-    """Return whether a name is a path: it has a separator or the kind's suffix."""
+    """Return whether a name is a path: it has a separator or the suffix of the kind."""
     suffixes = (_FOLDERS[kind][1], '.yml') if kind != 'model' else (_FOLDERS[kind][1],)
     return '/' in name or name.endswith(suffixes)
 
 
 def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
     """
-    Return the YAML file that a user names.
+    Return the YAML file for a name or a path given by the user.
 
     Parameters
     ----------
     kind : str
         ``scene``, ``sweep``, ``task`` or ``training``.
     text : str
-        The name of a shipped file, or the path of a file.
+        Name of a shipped file, or path of a file.
     error : type of HnnViRosError
-        The exception to raise if there is no such file, with one line: the valid names, and the
-        nearest one.
+        Exception to raise if the file does not exist, with one line: the valid names, and the
+        closest one.
 
     """
     named = is_path(kind, text)
@@ -156,7 +156,7 @@ def find_yaml(kind: str, text: str, error: type[HnnViRosError]) -> Path:
         beside = f'; for the file {text} give ./{text}' if os.path.isfile(text) else ''
         raise error(f'no {what} {text!r}{beside}{offered(text, names, "shipped")}'
                     f'{_ALL.get(kind, "")}; or give the path of a .yaml file')
-    # Compare the stems: all files share the suffix.
+    # Compare stems only, because all files share the suffix.
     files = path.parent.glob('*.y*ml') if os.path.isdir(path.parent) else ()
     beside_it = {file.stem: file.name for file in files}
     hint = did_you_mean(path.stem, beside_it)

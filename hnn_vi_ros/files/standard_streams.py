@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Standard output and error that are closed, full, or pipes that nobody reads any more."""
+"""Handle standard output and error that are closed, full, or pipes without a reader."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,24 +15,24 @@ from typing import Any, TextIO
 
 from hnn_vi_ros.errors import printable
 
-# Signals that end a process in good order; the last one arrives when its terminal closes.
+# Signals that end a process cleanly; SIGHUP arrives when its terminal closes.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-# How often a line of progress is written on a terminal, and elsewhere [s].
+# Interval of progress lines on a terminal and elsewhere [s], and width of the bar.
 _TERMINAL, _ELSEWHERE, _BAR = 0.2, 10.0, 24
 
 
 class _Lossy(io.FileIO):
     """
-    A file whose writes never fail: what it cannot take is lost, and why is remembered.
+    A file whose writes never fail: data may be lost, and the first error is stored.
 
-    A recording, a training or a study is not to end because its lines cannot be shown.
+    A recording, a training or a study must not fail because its output cannot be shown.
 
     Attributes
     ----------
     problem : OSError or None
-        Why something was lost.
+        Error that caused the loss of data.
     matters : bool
-        Whether what is printed is what the process is for.
+        True if the output is the purpose of the process.
 
     """
 
@@ -40,7 +40,7 @@ class _Lossy(io.FileIO):
     matters = True
 
     def write(self, data: Any) -> int:
-        """Write, as long as that works."""
+        """Write until the first error; discard data after it."""
         if self.problem is None:
             try:
                 return super().write(data)
@@ -50,26 +50,26 @@ class _Lossy(io.FileIO):
 
 
 class _Plain(io.TextIOWrapper):
-    """Text stream that shows control characters: what is printed may hold texts of others."""
+    """Text stream that escapes control characters, since printed text may be untrusted."""
 
     keep = '\n\t'
 
     def write(self, text: str) -> int:
-        """Write a text of any origin."""
+        """Write a text with control characters escaped."""
         super().write(printable(text, self.keep))
         return len(text)
 
     def write_emphasised(self, begin: str, *rest: str) -> None:
-        """Write a line whose beginning is bold and red."""
+        """Write a line that starts in bold red."""
         super().write(f'\x1b[1;31m{printable(begin)}\x1b[0m{printable("".join(rest))}\n')
 
     def rewrite(self, text: str) -> None:
-        """Write a text in place of the line in which the cursor of a terminal is."""
+        """Replace the current line of a terminal."""
         super().write(f'\r\x1b[K{printable(text)}')
 
 
 def write_problem(line: str) -> None:
-    """Write a line on what is wrong to standard error; on a terminal its command in red."""
+    """Write an error line to standard error; on a terminal with the command in red."""
     stream = sys.stderr
     if isinstance(stream, _Plain) and stream.isatty() and not os.environ.get('NO_COLOR') and \
             os.environ.get('TERM') != 'dumb':
@@ -79,7 +79,7 @@ def write_problem(line: str) -> None:
 
 
 def rewrite_line(stream: TextIO, text: str) -> None:
-    """Show a text in place of the last line of a terminal."""
+    """Replace the last line of a terminal."""
     if isinstance(stream, _Plain):
         stream.rewrite(text)
     else:
@@ -89,17 +89,16 @@ def rewrite_line(stream: TextIO, text: str) -> None:
 
 def guard_streams() -> None:
     """
-    Let no write to standard output or error raise, and no terminal obey what is printed.
+    Make writes to standard output and error never raise, and escape control characters.
 
-    See ``lost_output``; how far a training or a study is shows by carriage returns on standard
-    error.
+    See ``lost_output``. Only progress lines on standard error may use carriage returns.
     """
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
-            # Else the next file that is opened, such as a bag, would be what is printed to. Opened
-            # so that writing fails, as with a closed stream.
+            # Otherwise the next opened file, such as a bag, would receive the output. This file is
+            # opened such that writing fails, as with a closed stream.
             os.open(os.devnull, os.O_WRONLY if number == 0 else os.O_RDONLY)
     out, error = _guarded(1, sys.stdout), _guarded(2, sys.stderr)
     error.keep += '\r'
@@ -107,20 +106,20 @@ def guard_streams() -> None:
 
 
 def spare_output() -> None:
-    """Note that the process is for messages or files, whatever becomes of its output."""
+    """Mark the output as dispensable, because the process produces messages or files."""
     if isinstance(raw := getattr(getattr(sys.stdout, 'buffer', None), 'raw', None), _Lossy):
         raw.matters = False
 
 
 def lost_output() -> tuple[OSError | None, bool]:
-    """Return why something that was printed has not arrived, None if all has; if it matters."""
+    """Return the error that lost printed text, None if there is none; and whether it matters."""
     sys.stdout.flush()
     buffer: Any = sys.stdout.buffer
     return buffer.raw.problem, buffer.raw.matters
 
 
 class ProgressLine:
-    """Line on standard error, rewritten in place on a terminal; elsewhere one every 10 s."""
+    """Progress line on standard error: rewritten on a terminal; elsewhere a line every 10 s."""
 
     def __init__(self) -> None:
         self._terminal, self._shown = sys.stderr.isatty(), False
@@ -128,7 +127,7 @@ class ProgressLine:
         self._next = time.monotonic() + self._interval
 
     def show(self, share: float, what: str) -> None:
-        """Show how much is done, from 0 to 1, and what is being done, if it is time to."""
+        """Show the progress from 0 to 1 and the current activity, if the interval has passed."""
         now = time.monotonic()
         if now < self._next:
             return
@@ -139,14 +138,14 @@ class ProgressLine:
         self._shown = self._terminal
 
     def close(self) -> None:
-        """Clear the line: what is printed next takes its place."""
+        """Clear the line for further output."""
         if self._shown:
             rewrite_line(sys.stderr, '')
 
 
 @contextmanager
 def elapsed(what: str) -> Iterator[None]:
-    """Write on standard error, every 10 s and on a terminal in one line, how long work takes."""
+    """Report the elapsed time on standard error: in one line on a terminal, else every 10 s."""
     begin, done, terminal = time.monotonic(), threading.Event(), sys.stderr.isatty()
 
     def show() -> None:
@@ -165,21 +164,21 @@ def elapsed(what: str) -> Iterator[None]:
 
 
 def _show_progress(text: str) -> None:
-    """Write a line on standard error, on a terminal in place of the one before."""
+    """Write a line on standard error; on a terminal it replaces the previous one."""
     if sys.stderr.isatty():
-        # A line that is wrapped would not be cleared as a whole.
+        # Truncate the line: a wrapped one could not be cleared completely.
         rewrite_line(sys.stderr, text[:shutil.get_terminal_size().columns - 1])
     else:
         print(text, file=sys.stderr, flush=True)
 
 
 def _guarded(number: int, stream: TextIO | None) -> _Plain:
-    """Return a text stream like the one that Python has made, if it has made one."""
+    """Return a text stream with the settings of Python's own, if that exists."""
     terminal = os.isatty(number)
     return _Plain(
         io.BufferedWriter(_Lossy(number, 'w', closefd=False)),
         encoding=stream.encoding if stream else 'utf-8',
-        # A letter that a terminal cannot show, or a name that is no text, is to end nothing.
+        # Unencodable characters and names must not raise an error.
         errors='backslashreplace',
         line_buffering=terminal or number == 2,
         write_through=isinstance(stream, io.TextIOWrapper) and stream.write_through)

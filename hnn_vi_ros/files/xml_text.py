@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read XML: elements and attributes alone, whoever wrote it, within limits.
+Read untrusted XML within limits: only elements and attributes.
 
-A document type declaration is refused, and with it all entities but XML's own, so that nothing is
-expanded and no other file is read.
+A document type declaration is rejected, and with it all entities except the predefined ones:
+nothing is expanded and no other file is read.
 """
 
 from dataclasses import dataclass, field
@@ -22,18 +22,18 @@ MAX_ELEMENTS = 100_000
 @dataclass(frozen=True, eq=False)
 class Element:
     """
-    An element; text between elements is not kept.
+    An element; text between elements is discarded.
 
     Parameters
     ----------
     tag : str
-        Its name, with the prefix of a namespace.
+        Name, with the namespace prefix.
     attributes : dict of str to str
-        By name.
+        Values by name.
     line : int
-        Where it begins.
+        Line at which it starts.
     children : list of Element
-        Those in it, in their order.
+        Child elements in order.
 
     """
 
@@ -43,7 +43,7 @@ class Element:
     children: list['Element'] = field(default_factory=list)
 
     def named(self, tag: str) -> list['Element']:
-        """Return the children of a name."""
+        """Return the children with a given name."""
         return [child for child in self.children if child.tag == tag]
 
 
@@ -54,17 +54,17 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
     Parameters
     ----------
     text : bytes
-        The document.
+        XML document.
     where : object
-        What holds it, for errors.
+        Source of the document, for error messages.
     error : type of HnnViRosError
-        The exception to raise, with one line: where, the line, what is wrong.
+        Exception to raise, with one line: source, line, problem.
 
     """
     if len(text) > MAX_XML_BYTES:
         raise error(f'{where}: more than {MAX_XML_BYTES >> 20} MiB of XML')
     parser, numbers = expat.ParserCreate(), count(1)
-    # The elements that are open, within one that holds the root.
+    # Stack of open elements, below a parent of the root.
     opened = [Element('', {}, 0)]
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -88,11 +88,11 @@ def parse_xml(text: bytes, where: object, error: type[HnnViRosError]) -> Element
         raise error(f'{where}:{problem.lineno}: no XML: {expat.ErrorString(problem.code)}'
                     ) from problem
     except (_Refused, LookupError, ValueError) as problem:
-        # The latter of an encoding that is not known, or not one of single bytes.
+        # ValueError: an unknown encoding, or one that is not single-byte.
         raise error(f'{where}:{parser.CurrentLineNumber}: {one_line(problem)}') from problem
-    # There is one in all XML.
+    # Well-formed XML has exactly one root.
     return opened[0].children[0]
 
 
 class _Refused(Exception):
-    """A document that is not read."""
+    """A rejected document."""

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Read YAML files into pydantic models, whose errors name file, line and key; their schemas."""
+"""Read YAML files into pydantic models, with errors that name file, line and key; JSON schemas."""
 
 from collections.abc import Callable, Mapping, Sequence
 import json
@@ -34,7 +34,7 @@ def json_schema(model: type[BaseModel], title: str) -> str:
 
 
 class _Plain(GenerateJsonSchema):
-    """A JSON schema without a title for each key, which would only repeat its name."""
+    """A JSON schema without titles of keys, which would only repeat their names."""
 
     def field_title_should_be_set(self, schema: object) -> bool:
         return False
@@ -42,9 +42,9 @@ class _Plain(GenerateJsonSchema):
 
 Model = TypeVar('Model', bound=BaseModel)
 
-# Characters of a value in an error.
+# Maximum length of a value in an error.
 _LONGEST_VALUE = 60
-# What a value must be, by the type of an error of pydantic whose own words are those of Python.
+# Expected form of a value by pydantic's error type, for messages in terms of Python.
 _FORMS = {
     'too_short': 'have {min_length} or more entries',
     'too_long': 'have at most {max_length} entries',
@@ -57,18 +57,18 @@ _FORMS = {
     'string_pattern_mismatch': 'match the pattern {pattern}', 'bool_type': 'be true or false',
     'int_type': 'be a whole number', 'int_from_float': 'be a whole number',
     'float_type': 'be a number'}
-# The first units in a description: 'h [s]; ...', 'k of each joint [N/m], [N m/rad]'.
+# First units in a description: 'h [s]; ...', 'k of each joint [N/m], [N m/rad]'.
 _UNITS = re.compile(r'\[[^\[\],]+\](?:(?:,| or) \[[^\[\],]+\])*')
 
 
 def units_in(description: str | None) -> tuple[str, ...]:
-    """Return the unit in brackets in a description, or several for what may be of each kind."""
+    """Return the units in brackets in a description; several for several kinds."""
     found = _UNITS.search(description or '')
     return tuple(re.findall(r'\[(.*?)\]', found[0])) if found else ()
 
 
 class StrictModel(BaseModel):
-    """A schema that refuses unknown keys, strings for numbers, NaN and infinity."""
+    """A schema that rejects unknown keys, strings in place of numbers, NaN and infinity."""
 
     model_config = ConfigDict(extra='forbid', strict=True, allow_inf_nan=False, frozen=True)
 
@@ -76,16 +76,16 @@ class StrictModel(BaseModel):
 def read_yaml(path: Path, schema: type[Model], error: type[HnnViRosError]
               ) -> tuple[Model, KeyPlaces]:
     """
-    Read and validate one YAML file that the user names, and keep where its keys stand.
+    Read and validate one YAML file given by the user; return the places of its keys as well.
 
     Parameters
     ----------
     path : Path
-        The file, of at most 1 MiB.
+        Path of the file, of at most 1 MiB.
     schema : type of BaseModel
-        Schema that the file must satisfy.
+        Schema of the file.
     error : type of HnnViRosError
-        The exception to raise, with one line: file, line, key, what is expected.
+        Exception to raise, with one line: file, line, key, expected value.
 
     """
     data, places = parse_mapping(read_text(path, error), path, error)
@@ -103,11 +103,11 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
     data : mapping
         The data read.
     places : KeyPlaces or callable
-        Where its keys stand, or what returns that; only an error asks for it.
+        Places of the keys, or a function that returns them; used only for errors.
     schema, error
         See ``read_yaml``.
     trust_code : bool, optional
-        Whether the data may name Python code that is run; see ``named_code``.
+        True if the data may name Python code that is run; see ``named_code``.
 
     """
     try:
@@ -118,7 +118,7 @@ def validate(data: Mapping[str, Any], places: KeyPlaces | Callable[[], KeyPlaces
 
 
 def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
-    """Return the content of a regular file, unless it is larger than YAML may be."""
+    """Return the content of a regular file; raise an error if it is larger than YAML may be."""
     try:
         return read_limited(path, MAX_YAML_BYTES)
     except OSError as problem:
@@ -126,7 +126,7 @@ def read_text(path: Path, error: type[HnnViRosError]) -> bytes:
 
 
 def in_plain_words(problem: ValidationError) -> str:
-    """Return the first key of data that do not fit a schema, and what is wrong with it."""
+    """Describe the first error of data that do not fit a schema, with its key."""
     first = problem.errors(include_url=False)[0]
     words = {'missing': 'required', 'extra_forbidden': 'unknown key'}
     said = words.get(first['type']) or _wrong_value([first], ())
@@ -135,8 +135,8 @@ def in_plain_words(problem: ValidationError) -> str:
 
 def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationError) -> str:
     problems = problem.errors(include_url=False)
-    # A misspelt key is reported as unknown rather than as missing under its right name; of the
-    # types that a value may have, the one that it fits best is the one that was meant.
+    # A misspelt key is reported as unknown rather than as missing under its correct name. Among
+    # the alternatives of a union, the one with the deepest match was probably intended.
     first = max(problems, key=lambda p: (p['type'] == 'extra_forbidden', len(p['loc'])))
     loc, problem_type, key = first['loc'], first['type'], places.follow(first['loc'])
     if problem_type == 'extra_forbidden':
@@ -160,15 +160,15 @@ def _describe(places: KeyPlaces, schema: type[BaseModel], problem: ValidationErr
     else:
         message = _wrong_value([p for p in problems if places.follow(p['loc']) == key],
                                _units_at(schema, loc, key))
-    # A message about a missing top-level key already names it.
+    # The message about a missing top-level key already contains its name.
     place = places.place(*key) if key else places.top
     return f'{place}: {one_line(message)}'
 
 
 def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
-    """Return what a value should be, as far as its types tell, and what it is."""
+    """Describe the expected value, as far as the error types tell, and the given one."""
     if any(p['type'] in ('value_error', 'assertion_error') for p in problems):
-        # From a schema of ours, whose message tells the value where that helps.
+        # The message of a validator in this package, which includes the value if useful.
         return ' or '.join(dict.fromkeys(p['msg'].removeprefix('Value error, ')
                                          for p in problems))
     shown = _shown(problems[0]['input'])
@@ -190,13 +190,13 @@ def _wrong_value(problems: Sequence[Any], units: Sequence[str]) -> str:
 
 
 def _shown(value: object) -> str:
-    """Return a value as an error shows it."""
+    """Return a value as shown in an error."""
     return repr(value) if len(repr(value)) <= _LONGEST_VALUE else \
         f'{repr(value)[:_LONGEST_VALUE]} ...'
 
 
 def _descriptions(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return what the schemas say of the key to which a pydantic location leads."""
+    """Return the descriptions of the key at a pydantic location."""
     fields = (owner.model_fields.get(str(loc[-1])) for owner in _schemas_at(schema, loc[:-1]))
     return [*dict.fromkeys(field.description for field in fields if field and field.description)]
 
@@ -208,10 +208,10 @@ def _bracketed(units: Sequence[str]) -> str:
 
 def _units_at(schema: type[BaseModel], loc: tuple[int | str, ...], key: Sequence[str]
               ) -> tuple[str, ...]:
-    """Return the units that the description of a number names in brackets."""
+    """Return the units in brackets in the description of a number."""
     units: set[tuple[str, ...]] = set()
     for i, part in enumerate(loc):
-        # That of a mapping holds for its values, whose keys are no fields.
+        # The description of a mapping applies to its values, whose keys are not fields.
         if part in key and (fields := [owner.model_fields[part] for owner in _schemas_at(
                 schema, loc[:i]) if isinstance(part, str) and part in owner.model_fields]):
             units = {own for field in fields if (own := units_in(field.description))}
@@ -219,17 +219,17 @@ def _units_at(schema: type[BaseModel], loc: tuple[int | str, ...], key: Sequence
 
 
 def _schemas_at(schema: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
-    """Return the schemas, more than one for a union, to which a pydantic location leads."""
+    """Return the schemas at a pydantic location; several for a union."""
     owners = [schema]
     for part in loc:
         nested = [model for owner in owners for model in _nested_models(owner, part)]
-        # Not a key: the number of an item, or the kind that tells the schemas of a union apart.
+        # Not a key: the index of an item, or the kind that selects a schema of a union.
         owners = nested or [owner for owner in owners if _kind(owner) == part] or owners
     return owners
 
 
 def _kind(schema: type[BaseModel]) -> str:
-    """Return the value of ``kind`` that chooses a schema; empty for one without."""
+    """Return the value of ``kind`` that selects a schema; '' if it has none."""
     field = schema.model_fields.get('kind')
     return getattr(field.annotation, '__args__', ('',))[0] if field else ''
 

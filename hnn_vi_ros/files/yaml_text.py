@@ -1,12 +1,11 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read and write YAML: plain data alone, whoever wrote it, within limits that are checked first.
+Read untrusted YAML within limits that are checked first, and write YAML; only plain data.
 
-Every YAML that is read, from a file, a bag or a topic, goes through ``parse_yaml``. Numbers are
-decimal, as in YAML 1.2; dates and numbers to base 60 are strings; keys are strings. Tags,
-aliases, directives and what exceeds a limit are refused. What ``dump_yaml`` writes is read back
-unchanged.
+All YAML, from a file, a bag or a topic, is read with ``parse_yaml``. Numbers are decimal, as in
+YAML 1.2; dates and numbers to base 60 are strings; keys are strings. Tags, aliases, directives and
+anything beyond a limit are rejected. The output of ``dump_yaml`` is read back unchanged.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,37 +22,37 @@ from yaml.scanner import ScannerError
 
 MAX_YAML_BYTES = 1 << 20
 MAX_DEPTH = 32
-# Keys, values and lists; the longest initial state has 20,000.
+# Maximum number of keys, values and lists; the longest initial state has 20,000.
 MAX_NODES = 50_000
-# Characters; every integer of so many digits is within the range of a float.
+# Maximum length of a number; all integers with this many digits are in the range of a float.
 MAX_NUMBER = 300
 MAX_KEY = 256
-# An error's line is at most this long.
+# Maximum length of an error message.
 _LONGEST_LINE = 1000
 
 _INT, _FLOAT = 'tag:yaml.org,2002:int', 'tag:yaml.org,2002:float'
-# Without a way back: the time that they take is proportional to the length of the scalar.
+# Regular expressions without backtracking: their time is linear in the scalar's length.
 _INTEGER = re.compile(r'[-+]?(?:0|[1-9][0-9]*)\Z')
 _REAL = re.compile(
     r'(?:[-+]?(?:(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[0-9]+[eE][-+]?[0-9]+'
     r'|\.(?:inf|Inf|INF))|\.(?:nan|NaN|NAN))\Z')
 _FIRST = list('-+.0123456789')
-# Every line break of YAML begins a line, and a byte order mark may come first.
+# In YAML each of these line breaks starts a line, and a byte order mark may come first.
 _DIRECTIVE = re.compile('(?:\\A|[\n\r\x85\u2028\u2029])\ufeff?%')
 
 
 @dataclass(frozen=True)
 class KeyPlaces:
     """
-    Places of the keys of a YAML text.
+    Line numbers of the keys of a YAML text.
 
     Parameters
     ----------
     where : str
-        What holds the text, a file or a topic.
+        Source of the text, a file or a topic.
     lines : dict of tuple of str to int
-        The line of each key; the items of a list count as keys '0', '1', ... 0 without a text:
-        the data were not read.
+        Line of each key; items of a list have the keys '0', '1', ... The line is 0 if the data
+        were not read from a text.
 
     """
 
@@ -62,16 +61,16 @@ class KeyPlaces:
 
     @classmethod
     def of_data(cls, data: object, where: str) -> 'KeyPlaces':
-        """Return the keys of plain data that come from no text."""
+        """Return the keys of plain data that were not read from a text."""
         return cls(where, dict.fromkeys(_keys(data, ()), 0))
 
     @property
     def top(self) -> str:
-        """Return ``where:line`` of the whole."""
+        """Return ``where:line`` of the root."""
         return f'{self.where}:1' if self.lines[()] else self.where
 
     def follow(self, key: Sequence[str | int]) -> tuple[str, ...]:
-        """Return the parts of a key or of a pydantic location that the text contains."""
+        """Return the part of a key or of a pydantic location that the text contains."""
         followed: tuple[str, ...] = ()
         for part in key:
             if (*followed, str(part)) in self.lines:
@@ -79,7 +78,7 @@ class KeyPlaces:
         return followed
 
     def place(self, *key: str | int) -> str:
-        """Return ``where:line: key``; of a key that is left out, that of what would hold it."""
+        """Return ``where:line: key``; for a missing key, the line of its parent."""
         line = self.lines[self.follow(key)]
         where = f'{self.where}:{line}' if line else self.where
         return f'{where}: {".".join(map(str, key)) or "the file"}'
@@ -88,16 +87,16 @@ class KeyPlaces:
 def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
                ) -> tuple[Any, KeyPlaces]:
     """
-    Return the plain data that one YAML document holds, and where its keys stand.
+    Return the plain data of one YAML document, and the places of its keys.
 
     Parameters
     ----------
     text : bytes or str
         UTF-8; at most 1 MiB, 32 levels deep, 50,000 keys and values.
     where : object
-        What holds the text, for errors.
+        Source of the text, for error messages.
     error : type of HnnViRosError
-        The exception to raise, with one line: ``where:line:`` and what is wrong there.
+        Exception to raise, with one line: ``where:line:`` and the problem.
 
     """
     raw = text.encode('utf-8', 'surrogatepass') if isinstance(text, str) else text
@@ -124,7 +123,7 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
         mark = problem.problem_mark or problem.context_mark
         what = ', '.join(filter(None, (problem.context, problem.problem)))
         if isinstance(problem, ScannerError | ParserError):
-            # Words of the library, whose word for a tab is a character that starts no token.
+            # Message of the library, which describes a tab as a character that starts no token.
             here = decoded[mark.index:mark.index + 1] if mark else ''
             what = 'a tab; indent by spaces' if here == '\t' else f'no YAML: {what}'
         raise error(f'{where}:{mark.line + 1 if mark else 1}: {one_line(what)}') from problem
@@ -133,13 +132,13 @@ def parse_yaml(text: bytes | str, where: object, error: type[HnnViRosError]
 
 
 def root_node(text: str) -> yaml.Node:
-    """Return the root of a YAML text that ``parse_yaml`` takes, whose parts know their places."""
+    """Return the root node of a YAML text accepted by ``parse_yaml``, with places of all nodes."""
     return _Loader(text).get_single_node()
 
 
 def parse_mapping(text: bytes | str, where: object, error: type[HnnViRosError]
                   ) -> tuple[dict[str, Any], KeyPlaces]:
-    """Return the keys and values that one YAML document holds; see ``parse_yaml``."""
+    """Return the mapping in one YAML document; see ``parse_yaml``."""
     data, places = parse_yaml(text, where, error)
     if not isinstance(data, dict):
         raise error(f'{where}:1: expected a mapping of keys to values')
@@ -147,26 +146,26 @@ def parse_mapping(text: bytes | str, where: object, error: type[HnnViRosError]
 
 
 def dump_yaml(data: object) -> str:
-    """Return plain data as YAML: keys in their order, nothing folded, what is twice told twice."""
+    """Return plain data as YAML: keys in order, no folding, repeated values written out."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, width=2**31, allow_unicode=True)
 
 
 def one_line(problem: object) -> str:
-    """Return a text on one line of printable characters, cut where it is beyond reading."""
+    """Return a text as one line of printable characters, truncated if it is too long."""
     line = ' '.join(str(problem).split())
     line = ''.join(letter if letter.isprintable() else '?' for letter in line)
     return line if len(line) <= _LONGEST_LINE else f'{line[:_LONGEST_LINE]} ...'
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quote what would be read as a number, and write a value that occurs twice out twice."""
+    """Dumper that quotes strings that look like numbers, and writes repeated values out."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    # Only this style reads back line breaks of other kinds than \n unchanged.
+    # Only this style preserves line breaks other than \n.
     style = None if text.isprintable() else '"'
     return dumper.represent_scalar('tag:yaml.org,2002:str', text, style)
 
@@ -177,9 +176,9 @@ _Dumper.add_implicit_resolver(_FLOAT, _REAL, _FIRST)
 
 class _Loader(Composer, yaml.CSafeLoader):
     """
-    Compose and construct plain data; refuse what exceeds a limit before it is followed.
+    Compose and construct plain data; reject anything beyond a limit as soon as it occurs.
 
-    The parser is in C, the composer in Python, where its work can be watched.
+    The parser is in C; the composer is in Python, where limits can be checked.
     """
 
     yaml_implicit_resolvers = {
@@ -212,7 +211,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         return node
 
     def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
-        """Compose a mapping whose keys are plain names, each once."""
+        """Compose a mapping with unique scalar keys."""
         node = super().compose_mapping_node(anchor)
         seen = set()
         for key, _ in node.value:
@@ -226,7 +225,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         return node
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
-        """Return a mapping with the keys in their written form."""
+        """Return a mapping whose keys are strings as written."""
         return {key.value: self.construct_object(value, deep=deep) for key, value in node.value}
 
 
@@ -239,7 +238,7 @@ def _refusal(what: str, where: yaml.Event | yaml.Node) -> ComposerError:
 
 
 def _keys(data: object, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """Yield each key of plain data, that of the whole among them."""
+    """Yield each key of plain data, including that of the root."""
     yield key
     items = data.items() if isinstance(data, Mapping) else enumerate(data) \
         if isinstance(data, list) else ()
@@ -249,7 +248,7 @@ def _keys(data: object, key: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
 
 def _lines(node: yaml.Node, key: tuple[str, ...], line: int
            ) -> Iterator[tuple[tuple[str, ...], int]]:
-    """Yield each key below a node, its own among them, with its line."""
+    """Yield each key at and below a node, with its line."""
     yield key, line
     if isinstance(node, yaml.MappingNode):
         for name, value in node.value:
