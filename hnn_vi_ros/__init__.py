@@ -16,5 +16,5 @@ if TYPE_CHECKING:
 __all__ = ['Scene', 'Trajectory', '__version__', 'load_scene', 'simulate', 'simulate_many',
            'simulate_spread', 'sweep']
 
-# Not `__version__`, which is there at once.
+# Without `__version__`, which is defined directly.
 __getattr__, __dir__ = lazy_exports(__name__)

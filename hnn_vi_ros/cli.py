@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The executables: each imports its module late, so that a missing package is one plain line."""
+"""The executables: modules are imported lazily, and a missing package is a one-line error."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,24 +22,24 @@ from hnn_vi_ros.files import (
     write_problem)
 from hnn_vi_ros.ros import settle_ros_environment
 
-# Import names of ROS 2, and the wheels that hold all of them.
+# Import names of ROS 2, and the wheels that contain them.
 _ROS = ('ament_index_python', 'rclpy', 'builtin_interfaces')
 _ROS_WHEELS = ('ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces')
-# What the extra `train` has besides rerun; simulating does without.
+# Packages of the extra `train` besides rerun; simulations do not need them.
 _TRAINING = ('plotly', 'torch')
-# Within this time SIGINT counts as one [s].
+# Period in which several SIGINT count as one [s].
 _ONE_INTERRUPT = 1.0
-# Of work that cannot continue later.
+# Message for work that cannot be resumed.
 _STOPPED = 'stopped: nothing more is written; the same command begins anew'
-# The status of a process that SIGINT has ended, as shells give it.
+# Exit status of a process terminated by SIGINT, as in shells.
 _INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> NoReturn:
-    """Run ``hnn``: one command for all executables, and for what needs no ROS."""
+    """Run ``hnn``: one command for all executables, and for commands without ROS."""
     call_by_hnn()
     if '_ARGCOMPLETE' in os.environ:
-        # A shell asks for completions; nobody reads a word of other output.
+        # A shell requests completions and ignores other output.
         import_module('hnn_vi_ros.commands.completion').complete()
     word, *argv = sys.argv[1:] or ['--help']
     if word == 'help':
@@ -52,25 +52,25 @@ def main() -> NoReturn:
     try:
         status = refuse(word)
     except SystemExit as end:
-        # From argparse, which has printed help, or the version.
+        # From argparse, which has printed the help or the version.
         status = end.code
     sys.exit(_with_output('hnn', status))
 
 
 def __getattr__(name: str) -> Callable[[], NoReturn]:
-    """Return what runs an executable: the entry points of setup.py look it up by its name."""
+    """Return the function that runs an executable, for the entry points of setup.py."""
     if name not in EXECUTABLES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return partial(_run, name)
 
 
 def _choose_cache() -> None:
-    """Let libraries keep their caches in a temporary folder where they could keep them nowhere."""
+    """Set cache folders of libraries to a temporary one if the default is read-only."""
     if 'ROS_LOG_DIR' not in os.environ and usual_folder('ROS_HOME', '.ros') is None:
         os.environ['ROS_LOG_DIR'] = str(private_folder() / 'ros_log')
     if usual_folder() is not None:
         return
-    # matplotlib would make another one each time, with a warning.
+    # Otherwise matplotlib would create a new one each time, with a warning.
     if 'MPLCONFIGDIR' not in os.environ:
         os.environ['MPLCONFIGDIR'] = str(private_folder() / 'matplotlib')
     if 'NUMBA_CACHE_DIR' not in os.environ and not os.access(Path(__file__).parent, os.W_OK):
@@ -78,7 +78,7 @@ def _choose_cache() -> None:
 
 
 def _merge_interrupts() -> None:
-    """Let SIGINT raise KeyboardInterrupt, but not again while that is being handled."""
+    """Make SIGINT raise KeyboardInterrupt, but not again while that is handled."""
     last = -math.inf
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -91,20 +91,20 @@ def _merge_interrupts() -> None:
 
 
 def _answer_at_once(name: str, argv: Sequence[str]) -> None:
-    """Exit if help or the version is asked for: that takes none of the module's libraries."""
+    """Print help or version and exit if requested, without importing the module's libraries."""
     asked = [word for word in argv if word in ('-h', '--help', '--version')]
     if asked:
         parser_of(name).parse_args(asked[:1])
 
 
 def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
-    """Call the ``main`` of an executable, and exit; whatever it prints, errors are one line."""
+    """Call the ``main`` of an executable, and exit; errors are reported in one line."""
     argv = list(sys.argv[1:] if argv is None else argv)
     name, *meant = ALIASES.get(name, (name,))
     argv, shown = [*meant, *argv], called(name)
     _merge_interrupts()
     guard_streams()
-    # The viewer's library would write lines of its own to standard error.
+    # Otherwise the viewer's library would write to standard error.
     os.environ.setdefault('RUST_LOG', 'off')
     try:
         _choose_cache()
@@ -112,7 +112,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         sys.exit(f'{shown}: neither the home nor a folder for temporary files can be written '
                  f'({problem.strerror}); set TMPDIR to one that can')
     try:
-        # Libraries look it up while they are imported.
+        # Libraries query it at import.
         os.getcwd()
     except FileNotFoundError:
         sys.exit(f'{shown}: the working directory was removed; change to one that exists')
@@ -120,14 +120,14 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
         _answer_at_once(name, argv)
         status = run_module(module_of(name, argv), argv, shown)
     except SystemExit as end:
-        # From argparse, which has printed help, or what is wrong.
+        # From argparse, which has printed the help or an error.
         status = end.code
     for number in ENDING:
-        # Nothing is to interrupt the end, that of the interpreter included.
+        # Ignore further signals until the interpreter has ended.
         signal.signal(number, signal.SIG_IGN)
     status = _with_output(shown, status)
     if status == _INTERRUPTED:
-        # The interpreter's end takes half a second, and waits for threads that compile.
+        # The interpreter's normal exit takes half a second, and waits for compiling threads.
         os._exit(_INTERRUPTED)
     if isinstance(status, str):
         write_problem(status)
@@ -137,28 +137,28 @@ def _run(name: str, argv: Sequence[str] | None = None) -> NoReturn:
 
 def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
     """
-    Run the ``main`` of a module.
+    Import a module and run its ``main``.
 
     Parameters
     ----------
     module : str
-        Imported now.
+        Name of the module.
     argv : list of str
-        Its arguments.
+        Arguments of ``main``.
     shown : str
-        What begins the line of an error.
+        Prefix of the error line.
 
     Returns
     -------
     int, str or None
-        The status to exit with; one line where a user can mend what is wrong.
+        Exit status; or one line for an error that the user can correct.
 
     """
     try:
         if module.startswith('hnn_vi_ros.ros.'):
-            # Before any library of ROS is loaded: some end the process.
+            # Before any ROS library is loaded, because some terminate the process.
             settle_ros_environment()
-        # Libraries in C turn an interrupt of their import into errors of their own.
+        # C libraries turn an interrupt during their import into other errors.
         signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
         found = import_module(module)
         _merge_interrupts()
@@ -171,13 +171,13 @@ def run_module(module: str, argv: list[str], shown: str) -> int | str | None:
             raise
         return f'{shown}: {_missing(problem.name.partition(".")[0])}'
     except KeyboardInterrupt as stop:
-        # The message of a command whose work can continue later explains how.
+        # A command that can be resumed explains how in its message.
         print(f'{shown}: {str(stop) or _STOPPED}', file=sys.stderr)
         return _INTERRUPTED
 
 
 def _warn_in_lines(shown: str) -> None:
-    """Let each warning be one line on standard error, once for each text."""
+    """Print each warning as one line on standard error, once per text."""
     told: set[str] = set()
 
     def show(message: Warning | str, *_where: Any, **_more: Any) -> None:
@@ -190,7 +190,7 @@ def _warn_in_lines(shown: str) -> None:
 
 
 def _missing(package: str) -> str:
-    """Return that a package is missing, and the command that installs it, in one line."""
+    """Return a one-line message for a missing package, with the command that installs it."""
     text = f'the Python package {package} is missing; install '
     packages = [package]
     if package in _ROS or package.endswith(('_msgs', '_srvs')):
@@ -199,7 +199,7 @@ def _missing(package: str) -> str:
     if package in _TRAINING:
         packages = [*_TRAINING, 'rerun']
         text += 'what training needs (1 GB, or 5 GB with CUDA) '
-        # It marks an environment made by `make`: requirements/make_venv wrote it.
+        # It marks an environment created with `make`, and is written by requirements/make_venv.
         made = Path(sys.prefix) / '.installed'
         if made.is_file():
             checkout = made.read_text(encoding='utf-8').splitlines()[0].partition(' ')[2]
@@ -214,11 +214,11 @@ def _missing(package: str) -> str:
 
 def _with_output(name: str, status: int | str | None) -> int | str | None:
     """
-    Return the status to exit with when not all that was printed may have arrived.
+    Return the exit status if some output may have been lost.
 
-    Once a node runs, files and messages are what counts, and its status stays; of anything else,
-    help included, it is what it prints. As other tools it says nothing of a reader that has seen
-    enough: ``| head``.
+    For a running node, only files and messages matter, and the status is kept. For other commands,
+    and for help, the output matters. As in other tools, a reader that closes the pipe early (``|
+    head``) causes no message.
     """
     problem, matters = lost_output()
     if problem is None or isinstance(status, str):
@@ -227,5 +227,5 @@ def _with_output(name: str, status: int | str | None) -> int | str | None:
         return status or 128 + signal.SIGPIPE
     print(f'{name}: standard output: {problem.strerror}: what was printed is lost',
           file=sys.stderr)
-    # Different from all statuses with which an executable reports its findings.
+    # Different from all statuses with which executables report findings.
     return status or os.EX_IOERR if matters else status

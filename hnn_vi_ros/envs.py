@@ -30,16 +30,16 @@ class Transition(NamedTuple):
     Parameters
     ----------
     t : float
-        Simulated time at its end [s].
+        Simulated time at the end [s].
     q_before, p_before : np.ndarray, shape (d,)
-        The state that the action found.
+        State before the action.
     action : np.ndarray, shape (c,)
-        The external force [N] or [N m].
+        External force [N] or [N m].
     q, p : np.ndarray, shape (d,)
-        The state at its end: where an event ended the run, the state there; where a step failed,
-        the last good one.
+        State at the end: if an event ended the run, the state at the event; if a step failed, the
+        last valid one.
     ended : str or None
-        The event or the failure that ended the run, if one did.
+        Event or failure that ended the run, or None.
 
     """
 
@@ -53,7 +53,7 @@ class Transition(NamedTuple):
 
 
 _RESET = 'the episode has ended, or none has begun: reset()'
-# Information on an action besides its transition, by name.
+# Information on an action in addition to its transition, by name.
 _Info = dict[str, Any]
 Step = tuple[np.ndarray, float, bool, bool, _Info]
 
@@ -62,41 +62,40 @@ class SceneEnv(gymnasium.Env):
     """
     A scene as an environment: an action is the external force, an observation is (q, p).
 
-    An action acts from the start of its first step to the end of its last one; the steps equal
-    those in ``Simulation``, bit by bit. The environment terminates where an event of the scene
-    with ``then: stop`` comes, and where a step fails: ``info`` then holds ``event`` or
-    ``failure``. Other events of the scene are in ``info['events']``.
+    An action is held over its steps, which equal those in ``Simulation`` bit by bit. An event of
+    the scene with ``then: stop`` and a failed step terminate the episode: ``info`` then contains
+    ``event`` or ``failure``. Other events of the scene are in ``info['events']``.
 
     Parameters
     ----------
     scene : Scene, str or Path
-        From ``load_scene``, or what that takes: the name of a shipped scene, or a YAML file.
+        Scene from ``load_scene``, or its argument: name of a shipped scene, or a YAML file.
     reward : callable
-        Returns the reward of a Transition.
+        Function that returns the reward of a Transition.
     every : int, optional
-        Steps of the simulation for each action.
+        Number of simulation steps per action.
     limits : float or sequence of float, shape (c,), optional
-        The largest size of each number of an action, > 0 [N] or [N m]; no limit by default.
+        Maximum size of each component of an action, > 0 [N] or [N m]; no limit by default.
     max_episode_steps : int, optional
-        Actions after which an episode is truncated.
+        Number of actions after which an episode is truncated.
     initial_state : callable, optional
-        Takes a ``np.random.Generator``, the environment's, and returns q and p; by default each
-        episode begins at the scene's own.
+        Function of the environment's ``np.random.Generator`` that returns q and p; by default each
+        episode starts at the scene's initial state.
     effects : sequence of mapping, optional
-        In place of the scene's, each as in YAML:
-        ``{'kind': 'external_force', 'coordinates': ['angle']}``.
+        Effects that replace the scene's, each as in YAML: ``{'kind': 'external_force',
+        'coordinates': ['angle']}``.
 
     Attributes
     ----------
     over : bool
-        Whether the episode has ended, or none has begun.
+        True if the episode has ended, or none has been started.
 
     Raises
     ------
     HnnViRosError
         The scene cannot be built.
     ValueError, TypeError
-        An argument that is not usable, or a scene that takes no commands.
+        An argument is invalid, or the scene has no effect that takes commands.
 
     References
     ----------
@@ -117,13 +116,13 @@ class SceneEnv(gymnasium.Env):
             check_count('max_episode_steps', max_episode_steps)
         self._reward, self._every, self._most = reward, int(every), max_episode_steps
         self._initial_state = initial_state
-        # A copy of its own: vector environments add to it.
+        # A separate copy: vector environments modify it.
         self.metadata = dict(self.metadata)
         self._parts = changed_parts(scene, effects=effects)
         self._scene = self._parts.scene
         self._check_commands()
         self._simulation = self._made()
-        # Now, and not in the first step of an episode.
+        # Compile now, not in the first step of an episode.
         self._simulation.compile()
         self.over, self._taken = True, 0
         self._ahead: tuple[Transition, _Info] | None = None
@@ -134,31 +133,31 @@ class SceneEnv(gymnasium.Env):
 
     def copy(self, *, shared: bool = False) -> 'SceneEnv':
         """
-        Return the same environment before its first episode.
+        Return a copy of the environment before its first episode.
 
         Parameters
         ----------
         shared : bool, optional
-            Use the simulation of this one, in the same thread, in place of one of its own.
+            True to share the simulation of this environment, in the same thread.
 
         """
         other = copy(self)
         if not shared:
             other._simulation = other._made()
         other.over, other._ahead = True, None
-        # A generator of its own, random until reset() gets a seed.
+        # A separate generator, with a random seed until reset() gets one.
         other.np_random, _ = gymnasium.utils.seeding.np_random()
         return other
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[np.ndarray, _Info]:
         """
-        Begin an episode; the seed is that of its initial state and of its noise.
+        Start an episode; the seed determines its initial state and its noise.
 
         Raises
         ------
         StateError
-            The initial state cannot be used.
+            The initial state is invalid.
 
         """
         super().reset(seed=seed)
@@ -172,13 +171,13 @@ class SceneEnv(gymnasium.Env):
         try:
             simulation.restart(q, p, stream=int(self.np_random.integers(2**63)))
         except (StepFailure, EffectError) as problem:
-            # gymnasium rebuilds the error of another process from its message alone.
+            # gymnasium reconstructs the error of another process from its message only.
             raise StateError(str(problem)) from problem
         self.over, self._taken, self._ahead, self._row = False, 0, None, simulation.row
         return np.concatenate([simulation.q, simulation.p]), {}
 
     def step(self, action: ArrayLike) -> Step:
-        """Take an action: the steps of the simulation that it lasts."""
+        """Apply an action: advance the simulation by the steps of the action."""
         if self.over:
             raise gymnasium.error.ResetNeeded(_RESET)
         if self._ahead is None:
@@ -194,14 +193,14 @@ class SceneEnv(gymnasium.Env):
 
     def begin(self, envs: Sequence['SceneEnv'], actions: np.ndarray) -> None:
         """
-        Take the steps of actions ahead of ``step``, of environments that share its simulation.
+        Compute actions ahead of ``step``, for environments that share this simulation.
 
         Parameters
         ----------
         envs : sequence of SceneEnv
-            Nothing happens in those whose episode has ended.
+            Environments; those whose episode has ended are skipped.
         actions : np.ndarray, shape (len(envs), c)
-            Each as from ``check_action``.
+            Actions from ``check_action``.
 
         """
         live = [k for k, env in enumerate(envs) if not env.over]
@@ -223,7 +222,7 @@ class SceneEnv(gymnasium.Env):
                 times[i], q[i, 0], p[i, 0], actions[k], q[i, 1], p[i, 1], None), {}
 
     def _begin_alone(self, action: np.ndarray) -> None:
-        """Take the steps of an action in which an event may come, or one may fail."""
+        """Compute an action with individual steps, in which events or failures may occur."""
         simulation = self._simulation
         simulation.put(self._row)
         before = simulation.q.copy(), simulation.p.copy()
@@ -252,7 +251,7 @@ class SceneEnv(gymnasium.Env):
         return watched(simulation, scene)
 
     def _check_commands(self) -> None:
-        """Raise ValueError if no effect takes commands, or one would not last its steps."""
+        """Raise ValueError if no effect takes commands, or a time-out is too short."""
         holds = [choice.timeout for choice, effect in zip(
             self._scene.effects, self._parts.effects, strict=True)
             if isinstance(effect, Commanded) and NUMBERS in effect.takes]
@@ -269,22 +268,22 @@ class SceneEnv(gymnasium.Env):
 
 class SceneVectorEnv(SyncVectorEnv):
     """
-    Many environments of one scene, whose steps are taken together.
+    Many environments of one scene, stepped together.
 
-    Actions have the same results, and environments reset at the same times, as in gymnasium's
-    ``SyncVectorEnv`` over ``SceneEnv``, bit by bit. All that share a thread step in one compiled
-    loop, outside of Python's lock, so that threads gain where actions last several steps.
+    Results and resets equal those of gymnasium's ``SyncVectorEnv`` of ``SceneEnv`` bit by bit. The
+    environments of a thread step in one compiled loop that releases Python's lock, so threads pay
+    off if actions last several steps.
 
     Parameters
     ----------
     scene, reward
         See SceneEnv.
     num_envs : int
-        How many.
+        Number of environments.
     threads : int, optional
-        By default as many as there are processors.
+        Number of threads, by default that of the processors.
     autoreset_mode : AutoresetMode, optional
-        When an environment begins its next episode: by default in the step after the last one.
+        Time of the automatic reset: by default the step after the last one of an episode.
     **settings
         See SceneEnv: every, limits, max_episode_steps, initial_state, effects.
 
@@ -313,16 +312,16 @@ class SceneVectorEnv(SyncVectorEnv):
 
     def step(self, actions: ArrayLike) -> tuple[np.ndarray, ...]:
         """Take an action in each environment; see gymnasium's VectorEnv."""
-        # Whole, before any environment moves.
+        # Check all actions before any environment moves.
         checked = check_action(actions, self.action_space)
         if self.autoreset_mode is AutoresetMode.DISABLED and any(env.over for env in self.envs):
             raise gymnasium.error.ResetNeeded(_RESET)
-        # Taken from the iterator, so that a failure of one thread is raised here.
+        # Consume the iterator, so that a failure in a thread is raised here.
         list(self._pool.map(self._begin, self._shares, [checked[own] for own in self._shares]))
         return super().step(checked)
 
     def close_extras(self, **options: Any) -> None:
-        """End the threads."""
+        """Stop the threads."""
         super().close_extras(**options)
         self._pool.shutdown()
 
@@ -333,19 +332,19 @@ class SceneVectorEnv(SyncVectorEnv):
 
 def check_action(action: ArrayLike, space: Any) -> np.ndarray:
     """
-    Return an action, or the actions of several environments, as a fresh array of float64.
+    Return an action, or those of several environments, as a new float64 array.
 
     Parameters
     ----------
     action : array_like, shape of the space
-        The caller's action [N] or [N m].
+        Action given by the caller [N] or [N m].
     space : gymnasium.spaces.Box
-        Of actions.
+        Space of actions.
 
     Raises
     ------
     ValueError, TypeError
-        A wrong shape, or a number that is not finite or beyond the limits.
+        The shape is wrong, or a number is not finite or beyond the limits.
 
     """
     array = check_numbers('action', action)
@@ -360,7 +359,7 @@ def check_action(action: ArrayLike, space: Any) -> np.ndarray:
 
 
 def _bounds(limits: ArrayLike, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and the highest action, shape (c,), or raise."""
+    """Return the minimum and the maximum action, shape (c,); raise an error if invalid."""
     largest = check_numbers('limits', limits)
     if largest.shape not in ((), (size,)) or not (largest > 0.0).all():
         raise ValueError(f'limits = {largest.tolist()} must be a positive number, or one for each '

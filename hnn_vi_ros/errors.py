@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The errors that a user can meet; each message is one line: what, where, remedy."""
+"""Errors reported to users; each message is one line: place, problem, remedy."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -14,29 +14,29 @@ if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
     import numpy as np
 
-# Names in a list; characters of a message, of a longer one from its begin and from its end.
+# Maximum number of names in a list.
 _MOST_LISTED = 20
-# Letters of all names that stand next to an unknown one, and how many stand there if all do not.
+# Maximum number of letters to list all names; otherwise number of similar names listed.
 _MOST_LETTERS, _MOST_NEAR = 200, 8
 _LONGEST, _TAIL = 2000, 400
-# Characters that a terminal obeys, C0, DEL and C1, which can make it write files or hide output;
-# and characters that are invisible, end lines, or turn the reading direction.
+# Control characters of terminals (C0, DEL and C1), which can make them write files or hide output;
+# and characters that are invisible, end lines, or change the reading direction.
 _CONTROL = re.compile('[\x00-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f'
                       '\ufeff\ufff9-\ufffb\U000e0000-\U000e007f]')
 
 
 def printable(text: str, keep: str = '') -> str:
     """
-    Return a text as one line that any terminal shows: its control characters are escaped.
+    Return a text as one printable line, with control characters escaped.
 
-    Names and texts of bags, scenes, models and other nodes may hold any.
+    Names and texts from bags, scenes, models and other nodes may contain any character.
 
     Parameters
     ----------
     text : str
-        As it came.
+        Untrusted text.
     keep : str, optional
-        Control characters to leave alone.
+        Control characters to keep.
 
     """
     return _CONTROL.sub(lambda found: found[0] if found[0] in keep else
@@ -44,23 +44,23 @@ def printable(text: str, keep: str = '') -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str], cutoff: float = 0.7) -> str:
-    """Return ``'; did you mean ...?'`` if a word is nearly a known one, else nothing."""
+    """Return ``'; did you mean ...?'`` if a word resembles a known one, else ''."""
     nearest = get_close_matches(word, known, n=1, cutoff=cutoff)
     return f'; did you mean {nearest[0]}?' if nearest else ''
 
 
 def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
     """
-    Return ``'; did you mean ...?; valid: ...'``: of many names those that are most like a word.
+    Return ``'; did you mean ...?; valid: ...'``; of many names, only the most similar.
 
     Parameters
     ----------
     word : str
-        The name that is unknown.
+        Unknown name.
     known : iterable of str
-        The valid ones.
+        Valid names.
     what : str, optional
-        What they are.
+        Label of the list.
 
     """
     names = [*known]
@@ -73,14 +73,14 @@ def offered(word: str, known: Iterable[str], what: str = 'valid') -> str:
 
 
 def listed(names: Iterable[object]) -> str:
-    """Return names for a message: of many the first, and how many more there are."""
+    """Return names for a message: the first ones, and the number of the remaining ones."""
     every = [*names]
     more = len(every) - _MOST_LISTED
     return ', '.join(map(str, every[:_MOST_LISTED])) + (f', ... ({more} more)' if more > 0 else '')
 
 
 def reduce_error(error: BaseException) -> tuple[Any, ...]:
-    """Let pickle call no constructor, whose arguments are not always the message alone."""
+    """Make pickle bypass constructors, whose arguments may differ from the message."""
     return _made_again, (type(error), error.args, vars(error))
 
 
@@ -93,14 +93,14 @@ def _made_again(cls: type[BaseException], args: tuple[Any, ...], state: dict[str
 
 class HnnViRosError(Exception):
     """
-    Base of every error that this package raises on purpose; as a text it is one printable line.
+    Base class of all intended errors of this package; their text is one printable line.
 
-    A message of more than 2000 characters loses its middle: what it quotes may be of any length.
+    A message of more than 2000 characters is shortened in the middle, since quotes may be long.
 
     Attributes
     ----------
     remedy : str
-        Remedy against errors of this class; the page on troubleshooting lists them all.
+        Remedy for errors of this class, listed on the troubleshooting page.
 
     """
 
@@ -108,7 +108,7 @@ class HnnViRosError(Exception):
     __reduce__ = reduce_error
 
     def __init__(self, message: object = ''):
-        # Libraries make an error again from another one, as gymnasium does across processes.
+        # Libraries construct an error from another one, as gymnasium does across processes.
         message = str(message)
         if len(message) > _LONGEST:
             message = f'{message[:_LONGEST - _TAIL]} ... {message[-_TAIL:]}'
@@ -119,7 +119,7 @@ class HnnViRosError(Exception):
 
 
 class SceneError(HnnViRosError):
-    """A scene file cannot be read or asks for something that does not exist."""
+    """A scene file cannot be read, or requests something that does not exist."""
 
     remedy = ('correct the key that the message names by file and line; `hnn scene --check '
               'FILE` checks a scene without running it, and the page on scene files lists '
@@ -127,7 +127,7 @@ class SceneError(HnnViRosError):
 
 
 class ModelError(HnnViRosError):
-    """A model file is missing, damaged, or is not a model of ours."""
+    """A model file is missing, damaged, or is not a model of this package."""
 
     remedy = ('name a shipped model or the path of a .safetensors file; `hnn '
               'import_checkpoint` imports checkpoints of the original HNN code, and `hnn '
@@ -142,14 +142,14 @@ class DataError(HnnViRosError):
 
 
 class ParameterError(HnnViRosError):
-    """A ROS parameter or an argument has a value that cannot be used."""
+    """A ROS parameter or an argument has an invalid value."""
 
     remedy = ('give a value in the range that the message states; `--help` of the '
               'executable lists its parameters with ranges and units')
 
 
 class RecordingError(HnnViRosError):
-    """A recording cannot be created, because it would overwrite or cannot be written."""
+    """A recording cannot be created or written, for example because the file exists."""
 
     remedy = ('name a path that does not exist in a folder that is writable; on a full disk '
               'free space, or run with `record:=false` and `rerun_sink:=none`; '
@@ -157,14 +157,14 @@ class RecordingError(HnnViRosError):
 
 
 class UnsupportedSystem(HnnViRosError):
-    """An integrator was asked for a system that it cannot integrate."""
+    """The chosen integrator cannot integrate the system."""
 
     remedy = ('take one of the methods that the message names; an explicit method needs H = '
               'T(p) + V(q), and bodies that turn need a method `lie_...`')
 
 
 class CalibrationError(HnnViRosError):
-    """No method can hold the error that was asked for."""
+    """No method reaches the requested error."""
 
     remedy = ('ask for a larger error or a shorter horizon; in a chaotic motion no method '
               'holds a trajectory error beyond some Lyapunov times, but an energy error can '
@@ -172,54 +172,54 @@ class CalibrationError(HnnViRosError):
 
 
 class MissingPackage(HnnViRosError, ImportError):
-    """A Python package is not installed that only what was asked for takes."""
+    """A Python package needed for the requested work is not installed."""
 
     remedy = ('run the pip command in the message, in the environment that hnn_vi_ros is '
               'installed in; `hnn doctor` lists what is there')
 
 
 class AlarmWarning(UserWarning):
-    """A guard found that a run is not to be trusted; see ``Trajectory.alarms``."""
+    """A guard reports that a run is unreliable; see ``Trajectory.alarms``."""
 
     remedy = 'see the alarm of that name below: the warning carries its message'
 
 
 class Interrupted(HnnViRosError):
-    """Training was stopped by Ctrl-C, its state saved."""
+    """Training was stopped with Ctrl-C after saving its state."""
 
     remedy = 'none is needed: the same command with `--resume` continues, bit-identically'
 
 
 class StateError(HnnViRosError, ValueError):
-    """A state that nothing can begin at, such as one behind a wall or off its constraints."""
+    """An invalid initial state, such as one behind a wall or off its constraints."""
 
     remedy = ('begin elsewhere: at finite numbers, within the limits of joints and walls, and '
               'where constraints hold')
 
 
-# What can be done about most steps that fail.
+# Remedy for most failed steps.
 ADVICE = 'use a smaller step_size or another integrator'
 
 
 class StepFailure(HnnViRosError):
     """
-    One step of the integrator failed; the state before it is the last good one.
+    A step of the integrator failed; the state before it is the last valid one.
 
     Parameters
     ----------
     reason : str
-        What went wrong, such as ``'no convergence'`` or ``'not finite'``.
+        Reason, such as ``'no convergence'`` or ``'not finite'``.
     t : float
         Simulated time at the start of the failed step [s].
     h : float
         Step size [s].
     relative_residual : float
-        Largest residual of the equation that was not solved, relative to the scale of its
-        unknowns [1], at the end of the first try; NaN where the step failed for another reason.
+        Largest residual of the unsolved equation relative to the scale of its unknowns [1], after
+        the first attempt; NaN if the step failed for another reason.
     evaluations : int
-        Gradients and Hessian-vector products that were evaluated for the step, all tries together.
+        Number of gradients and Hessian-vector products over all attempts of the step.
     advice : str, optional
-        What can be done about it.
+        Remedy.
 
     """
 
@@ -239,23 +239,23 @@ class StepFailure(HnnViRosError):
             f'evaluations of gradients and products with second derivatives; {advice}')
 
     def dated(self, t: float) -> 'StepFailure':
-        """Return the failure at another time [s], such as that of a stamp."""
+        """Return the failure with another time [s], such as that of a stamp."""
         return StepFailure(self.reason, t, self.h, self.relative_residual, self.evaluations,
                            self.advice)
 
 
 class StoppedByEvent(HnnViRosError):
     """
-    An event came that ends the run; the state is that before the step in which it came.
+    An event ended the run; the simulation is at the state before the step with the event.
 
     Parameters
     ----------
     event : Event
-        Which.
+        Event that ended the run.
     q, p : np.ndarray, shape (N, d)
-        Samples that were taken before.
+        Samples taken before the event.
     state : callable
-        Returns q and p at a share of the step in which it came; see ``DenseStep.state``.
+        Function that returns q and p at a fraction of the event's step; see ``DenseStep.state``.
 
     """
 
@@ -267,23 +267,23 @@ class StoppedByEvent(HnnViRosError):
         super().__init__(f'the event {event} ended the run')
 
     def after(self, q: 'np.ndarray', p: 'np.ndarray') -> 'StoppedByEvent':
-        """Return it with samples that were taken before."""
+        """Return the exception with samples that were taken before."""
         return StoppedByEvent(self.event, q, p, self.state)
 
 
-# What pip takes where that is not the name by which a package is imported. Each version of rerun
-# changes its API: the range is that of setup.py.
+# Requirements for pip that differ from the import name. Each version of rerun changes its API; the
+# range equals that in setup.py.
 _REQUIREMENTS = {'rerun': 'rerun-sdk>=0.41,<0.42', 'yaml': 'pyyaml'}
 
 
 def pip_command(*packages: str) -> str:
     """
-    Return the command that installs packages where this Python finds them.
+    Return the command that installs packages for this Python.
 
     Parameters
     ----------
     packages : str
-        The names by which they are imported; of others, what pip takes.
+        Import names, or requirements for pip.
 
     """
     return f'{sys.executable} -m pip install ' + ' '.join(
@@ -293,25 +293,25 @@ def pip_command(*packages: str) -> str:
 @contextmanager
 def optional(package: str, what: str) -> Iterator[None]:
     """
-    Say in one line which package is missing, where an import inside fails for that.
+    Replace the error of a failed import by a one-line message on the missing package.
 
     Parameters
     ----------
     package : str
-        The name by which it is imported.
+        Import name of the package.
     what : str
-        What takes it.
+        Feature that needs the package.
 
     Raises
     ------
     MissingPackage
-        It is not installed.
+        The package is not installed.
 
     """
     try:
         yield
     except ModuleNotFoundError as problem:
-        # One that the package itself lacks is another matter.
+        # A dependency of the package is missing: a different problem.
         if problem.name is None or problem.name.partition('.')[0] != package:
             raise
         raise MissingPackage(f'{what} needs the Python package {package}; install it with: '

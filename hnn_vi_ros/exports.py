@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names that a package exports, imported at their first use (PEP 562)."""
+"""Lazily imported exports of a package (PEP 562)."""
 
 import ast
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import sys
 
 @cache
 def exported(path: Path) -> dict[str, str]:
-    """Return the module of each name that the ``__init__`` of a package exports lazily."""
+    """Return the module of each lazy export in the ``__init__`` of a package."""
     block = next((node for node in ast.parse(path.read_text(encoding='utf-8')).body
                   if isinstance(node, ast.If)), None)
     return {alias.name: statement.module or '' for statement in (block.body if block else ())
@@ -23,9 +23,9 @@ def lazy_exports(package: str) -> tuple[Callable[[str], object], Callable[[], li
     """
     Return ``__getattr__`` and ``__dir__`` for the ``__init__`` of a package.
 
-    The package exports the names that its ``if TYPE_CHECKING:`` block imports, where type checkers
-    and editors find them. Importing the package costs nothing, and an executable can report a
-    missing dependency.
+    The package exports the names imported in its ``if TYPE_CHECKING:`` block, where type checkers
+    and editors find them. Importing the package is cheap, and an executable can report a missing
+    dependency.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def lazy_exports(package: str) -> tuple[Callable[[str], object], Callable[[], li
         return exported(Path(module.__file__ or ''))
 
     def export(name: str) -> object:
-        # Python looks for __path__ and others, which are not read from the source.
+        # Python looks for __path__ and others, which are not in the source.
         if name.startswith('__') or name not in names():
             raise AttributeError(f'module {package!r} has no attribute {name!r}')
         value = getattr(import_module(names()[name]), name)

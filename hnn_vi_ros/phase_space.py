@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""States in the phase space of (q, p), and the names and units of their columns."""
+"""States in the phase space of (q, p), with names and units of their columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-# Columns that a coordinate of each kind has in q and in p, by what follows their name.
+# Suffixes of a coordinate's columns in q and in p, by kind.
 _COLUMNS = {
     'scalar': (('',), ('',)),
     'rotation': (('_qx', '_qy', '_qz', '_qw'), ('_rx', '_ry', '_rz')),
     'pose': (('_x', '_y', '_z', '_qx', '_qy', '_qz', '_qw'),
              ('_x', '_y', '_z', '_rx', '_ry', '_rz')),
 }
-# Units and names of columns in degrees; angles are in radians.
+# Pattern of column units and names in degrees; angles are in radians.
 IN_DEGREES = re.compile(r'(?<![a-z])deg(rees?)?(?![a-z])|°', re.IGNORECASE)
-# A quaternion whose norm is further from 1 is no attitude that was written with too few digits.
+# Tolerance of a quaternion's norm: a larger error is not due to truncated digits.
 _NORM_ERROR = 1e-6
 
 
@@ -32,14 +32,14 @@ class Coordinate:
     Parameters
     ----------
     name : str
-        The name that topics, logs and plots carry.
+        Name in topics, logs and plots.
     q_unit, p_unit : str
         Units of the coordinate and of the momentum; for a pose, the units of its position.
     kind : str
-        ``'scalar'``, one number; ``'rotation'``, an attitude: a unit quaternion (x, y, z, w) that
-        takes vectors of the body to space, with the angular momentum in the frame of the body,
-        three numbers; or ``'pose'``: a position and its momentum, both in space, each followed by
-        that of a rotation.
+        ``'scalar'``: one number. ``'rotation'``: an attitude as a unit quaternion (x, y, z, w)
+        that maps body vectors to the world frame, and the angular momentum in the body frame,
+        three numbers. ``'pose'``: a position and its momentum in the world frame, each followed by
+        the columns of a rotation.
 
     """
 
@@ -50,7 +50,7 @@ class Coordinate:
 
 
 def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
-    """Return a name for each column of q and of p."""
+    """Return the names of the columns of q and of p."""
     names: tuple[list[str], list[str]] = [], []
     for coordinate in coordinates:
         for target, endings in zip(names, _COLUMNS[coordinate.kind], strict=True):
@@ -59,39 +59,39 @@ def columns(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
 
 
 def momentum_name(name: str) -> str:
-    """Return the name of the momentum that belongs to a coordinate: q2 has p2, x has p_x."""
+    """Return the name of a coordinate's momentum: q2 has p2, x has p_x."""
     return f'p{name[1:]}' if name[:1] == 'q' else f'p_{name}'
 
 
 def column_units(coordinates: Sequence[Coordinate]) -> tuple[list[str], list[str]]:
-    """Return the unit of each column of q and of p."""
+    """Return the units of the columns of q and of p."""
     units: tuple[list[str], list[str]] = [], []
     for coordinate in coordinates:
         own = coordinate.q_unit, coordinate.p_unit
         for target, unit, endings in zip(units, own, _COLUMNS[coordinate.kind], strict=True):
             target.extend([unit] * len(endings))
         if coordinate.kind == 'pose':
-            # Behind the position and its momentum: a quaternion, and an angular momentum.
+            # After the position and its momentum: a quaternion, and an angular momentum.
             units[0][-4:] = ['1'] * 4
             units[1][-3:] = ['kg m2/s' if own == ('m', 'kg m/s') else f'({own[1]}) {own[0]}'] * 3
     return units
 
 
 def scalar_columns(coordinates: Sequence[Coordinate]) -> dict[str, int]:
-    """Return by name the columns of q that are no parts of quaternions."""
+    """Return the columns of q outside quaternions by name."""
     names, turning = columns(coordinates)[0], rotations(coordinates)
     parts = {start + i for start in turning for i in range(4)}
     return {name: i for i, name in enumerate(names) if i not in parts}
 
 
 def angle_columns(coordinates: Sequence[Coordinate]) -> np.ndarray:
-    """Return for each column of q whether it is an angle, which is the same a turn further."""
+    """Return a mask of the columns of q that are angles, with a period of 2 pi."""
     return np.array([coordinate.q_unit == 'rad' for coordinate in coordinates
                      for _ in _COLUMNS[coordinate.kind][0]])
 
 
 def rotations(coordinates: Sequence[Coordinate]) -> tuple[int, ...]:
-    """Return the columns of q in which unit quaternions begin."""
+    """Return the columns of q at which unit quaternions start."""
     places, column = [], 0
     for coordinate in coordinates:
         column += len(_COLUMNS[coordinate.kind][0])
@@ -103,20 +103,20 @@ def rotations(coordinates: Sequence[Coordinate]) -> tuple[int, ...]:
 @dataclass(frozen=True, eq=False)
 class Event:
     """
-    An instant at which a condition on the state came true.
+    An instant at which a condition on the state became true.
 
     Parameters
     ----------
     when : str
-        The condition, an equation.
+        Condition, an equation.
     direction : str
-        ``'up'`` if its left less its right side went from below zero to above, else ``'down'``.
+        ``'up'`` if the left minus the right side became positive, ``'down'`` if negative.
     stops : bool
-        Whether it ends the run.
+        True if the event ends the run.
     t : float
         Simulated time [s].
     q, p : np.ndarray, shape (d,)
-        The state there.
+        State at the event.
     energy : float
         H(q, p) [J].
 
@@ -135,7 +135,7 @@ class Event:
 
 
 def coordinate_rates(turning: Sequence[int], q: np.ndarray, dH_dp: np.ndarray) -> np.ndarray:
-    """Return q' of a state: H_p, and of a rotation q (omega, 0) / 2; see ``momentum_rates``."""
+    """Return q' of a state: H_p; for a rotation q (omega, 0) / 2; see ``momentum_rates``."""
     if not turning:
         return dH_dp
     rates, start = [], 0
@@ -151,16 +151,16 @@ def coordinate_rates(turning: Sequence[int], q: np.ndarray, dH_dp: np.ndarray) -
 def momentum_rates(turning: Sequence[int], q: np.ndarray, p: np.ndarray, dH_dq: np.ndarray,
                    dH_dp: np.ndarray) -> np.ndarray:
     """
-    Return p' of a state: -H_q, and of a rotation p x omega - g^* H_g, in the frame of the body.
+    Return p' of a state: -H_q; for a rotation p x omega - g^* H_g, in the body frame.
 
     Parameters
     ----------
     turning : sequence of int
-        The columns of q in which quaternions begin.
+        Columns of q at which quaternions start.
     q, p : np.ndarray
-        The state, one column less in p for each rotation.
+        State; p has one column less for each rotation.
     dH_dq, dH_dp : np.ndarray
-        The gradient of H, of their shapes.
+        Gradient of H, of the same shapes.
 
     """
     if not turning:
@@ -181,21 +181,21 @@ def momentum_rates(turning: Sequence[int], q: np.ndarray, p: np.ndarray, dH_dq: 
 def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[int] = ()
                 ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return fresh float64 arrays of a state, or of several, in the shape given, or raise.
+    Return new float64 arrays of one or several states in their shape; raise if invalid.
 
     Parameters
     ----------
     q, p : array_like, shape (d,) or (m, d)
-        Generalised coordinates and conjugate momenta; of p one column less for each rotation.
+        Generalised coordinates and conjugate momenta; p has one column less for each rotation.
     dimension : int
         The number d of columns of q.
     turning : sequence of int
-        The columns in which quaternions begin; they are returned with norm 1.
+        Columns at which quaternions start; they are returned with norm 1.
 
     Raises
     ------
     ValueError
-        A wrong length, a value that is not a finite number, or a quaternion whose norm is not 1.
+        A length is wrong, a value is not a finite number, or a quaternion does not have norm 1.
 
     """
     arrays = []
@@ -216,14 +216,14 @@ def check_state(q: ArrayLike, p: ArrayLike, dimension: int, turning: Sequence[in
 
 
 def _normalise(quaternions: np.ndarray, column: int) -> None:
-    """Make quaternions of shape (..., 4) unit ones, or raise ValueError."""
-    # Infinity is no norm of 1, and needs no warning of numpy's in addition to the error.
+    """Normalise quaternions of shape (..., 4), or raise ValueError."""
+    # An infinite norm is reported as an error; numpy's warning is not needed.
     with np.errstate(over='ignore'):
         norms = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     if (abs(norms - 1.0) > _NORM_ERROR).any():
         raise ValueError(f'q, from column {column} on, is a quaternion of norm '
                          f'{float(norms.flat[abs(norms - 1.0).argmax()]):.9g}; expected a unit '
                          'quaternion x, y, z, w: divide it by its norm')
-    # One that has norm 1 but for rounding is that of a state that is gone on from.
+    # Keep a quaternion with norm 1 up to rounding, so that a resumed state is unchanged.
     inexact = abs(norms - 1.0) > 4.0 * np.finfo(np.float64).eps
     quaternions /= np.where(inexact, norms, 1.0)

@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Simulations that torch can differentiate: exact derivatives of the compiled steps.
+Differentiable simulations for torch: exact derivatives of the compiled steps.
 
-Takes the extra ``train``. See docs/gradients.md.
+Requires the extra ``train``. See docs/gradients.md.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,13 +24,13 @@ from hnn_vi_ros.simulation import (
 import numpy as np
 import torch
 
-# The inputs of each network of H, in families whose H, or Lagrangian, is known from networks and
-# from terms without weights; in a mechanism, features of them.
+# Inputs of each network of H, for families whose H or Lagrangian consists of networks and of terms
+# without weights; for a mechanism, of features of these inputs.
 _SEES = {
     'hnn': {'energy': 'both'}, 'dissipative_hnn': {'energy': 'both'}, 'dgnet': {'energy': 'both'},
     'separable_hnn': {'kinetic': 'p', 'potential': 'q'}, 'vin': {'potential': 'q'},
     'mechanical': {'mass': 'q', 'potential': 'q', 'friction': 'q'}}
-# States that are differentiated together.
+# Number of states differentiated together.
 _ROWS = 4096
 
 
@@ -41,18 +41,18 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]) ->
     Parameters
     ----------
     hamiltonian : Hamiltonian
-        Of a scene.
+        Hamiltonian of a scene.
     weights : mapping of str to np.ndarray
-        By the names of the tensors in its model file: ``linear1.weight``, and
-        ``potential.linear1.weight`` in a family of several networks.
+        Weights by the names of tensors in the model file: ``linear1.weight``, or
+        ``potential.linear1.weight`` in a family with several networks.
 
     Raises
     ------
     UnsupportedSystem
-        H is not that of a trained model, or of a family whose weights are not differentiable yet,
-        or walls confine it.
+        H is not a trained model, the weights of its family are not differentiable yet, or walls
+        confine it.
     ValueError
-        There is no such tensor, or it has another shape.
+        A tensor does not exist, or has another shape.
 
     """
     known = check_weights(hamiltonian, weights)
@@ -64,7 +64,7 @@ def with_weights(hamiltonian: Hamiltonian, weights: Mapping[str, np.ndarray]) ->
 
 
 def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return the tensors of a trained H by name; raise as ``with_weights`` does for others."""
+    """Return the tensors of a trained H by name; raise as in ``with_weights``."""
     if not isinstance(hamiltonian, LearnedHamiltonian):
         raise UnsupportedSystem(
             f'weights of {type(hamiltonian).__name__} are not differentiable yet: it is not H of '
@@ -84,7 +84,7 @@ def check_weights(hamiltonian: Hamiltonian, names: Iterable[str]) -> dict[str, n
 
 
 def _of_H(checkpoint: Checkpoint) -> Checkpoint:
-    """Return a model without networks that are no part of H, nor of the friction of a machine."""
+    """Return a model with only the networks that are part of H or of a machine's friction."""
     sees = _SEES[checkpoint.card.family]
     return replace(checkpoint, networks={
         network: layers for network, layers in checkpoint.networks.items() if network in sees})
@@ -94,7 +94,7 @@ class _Slopes(torch.nn.Module):
     """
     The networks' part of H', shape (N, 2 d), at states of that shape.
 
-    Of a machine it is (-L_q + D(q) v, -L_v) with the friction D v of a network, at (q, v).
+    For a machine: (-L_q + D(q) v, -L_v) with the network's friction D v, at (q, v).
     """
 
     def __init__(self, checkpoint: Checkpoint):
@@ -106,7 +106,7 @@ class _Slopes(torch.nn.Module):
             for name, layers in checkpoint.networks.items()})
         if card.mechanical is not None:
             machine = FAMILIES[card.family].trainer.of_model(card.mechanical, self.networks)
-            # Not the machine itself: its networks would be registered twice.
+            # Not the machine itself, which would register its networks twice.
             self._lagrangian, self._friction = machine.lagrangian, machine.friction.forward
 
     def forward(self, states: torch.Tensor) -> torch.Tensor:
@@ -122,24 +122,24 @@ class _Slopes(torch.nn.Module):
 
 
 def _gradient(values: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-    """Return the derivative of the sum of values, which can be differentiated again."""
+    """Return the gradient of the sum of values, which can be differentiated again."""
     (slopes,) = torch.autograd.grad(values.sum(), z, create_graph=True)
     return slopes
 
 
 class OnWeights:
     """
-    The dependence of a trained H on some of its weights, one after another; see Dependence.
+    Derivatives of a trained H with respect to some of its weights; see Dependence.
 
-    Of a machine it is that of -L(q, v), and of its friction, at velocities in place of momenta;
-    see OnLagrangian.
+    For a machine: of -L(q, v) and of its friction, at velocities in place of momenta; see
+    OnLagrangian.
 
     Parameters
     ----------
     checkpoint : Checkpoint
-        From ``with_weights``.
+        Model from ``with_weights``.
     names : sequence of str
-        Of the tensors.
+        Names of the tensors, whose weights are concatenated.
 
     """
 
@@ -161,11 +161,11 @@ class OnWeights:
         return total
 
     def changed(self, at: States, change: np.ndarray) -> np.ndarray:
-        """Return the change, from one of shape (W,); see Dependence."""
+        """Return the change due to weight changes of shape (W,); see Dependence."""
         parts = []
         for states in self._rows(at.q, at.p):
             flat, slopes = self._slopes(states)
-            # Linear in the seed, so that its derivative by it is the change, at any seed.
+            # The result is linear in the seed; its derivative is the change, for any seed.
             seed = torch.zeros_like(slopes, requires_grad=True)
             (pulled,) = torch.autograd.grad(slopes, flat, seed, create_graph=True,
                                             allow_unused=True, materialize_grads=True)
@@ -176,12 +176,12 @@ class OnWeights:
         return both.reshape(2, -1).numpy()
 
     def _rows(self, q: np.ndarray, p: np.ndarray) -> tuple[torch.Tensor, ...]:
-        """Return states, shape (N, 2 d), some at a time."""
+        """Return states, shape (N, 2 d), split into blocks."""
         states = np.hstack([q.reshape(-1, self._d), p.reshape(-1, self._d)])
         return torch.from_numpy(states).split(_ROWS)
 
     def _slopes(self, states: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the weights, (W,), and what H' of the networks is by them, shape (N, 2 d)."""
+        """Return the weights, (W,), and the networks' H' as their function, (N, 2 d)."""
         with torch.enable_grad():
             own = [self._module.get_parameter(name) for name in self._names]
             flat = torch.cat([tensor.reshape(-1) for tensor in own]).requires_grad_()
@@ -193,9 +193,9 @@ class OnWeights:
 
 __all__ = ['DifferentiableSimulation', 'Motion', 'simulate']
 
-# Names of a model's tensors, among the names of a scene's numbers.
+# Pattern of a model's tensors among the names of a scene's numbers.
 _WEIGHT = re.compile(r'hamiltonian\.(\w+\.)?linear\d+\.(weight|bias)')
-# The names of all weights, and of h, among the tensors that a run depends on.
+# Names for all weights, and for h, among the tensors of a run.
 _WEIGHTS, _STEP = 'weights', 'step_size'
 _TWICE = ('a simulation is differentiable once: detach its gradient or tangent, or take '
           'differences of gradients; for torch.autograd.functional.jvp, which differentiates '
@@ -208,22 +208,22 @@ _HIDDEN = ('a simulation takes no tensors that vmap batches, nor weights in torc
 @dataclass(frozen=True, eq=False)
 class _Call:
     """
-    A call, without the tensors by which it is differentiated.
+    A call without the tensors with respect to which it is differentiated.
 
-    It is not a tuple, since torch.func copies those.
+    It is not a tuple, since torch.func copies tuples.
 
     Parameters
     ----------
     simulation : DifferentiableSimulation
-        What runs.
+        Simulation that is called.
     numbers : Numbers
-        The values of tensors that are numbers.
+        Values of the tensors that are numbers.
     names : list of str
-        The name of each further tensor.
+        Names of the other tensors.
     samples, every : int
         Number of samples, and steps from one to the next.
     recorded : list of Recorded
-        The record of the run, once it has been made.
+        Record of the run, once it has been made.
 
     """
 
@@ -236,7 +236,7 @@ class _Call:
 
 
 class _Function(torch.autograd.Function):
-    """A function of arrays, which torch cannot batch."""
+    """Base class of functions of arrays, without vmap."""
 
     @staticmethod
     def vmap(*_: object) -> NoReturn:
@@ -244,7 +244,7 @@ class _Function(torch.autograd.Function):
 
 
 class _Run(_Function):
-    """A run, by its initial states (m, 2 d) and by what else it depends on."""
+    """A run as a function of its initial states (m, 2 d) and its other tensors."""
 
     @staticmethod
     def forward(call: _Call, z0: torch.Tensor, commands: torch.Tensor | None,
@@ -275,10 +275,10 @@ class _Run(_Function):
 
 class _Derivative(_Function):
     """
-    A product with the derivatives of a run, which has no derivatives itself.
+    Base class of products with the derivatives of a run, which have no derivatives themselves.
 
-    The tensors that the run depends on are among its arguments. Otherwise torch would take the
-    gradient of a loss that is linear in the states for a constant, since its cotangents are.
+    The tensors of the run are among the arguments. Otherwise torch would treat the gradient of a
+    loss that is linear in the states as constant, because its cotangents are.
     """
 
     @staticmethod
@@ -295,7 +295,7 @@ class _Derivative(_Function):
 
 
 class _Gradient(_Derivative):
-    """The gradient by the inputs of a run, as far as torch needs it."""
+    """Gradient with respect to those inputs of a run that torch needs."""
 
     @staticmethod
     def forward(call: _Call, needed: Sequence[bool], cotangents: torch.Tensor,
@@ -318,7 +318,7 @@ class _Gradient(_Derivative):
 
 
 class _Tangent(_Derivative):
-    """The change of the states with the inputs of a run: their changes, then these tensors."""
+    """Tangent of the states, given the tangents of a run's inputs, then these inputs."""
 
     @staticmethod
     def forward(call: _Call, *tensors: torch.Tensor | None) -> torch.Tensor:
@@ -336,7 +336,7 @@ class _Tangent(_Derivative):
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray:
-    """Return the numbers of a tensor, or raise UnsupportedSystem."""
+    """Return a tensor as an array, or raise UnsupportedSystem."""
     try:
         return tensor.detach().contiguous().numpy()
     except RuntimeError as problem:
@@ -352,7 +352,7 @@ class Motion(NamedTuple):
     t : torch.Tensor, shape (N + 1,)
         Times of the samples [s].
     q, p : torch.Tensor, shape (N + 1, d) or (N + 1, m, d)
-        States, the initial ones first.
+        States, starting with the initial ones.
 
     """
 
@@ -366,52 +366,52 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
              commands: torch.Tensor | None = None, step_size: float | torch.Tensor | None = None,
              every: int = 1) -> Motion:
     """
-    Simulate a scene, as a function that torch differentiates, once, in reverse or forward mode.
+    Simulate a scene differentiably in torch, once, in reverse or forward mode.
 
-    The states of each trajectory equal those from ``hnn_vi_ros.simulate``, bit by bit. Their
-    derivatives belong to the compiled steps, exact to round-off: torch records no steps. Memory
+    The states of each trajectory equal those from ``hnn_vi_ros.simulate`` bit by bit. The
+    derivatives are those of the compiled steps, exact to round-off: torch records no steps. Memory
     grows with the square root of the number of steps.
 
     Parameters
     ----------
     scene : Scene, str or Path
-        See ``hnn_vi_ros.simulate``. Of effects it may have those that join H, forces that depend
-        on time and state, damping, and external_force on coordinates.
+        See ``hnn_vi_ros.simulate``. Supported effects are those that join H, forces that depend on
+        time and state, damping, and external_force on coordinates.
     q0, p0 : torch.Tensor, shape (d,) or (m, d)
-        The initial state, or m initial states of trajectories, of float64.
+        Initial state, or m initial states of trajectories, float64.
     duration : float
-        Simulated time [s], a whole number of samples.
+        Simulated time [s], a multiple of the sampling interval.
     parameters : mapping of str to torch.Tensor, optional
-        Numbers in place of the scene's, of shape (), by their place in it:
-        ``'hamiltonian.mass'``, ``'effects.0.stiffness'``; and tensors in place of its model's,
-        under the names in the file: ``'hamiltonian.linear1.weight'``. Numbers of the card of a
-        machine's model, in H and in effects of the same model: ``'model.friction.viscous.0'``.
-        Of links of a URDF: ``'urdf.forearm.mass'``, ``centre_x`` to ``centre_z``, and ``ixx`` to
-        ``izz`` about the centre of mass in the axes of the link.
+        Values that replace the scene's. Numbers of shape () are named by their place:
+        ``'hamiltonian.mass'``, ``'effects.0.stiffness'``. Tensors of the model have their names in
+        the file: ``'hamiltonian.linear1.weight'``. Numbers of the card of a machine's model, in H
+        and in effects of the same model: ``'model.friction.viscous.0'``. Links of a URDF:
+        ``'urdf.forearm.mass'``, ``centre_x`` to ``centre_z``, and ``ixx`` to ``izz`` about the
+        centre of mass in the axes of the link.
     commands : torch.Tensor, shape (N, c) or (N, m, c), optional
-        Of external_force: a row for each of N samples, which holds until the next; for all
-        trajectories or for each of m.
+        Commands of external_force: one row per sample, held until the next; for all trajectories
+        or for each of m.
     step_size : float or torch.Tensor, shape (), optional
-        h [s], in place of the scene's. By a tensor the motion is differentiated at a fixed number
-        of steps, and so are the times.
+        Step size h [s] that overrides the scene's. With respect to a tensor, the motion and the
+        times are differentiated at a fixed number of steps.
     every : int, optional
-        Steps from one sample to the next.
+        Number of steps per sample.
 
     Returns
     -------
     Motion
-        Times and states. No guard looks at them: see ``hnn_vi_ros.simulate`` for alarms.
+        Times and states. Guards are not evaluated: see ``hnn_vi_ros.simulate`` for alarms.
 
     Raises
     ------
     UnsupportedSystem
-        The scene's method, an effect or the model's weights are not differentiable yet; names
-        what is. Or, later, a second derivative is asked for.
+        The scene's method, an effect or the model's weights are not differentiable yet; the
+        message names those that are. Raised later if a second derivative is requested.
     HnnViRosError
-        An unknown scene, a model that cannot be loaded, a StepFailure, or, when derivatives are
-        asked for, a step that has none.
+        The scene is unknown, its model cannot be loaded, a step fails, or a step has no derivative
+        when derivatives are requested.
     ValueError, TypeError
-        An argument that is not usable.
+        An argument is invalid.
 
     """
     _check_mapping(parameters)
@@ -425,19 +425,19 @@ def simulate(scene: Scene | str | Path, q0: torch.Tensor, p0: torch.Tensor, *, d
 
 class DifferentiableSimulation:
     """
-    A scene made ready to be simulated often, as a function that torch differentiates.
+    A scene prepared for repeated differentiable simulation in torch.
 
-    It is read, checked and compiled once. A call writes the numbers that it is given into the
-    memory of the compiled loops, and runs them; its states and derivatives equal
-    ``simulate``'s, bit by bit. The arguments of a call have no influence on others, also where
-    they are differentiated later, and calls of several threads do not wait for each other.
+    It is read, checked and compiled once. A call writes its numbers into the memory of the
+    compiled loops, and runs them; states and derivatives equal those of ``simulate`` bit by bit.
+    Calls are independent of each other, even if they are differentiated later, and calls in
+    several threads run concurrently.
 
     Parameters
     ----------
     scene : Scene, str or Path
         See ``simulate``.
     parameters : sequence of str, optional
-        Names of what each call gives in place of the scene's; see ``simulate``.
+        Names of the values passed with each call; see ``simulate``.
 
     Raises
     ------
@@ -463,7 +463,7 @@ class DifferentiableSimulation:
                     for effect in self._parts.effects):
                 raise ValueError(f'{self._scene.name} has no learned_friction, in which alone '
                                  'weights of friction act')
-        # What no thread is using at the moment.
+        # Runs that no thread is using at the moment.
         self._idle = [SceneRun(self._parts)]
 
     def __call__(self, q0: torch.Tensor, p0: torch.Tensor, *, duration: float,
@@ -471,7 +471,7 @@ class DifferentiableSimulation:
                  commands: torch.Tensor | None = None,
                  step_size: float | torch.Tensor | None = None, every: int = 1) -> Motion:
         """
-        Simulate, with tensors for all the names that the simulation was made for.
+        Simulate with tensors for all declared parameters.
 
         Parameters
         ----------
@@ -517,7 +517,7 @@ class DifferentiableSimulation:
                 _in_file(name): _array(parameters[name]).copy() for name in self._weights})
         values = {name: float(parameters[name].detach()) for name in self._names}
         call = _Call(self, Numbers(values, h, learned), names, samples, every)
-        # Copies are saved for the derivatives: callers may change their own tensors meanwhile.
+        # Copies are saved for the derivatives, because callers may modify their tensors.
         z = _Run.apply(call, z0.reshape(-1, 2 * d), *(
             None if tensor is None else tensor.clone() for tensor in (commands, *tensors)))
         q, p = z.reshape(samples + 1, *z0.shape).chunk(2, dim=-1)
@@ -527,7 +527,7 @@ class DifferentiableSimulation:
     def _arranged(self, parameters: Mapping[str, torch.Tensor],
                   step_size: float | torch.Tensor | None
                   ) -> tuple[list[str], list[torch.Tensor]]:
-        """Return the names of a run's inputs, and tensors; all weights are one of them."""
+        """Return names and tensors of a run's inputs; all weights are concatenated to one."""
         expected = [*self._names, *self._weights]
         if parameters.keys() != set(expected):
             raise ValueError(f'parameters are {listed(parameters) or "none"}; expected those '
@@ -547,13 +547,13 @@ class DifferentiableSimulation:
         return names, tensors
 
     def _step(self, step_size: float | torch.Tensor) -> float:
-        """Return a step size in place of the scene's [s]; SceneError if it is none."""
+        """Return a step size that overrides the scene's [s]; raise SceneError if it is invalid."""
         h = float(step_size.detach() if isinstance(step_size, torch.Tensor) else step_size)
         return self._scene.with_overrides(h).known_step_size
 
     @contextmanager
     def holding(self, numbers: Numbers) -> Iterator[SceneRun]:
-        """Lend a run with these values, which nothing else uses meanwhile."""
+        """Lend a run with these values for exclusive use."""
         try:
             held = self._idle.pop()
         except IndexError:
@@ -565,7 +565,7 @@ class DifferentiableSimulation:
             self._idle.append(held)
 
     def dependence(self, held: SceneRun, numbers: Numbers, name: str) -> Dependence:
-        """Return the dependence of a run on the tensor with this name in a ``_Call``."""
+        """Return the dependence of a run on a tensor named in a ``_Call``."""
         if name == _STEP:
             return held.run.on_step_size
         if name == _WEIGHTS:
@@ -578,19 +578,19 @@ class DifferentiableSimulation:
 
 
 def _in_file(name: str) -> str:
-    """Return the name that a tensor has in its model file."""
+    """Return the name of a tensor in its model file."""
     return name.removeprefix('hamiltonian.')
 
 
 def _check_mapping(parameters: Mapping[str, torch.Tensor] | None) -> None:
-    """Raise unless parameters are a mapping of names to tensors."""
+    """Raise an error unless parameters map names to tensors."""
     if not isinstance(parameters, Mapping | None):
         raise TypeError(f'parameters is a {type(parameters).__name__}: give a mapping of names '
                         "to tensors, such as {'hamiltonian.mass': mass}")
 
 
 def _check_tensors(tensors: Mapping[str, torch.Tensor]) -> None:
-    """Raise unless arguments are tensors that can be simulated with."""
+    """Raise an error unless the arguments are tensors of a supported kind."""
     for name, tensor in tensors.items():
         if not isinstance(tensor, torch.Tensor):
             raise TypeError(f'{name} is a {type(tensor).__name__}: give a tensor of float64')
@@ -600,7 +600,7 @@ def _check_tensors(tensors: Mapping[str, torch.Tensor]) -> None:
 
 
 def _samples(duration: float, h: float, every: int) -> int:
-    """Return how many samples a duration is."""
+    """Return the number of samples in a duration."""
     steps, share = whole_steps(duration, h)
     if share or steps % every:
         raise ValueError(f'duration = {duration:g} s is {duration / (h * every):g} samples, one '

@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # flake8: noqa: F401
 """
-Scenes: the schema of a YAML file, and the parts that it describes.
+Scenes: the schema of a YAML file, and the objects it describes.
 
-A ``Scene`` is validated data; ``Scene.parts`` makes H, integrator and effects. Nothing is
-simulated here: see ``simulation``.
+A ``Scene`` is validated data; ``Scene.parts`` creates H, integrator and effects. ``simulation``
+simulates them.
 """
 
 from typing import TYPE_CHECKING

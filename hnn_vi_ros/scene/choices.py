@@ -18,7 +18,7 @@ from pydantic import (
 
 
 class InvariantChoice(StrictModel):
-    """Something that the motion conserves besides H."""
+    """A quantity that is conserved in addition to H."""
 
     name: str = Field(pattern=r'^[^\W\d]\w*$', max_length=100, description=(
         'what it is called; without a function, a known one of the system'))
@@ -30,14 +30,14 @@ class InvariantChoice(StrictModel):
 
 class Invariant:
     """
-    A user's function of the state, called with arrays that it may keep or change.
+    A user's function of the state; it gets copies of the arrays.
 
     Parameters
     ----------
     function : callable
-        Of q and p, each of shape (d,).
+        Function of q and p, each of shape (d,).
     where : str
-        Where the scene names it, for errors.
+        Place in the scene, for error messages.
 
     """
 
@@ -45,13 +45,13 @@ class Invariant:
         self._function, self._where = function, where
 
     def __call__(self, q: np.ndarray, p: np.ndarray) -> float:
-        """Return its value, NaN where its arithmetic fails; SceneError where it is no number."""
+        """Return the value, NaN for arithmetic errors; raise SceneError if it is not a number."""
         try:
             value = self._function(q.copy(), p.copy())
             # A power of a negative number is complex.
             return math.nan if isinstance(value, complex) else float(value)
         except (ArithmeticError, ValueError):
-            # Such as that of math.sqrt and math.acos.
+            # For example from math.sqrt and math.acos.
             return math.nan
         except (Exception, SystemExit) as problem:  # noqa: B902  the user's code may raise any
             raise SceneError(f'{self._where}: {type(problem).__name__}: '
@@ -63,27 +63,27 @@ def invariants_of(choices: Sequence[InvariantChoice], hamiltonian: Hamiltonian, 
                   state: tuple[np.ndarray, np.ndarray], place: Callable[..., str],
                   folder: str | None) -> dict[str, Callable[[np.ndarray, np.ndarray], float]]:
     """
-    Return the invariants of a scene by name, each a function of q and p, of shape (d,).
+    Return the invariants of a scene by name, each a function of q and p of shape (d,).
 
     Parameters
     ----------
     choices : sequence of InvariantChoice
         The scene's invariants.
     hamiltonian : Hamiltonian
-        H, whose known invariants count where nothing else acts.
+        H, whose known invariants are included if no effect acts.
     alone : bool
-        Whether no effect acts on the system.
+        True if no effect acts on the system.
     state : tuple of np.ndarray, shape (d,)
-        The initial q and p, with which each function is tried.
+        Initial q and p, at which each function is tested.
     place : callable
-        Returns where a key of the scene stands, for errors.
+        Function that returns the place of a key in the scene, for error messages.
     folder : str or None
-        Where a module is found that is not installed, if anywhere.
+        Folder for modules that are not installed, None for none.
 
     Raises
     ------
     SceneError
-        A name that stands twice or is not known, or a function that cannot be imported or called.
+        A name is repeated or unknown, or a function cannot be imported or called.
 
     """
     known = hamiltonian.known_invariants
@@ -116,8 +116,8 @@ class Condition:
     """
     An equation between numbers and quantities of a system, such as ``angle1 - angle2 = pi / 2``.
 
-    Quantities are the coordinates, each under its name c, their momenta ``p_c``, their velocities
-    ``v_c``, which are dH/dp, and the energy ``H``.
+    Quantities are the coordinates c, their momenta ``p_c``, their velocities ``v_c`` (dH/dp), and
+    the energy ``H``.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Condition:
     Raises
     ------
     ValueError
-        It is none, or too long; the message describes a valid one.
+        The text is not an equation, or too long; the message describes a valid one.
 
     """
 
@@ -150,7 +150,7 @@ class Condition:
         self._difference = self._graph.plus(left.root, self._graph.scaled(-1.0, right.root))
 
     def check(self, hamiltonian: Hamiltonian) -> None:
-        """Raise ValueError, with the valid names, if it names a quantity the system lacks."""
+        """Raise ValueError, with the valid names, for a quantity the system does not have."""
         names, momenta = columns(hamiltonian.coordinates)
         valid = [*names, *(f'{kind}_{name}' for kind in 'pv' for name in momenta), 'H']
         unknown = sorted(self._names - set(valid))
@@ -161,12 +161,12 @@ class Condition:
 
     def values(self, hamiltonian: Hamiltonian, q: np.ndarray, p: np.ndarray) -> np.ndarray:
         """
-        Return left less right side, of the shape (...).
+        Return the left side minus the right side, of shape (...).
 
         Parameters
         ----------
         hamiltonian : Hamiltonian
-            Of the system.
+            Hamiltonian of the system.
         q, p : np.ndarray, shape (..., d)
             States.
 
@@ -180,7 +180,7 @@ class Condition:
             values |= {f'v_{name}': velocity[..., i] for i, name in enumerate(momenta)}
         for i, name in enumerate(momenta):
             values[f'p_{name}'] = p[..., i]
-        # Last of all: a coordinate may be named as another's momentum.
+        # Added last, since a coordinate may have the name of another's momentum.
         values |= {name: q[..., i] for i, name in enumerate(names)}
         difference = self._graph.values([self._difference], values)[self._difference]
         shape = np.shape(q)[:-1]
@@ -213,7 +213,7 @@ class LearnedChoice(StrictModel):
 
 
 class UncertaintyChoice(StrictModel):
-    """Options on how far the members of an ensemble come apart."""
+    """Options of the spread of an ensemble's members."""
 
     limit: float = Field(0.1, gt=0.0, description=(
         'spread of a coordinate or momentum, in half-widths of its training interval, beyond '
@@ -221,7 +221,7 @@ class UncertaintyChoice(StrictModel):
 
 
 class PythonChoice(StrictModel):
-    """A Hamiltonian that a Python function of the user's returns."""
+    """A Hamiltonian returned by a user's Python function."""
 
     kind: Literal['python'] = Field(description='what a Python function of yours returns')
     factory: Annotated[str, NAMES_CODE] = Field(pattern=r'^[\w.]+:\w+$', description=(
@@ -229,7 +229,7 @@ class PythonChoice(StrictModel):
 
 
 class EventChoice(StrictModel):
-    """An instant that is watched for."""
+    """A condition whose instants are detected."""
 
     when: str = Field(max_length=200, description=(
         'an equation that comes true at the event, of coordinates c, momenta p_c, velocities v_c, '
@@ -247,7 +247,7 @@ class EventChoice(StrictModel):
 
 
 class AutoChoice(StrictModel):
-    """The cheapest method and step size that hold a tolerance, found by trying them."""
+    """The cheapest method and step size within a tolerance, determined by trials."""
 
     kind: Literal['auto'] = Field(
         description='the cheapest method and step size that hold a tolerance; give one error')
@@ -268,21 +268,21 @@ class AutoChoice(StrictModel):
 
 def choices(classes: Mapping[str, type], *more: type[BaseModel]) -> Any:
     """
-    Return a union of one schema for each class, told apart by ``kind``.
+    Return a discriminated union of one schema per class, selected by ``kind``.
 
     Parameters
     ----------
     classes : mapping of str to type
-        The kinds. A constructor's arguments are the keys, what the numpydoc of the class says of
-        each is its description.
+        Classes by kind. The arguments of a constructor become keys, and their descriptions come
+        from the numpydoc of the class.
     *more : type of BaseModel
-        Schemas that have no such class.
+        Further schemas without such classes.
 
     """
     schemas = [*more, *(_schema(kind, cls) for kind, cls in classes.items())]
     if len(schemas) == 1:
         return schemas[0]
-    # Made of a list: `|` joins types that are named.
+    # Union of a list, since `|` needs the types one by one.
     return Annotated[Union[tuple(schemas)], Field(discriminator='kind')]  # noqa: UP007
 
 
@@ -292,11 +292,11 @@ def _schema(kind: str, cls: type) -> type[BaseModel]:
     for parameter in signature(cls).parameters.values():
         if parameter.kind is Parameter.POSITIONAL_OR_KEYWORD:
             default = ... if parameter.default is Parameter.empty else parameter.default
-            # A key that is a keyword of Python, such as from, is from_ there.
+            # A key that is a keyword of Python, such as from, has the argument from_.
             fields[parameter.name.removesuffix('_')] = (parameter.annotation, Field(
                 default, description=texts.get(parameter.name)))
     made = create_model(cls.__name__, __base__=StrictModel, __doc__=summary(cls), **fields)
-    # Where pickle looks for a class, by its module and its name.
+    # Pickle looks a class up by its module and its name.
     return globals().setdefault(made.__name__, made)
 
 
@@ -306,7 +306,7 @@ def summary(cls: type) -> str:
 
 
 def parameter_texts(cls: type) -> dict[str, str]:
-    """Return what the numpydoc of a class and of its bases says of each parameter, on one line."""
+    """Return the numpydoc description of each parameter, including base classes, on one line."""
     texts: dict[str, str] = {}
     for owner in reversed(cls.__mro__):
         texts |= _parameters(owner.__dict__.get('__doc__') or '')
@@ -330,21 +330,21 @@ def _parameters(docstring: str) -> dict[str, str]:
 
 def call_factory(factory: str, place: str, folder: str | None) -> Hamiltonian:
     """
-    Return the Hamiltonian that a user's function makes.
+    Return the Hamiltonian created by a user's function.
 
     Parameters
     ----------
     factory : str
         ``package.module:function``.
     place : str
-        Where the scene names it, for errors.
+        Place in the scene, for error messages.
     folder : str or None
-        Where a module is found that is not installed, if anywhere.
+        Folder for modules that are not installed, None for none.
 
     Raises
     ------
     HnnViRosError
-        It cannot be imported, fails, or returns something else.
+        The function cannot be imported, fails, or returns something else.
 
     """
     with _blamed(factory, place, folder):
@@ -356,14 +356,14 @@ def call_factory(factory: str, place: str, folder: str | None) -> Hamiltonian:
 
 
 def load_code(name: str, place: str, folder: str | None) -> Any:
-    """Return what ``package.module:function`` names, or raise as ``call_factory``."""
+    """Return the object ``package.module:function``; raise as in ``call_factory``."""
     with _blamed(name, place, folder):
         return import_named(name)
 
 
 @contextmanager
 def _blamed(name: str, place: str, folder: str | None) -> Iterator[None]:
-    """Say of errors in the user's code where the scene names it."""
+    """Add the place in the scene to errors of the user's code."""
     find_beside(folder)
     try:
         yield

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The scene that a log or a topic describes, which others may have written."""
+"""Scenes described by a log or a topic, possibly by an untrusted author."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,25 +20,25 @@ ONE_RUN = ('cut it there, by `mcap filter`, and give the part of one run; the si
 def described_scene(text: bytes | str, where: str, trust_code: bool = False
                     ) -> tuple[Scene, dict[str, Any]]:
     """
-    Return the scene that a log or ~/scene describes, and the rest of the description.
+    Return the scene described by a log or ~/scene, and the rest of the description.
 
-    Whoever wrote it cannot choose the code to run, or the files to open, here: code that it names
-    is refused unless trusted, and then comes from the path of Python's modules alone; model files
-    must match the digests given with it.
+    The description cannot choose code to run or files to open here. Named code is rejected unless
+    trusted, and then comes only from the path of Python's modules. Model files must match the
+    digests in the description.
 
     Parameters
     ----------
     text : bytes or str
         YAML.
     where : str
-        What describes it, for errors.
+        Source of the description, for error messages.
     trust_code : bool, optional
-        Whether Python code that it names may be run.
+        True to allow Python code named in it.
 
     Raises
     ------
     RecordingError
-        It is no scene, or names code; one line.
+        The text is not a scene, or names code; one line.
 
     """
     described, places = parse_mapping(text, where, RecordingError)
@@ -46,7 +46,7 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
     scene = validate(fields, places, Scene, RecordingError, trust_code=trust_code)
     if isinstance(scene.integrator, AutoChoice):
         raise RecordingError(f'{places.place("integrator")}: does not say what auto chose')
-    # Models next to the scene are found again from here.
+    # Find models next to the scene again, relative to the current folder.
     source = str(described.get('source', 'scene'))
     files = described.get('model_files', {})
     digests = [described.get('model_sha256'), *(files.values() if isinstance(files, dict) else ())]
@@ -58,21 +58,21 @@ def described_scene(text: bytes | str, where: str, trust_code: bool = False
 
 def only_scene(texts: Iterable[tuple[str, int]], topic: str, bag: Path) -> str:
     """
-    Return the one scene that was sent while a bag was recorded.
+    Return the only scene that was published while a bag was recorded.
 
     Parameters
     ----------
     texts : iterable of (str, int)
-        Texts and log times [ns]; the same one may come more than once.
+        Texts and log times [ns]; a text may be repeated.
     topic : str
-        On which they came.
+        Topic of the texts.
     bag : Path
-        For errors.
+        Path of the bag, for error messages.
 
     Raises
     ------
     RecordingError
-        There is none, or several.
+        There is no scene, or there are several.
 
     """
     times: dict[str, int] = {}

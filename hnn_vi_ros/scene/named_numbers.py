@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a scene's Hamiltonian and effects, by name; values of any of its keys."""
+"""Numbers of a scene's Hamiltonian and effects by name; setting values of any key."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ _KEYS = ('hamiltonian', 'effects')
 
 
 def numbers_of(scene: Scene) -> dict[str, float]:
-    """Return them: ``hamiltonian.mass``; ``effects.0.stiffness`` of the first effect."""
+    """Return the numbers: ``hamiltonian.mass``; ``effects.0.stiffness`` of the first effect."""
     values = scene.model_dump(include=set(_KEYS))
     return {name: value for key in _KEYS for name, value in numbers_in(key, values[key])}
 
@@ -24,16 +24,16 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
     Parameters
     ----------
     scene : Scene
-        Any.
+        Scene to change.
     numbers : mapping of str to float
-        By the names of ``numbers_of``.
+        Values by name, as in ``numbers_of``.
 
     Raises
     ------
     ValueError
-        There is no such number; names those that there are.
+        A number does not exist; the message names those that do.
     SceneError
-        A value is out of its range.
+        A value is out of range.
 
     """
     check_names(scene, numbers)
@@ -41,7 +41,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
 
 
 def with_known_numbers(scene: Scene, numbers: Mapping[str, float]) -> Scene:
-    """Return what with_numbers does, of names that were checked."""
+    """Return the scene with other numbers, whose names have already been checked."""
     return with_values(scene, {tuple(name.split('.')): value for name, value in numbers.items()})
 
 
@@ -52,14 +52,14 @@ def with_values(scene: Scene, values: Mapping[tuple[str | int, ...], Any]) -> Sc
     Parameters
     ----------
     scene : Scene
-        Any.
+        Scene to change.
     values : mapping
-        By the names and indices that lead to them, such as ``('effects', 0, 'rate')``.
+        Values by path, such as ``('effects', 0, 'rate')``.
 
     Raises
     ------
     SceneError
-        A value that the schema refuses.
+        The schema rejects a value.
 
     """
     if not values:
@@ -71,26 +71,26 @@ def with_values(scene: Scene, values: Mapping[tuple[str | int, ...], Any]) -> Sc
 
 
 def set_value(place: Any, path: Sequence[str | int], value: Any) -> None:
-    """Set a value in plain data by the names and indices that lead to it."""
+    """Set a value in plain data at a path of names and indices."""
     for key in path[:-1]:
         place = place[_index(place, key)]
     place[_index(place, path[-1])] = value
 
 
 def check_names(scene: Scene, names: Iterable[str]) -> None:
-    """Raise ValueError, which names the numbers that there are, unless a scene has these."""
+    """Raise ValueError, with the existing names, if a scene lacks one of these numbers."""
     check_known(scene.name, names, numbers_of(scene))
 
 
 def check_known(owner: str, names: Iterable[str], known: Mapping[str, float]) -> None:
-    """Raise ValueError, which lists the numbers that are known, unless all names are of these."""
+    """Raise ValueError, with the known names, if a name is unknown."""
     for name in names:
         if name not in known:
             raise ValueError(f'{owner} has no number {name!r}; it has: {listed(known) or "none"}')
 
 
 def numbers_in(name: str, value: Any) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in a value, however deep."""
+    """Yield all numbers in a nested value, with names."""
     if isinstance(value, float):
         yield name, value
     elif isinstance(value, Mapping):

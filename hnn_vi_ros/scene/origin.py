@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Origin of a scene, which locates its models, and the Python code next to it."""
+"""Origin of a scene, which locates its models and the Python code next to it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,29 +14,29 @@ from hnn_vi_ros.files import (
     shipped_file, shipped_names)
 from hnn_vi_ros.models import file_digest
 
-# How the files are called that torch.save writes.
+# Suffixes of files written by torch.save.
 _OF_TORCH = ('.pt', '.pth', '.tar', '.pkl')
 
 
 @dataclass(frozen=True)
 class Origin:
     """
-    The file of a scene, or what a bag or a topic tells of it.
+    The file of a scene, or the description in a bag or a topic.
 
     Parameters
     ----------
     path : Path
-        The file that the scene was read from, when it was.
+        File the scene was read from, if any.
     places : KeyPlaces or None
-        Where its keys stand.
+        Places of the keys.
     replaced : frozenset of str
-        Keys whose values no longer equal the file's.
+        Keys whose values differ from those in the file.
     code_folder : str or None
-        Where Python code may be, apart from installed code; None for the scene of a bag or a
-        topic, which must not choose it.
+        Folder for Python code that is not installed; None for the scene of a bag or a topic, which
+        must not choose it.
     digests : frozenset of str or None
-        Of the scene of a bag or a topic: SHA-256 of its model files. It may name any path, and
-        has no other file opened as a model. None for a file that the user names.
+        SHA-256 of the model files of a scene from a bag or a topic. It may name any path, but only
+        files with these digests are opened as models. None for a file given by the user.
 
     """
 
@@ -47,13 +47,13 @@ class Origin:
     digests: frozenset[str] | None = None
 
     def place(self, *key: str | int) -> str:
-        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        """Return ``file:line: key`` for an error; the key of an effect is ``effects, 0``."""
         if self.places is not None and key[0] not in self.replaced:
             return self.places.place(*key)
         return f'{self.path}: {".".join(map(str, key))}'
 
     def find_code(self, arguments: Mapping[str, Any]) -> None:
-        """Also look next to the scene for the Python code that its arguments name."""
+        """Search the folder of the scene as well for Python code named in its arguments."""
         if arguments.get('factory') or arguments.get('discrete_lagrangian'):
             find_beside(self.code_folder)
 
@@ -64,14 +64,14 @@ class Origin:
         Parameters
         ----------
         model : str
-            Its name or its path.
+            Name or path of the model.
         *key : str or int
-            Of what names it.
+            Key that names the model.
 
         Raises
         ------
         ModelError
-            No such model, or another file than that of the recorded scene.
+            The model does not exist, or differs from that of the recorded scene.
 
         """
         if is_path('model', model):
@@ -79,7 +79,7 @@ class Origin:
             file = beside if os.path.exists(beside) else Path(model)
             self._check_digest(file, '.safetensors', *key, 'model')
             return file
-        # One that the user trained comes before the shipped one of the same name.
+        # A model trained by the user precedes the shipped one of the same name.
         for candidate in (Path('models') / f'{model}.safetensors', shipped_file('model', model)):
             if os.path.isfile(candidate):
                 return candidate
@@ -95,14 +95,14 @@ class Origin:
         Parameters
         ----------
         name : str
-            A path, or package://PACKAGE/PATH.
+            Path, or package://PACKAGE/PATH.
         *key : str or int
-            Of what names it.
+            Key that names the robot.
 
         Raises
         ------
         ModelError
-            No such file, or another one than that of the recorded scene.
+            The file does not exist, or differs from that of the recorded scene.
 
         """
         place = self.place(*key, 'file')
@@ -138,7 +138,7 @@ class Origin:
 
 
 def _remedy(model: str) -> str:
-    """Return the command that makes a model that is not there, as far as its name tells."""
+    """Return the command that creates a missing model, if its name is known."""
     if model.endswith(_OF_TORCH):
         return ('; a model is a .safetensors file, which the network of the original HNN code '
                 f'becomes by: {command(f"import_checkpoint {model} ...")}')

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: the schema of their YAML, and how one becomes a Hamiltonian and an integrator."""
+"""Scenes: their YAML schema, and the construction of Hamiltonian, integrator and effects."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -27,17 +27,17 @@ from hnn_vi_ros.scene.origin import Origin
 import numpy as np
 from pydantic import BaseModel, Field, model_validator, PrivateAttr
 
-# A part of a scene that is chosen by its kind.
+# A part of a scene that is selected by its kind.
 Choice = str | Mapping[str, Any] | BaseModel
 
 
 def of_kind(choice: Choice) -> Any:
-    """Return a kind that is named alone as the mapping that YAML has for it."""
+    """Return the mapping for a kind given only by its name."""
     return {'kind': choice} if isinstance(choice, str) else choice
 
 
 def plain_data(value: Any) -> Any:
-    """Return mappings, sequences, arrays, paths and parts of scenes as dicts, lists and values."""
+    """Convert nested mappings, sequences, arrays, paths and parts of scenes to plain data."""
     if isinstance(value, BaseModel):
         return plain_data(value.model_dump())
     if isinstance(value, Mapping):
@@ -96,36 +96,36 @@ class Scene(StrictModel):
               mechanism: str | None = None, description: str = '', name: str = 'scene'
               ) -> 'Scene':
         """
-        Return a scene without a file, validated as a YAML file is.
+        Return a scene created without a file, validated as a YAML file is.
 
         Parameters
         ----------
         hamiltonian, integrator : str or mapping
-            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind. A part of
-            another scene will do as well.
+            As in YAML, ``{'kind': 'pendulum', 'length': 2.0}``; or the name of a kind; or a part
+            of another scene.
         initial_state : tuple of (q, p), or mapping
             Coordinates and momenta, in the order and units of the Hamiltonian.
         step_size : float, optional
-            h [s]; needed unless the integrator is auto.
+            Step size h [s]; required unless the integrator is auto.
         effects : sequence of str or mapping, optional
-            Effects besides H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
+            Effects in addition to H, each as in YAML: ``{'kind': 'damping', 'rate': 0.1}``.
         events, invariants : sequence of mapping, optional
-            Events to watch for, and further invariants of the motion besides H.
+            Events to detect, and invariants of the motion in addition to H.
         uncertainty : mapping, optional
-            Of an ensemble, how the spread of its members is reported.
+            Options of an ensemble: how the spread of its members is reported.
         on_failure : str, optional
-            Reaction to a step that fails: ``'substep'``, ``'implicit'`` or ``'stop'``.
+            Reaction to a failed step: ``'substep'``, ``'implicit'`` or ``'stop'``.
         mechanism : str, optional
-            How it is drawn.
+            Drawing of the system.
         description : str, optional
-            One line, for titles.
+            One line for titles.
         name : str, optional
-            Of the scene, by which files of a run are called.
+            Name of the scene, used in the names of a run's files.
 
         Raises
         ------
         SceneError
-            A part does not fit the schema; names its key, and what is expected.
+            A part does not fit the schema; the message names its key and the expected value.
 
         """
         state = dict(zip('qp', initial_state, strict=True)) if isinstance(
@@ -143,7 +143,7 @@ class Scene(StrictModel):
 
     @property
     def source(self) -> Path:
-        """Return the file that the scene was read from."""
+        """Return the path of the scene's file."""
         return self._origin.path
 
     @property
@@ -152,12 +152,12 @@ class Scene(StrictModel):
         return self.source.stem
 
     def place(self, *key: str | int) -> str:
-        """Return ``file:line: key`` of a key, for an error; an effect's is ``effects, 0``."""
+        """Return ``file:line: key`` for an error; the key of an effect is ``effects, 0``."""
         return self._origin.place(*key)
 
     def changed(self, changes: Mapping[str, Any]) -> 'Scene':
         """Return this scene with other values of some keys, or raise SceneError."""
-        # The code that it names was admitted when it was read.
+        # Code named in the scene was approved when it was read.
         scene = _validated({**self.model_dump(exclude=set(changes)), **changes},
                            f'{self.name} as changed')
         scene._origin = replace(self._origin, replaced=self._origin.replaced | changes.keys())
@@ -167,12 +167,12 @@ class Scene(StrictModel):
                        initial_state: Mapping[str, Sequence[float]] | None = None,
                        effects: Sequence[Mapping[str, Any]] | None = None) -> 'Scene':
         """
-        Return this scene with other parts, where given; the integrator's is its name.
+        Return this scene with the given parts replaced; the integrator is given by name.
 
         Raises
         ------
         SceneError
-            An unknown integrator, or a part that does not fit the schema.
+            The integrator is unknown, or a part does not fit the schema.
 
         """
         if integrator == 'auto':
@@ -188,7 +188,7 @@ class Scene(StrictModel):
 
     @property
     def known_step_size(self) -> float:
-        """Return the step size [s]; SceneError where auto is still to choose it."""
+        """Return the step size [s]; raise SceneError if `auto` has not chosen it yet."""
         if self.step_size is None:
             raise SceneError(f'{self.place("integrator")}: auto chose no step size yet; '
                              'automatic_choice.resolve(scene) returns a scene with one')
@@ -196,7 +196,7 @@ class Scene(StrictModel):
 
     def parts(self) -> 'Parts':
         """
-        Build or load what the scene names: H, the integrator, and the effects.
+        Create the Hamiltonian, the integrator and the effects.
 
         Raises
         ------
@@ -209,12 +209,12 @@ class Scene(StrictModel):
 
     def create_integrator(self) -> Integrator:
         """
-        Build the integrator that the scene names.
+        Create the integrator.
 
         Raises
         ------
         SceneError
-            A parameter is out of its range, or no method is named: it is auto.
+            A parameter is out of range, or the integrator is still auto.
 
         """
         if isinstance(self.integrator, AutoChoice):
@@ -224,14 +224,14 @@ class Scene(StrictModel):
 
     def create_effects(self) -> list[Effect]:
         """
-        Build the effects that the scene lists, in its order.
+        Create the effects in order.
 
         Raises
         ------
         ModelError
             A model does not exist or is damaged.
         SceneError
-            A parameter is out of its range.
+            A parameter is out of range.
 
         """
         return [self._construct(EFFECTS, choice, 'effects', i)
@@ -239,20 +239,20 @@ class Scene(StrictModel):
 
     def create_hamiltonian(self) -> Hamiltonian:
         """
-        Build or load the Hamiltonian that the scene names.
+        Create or load the Hamiltonian.
 
         Raises
         ------
         ModelError
             The model does not exist or is damaged.
         SceneError
-            A parameter is out of its range, or code of the user's cannot be called.
+            A parameter is out of range, or the user's code cannot be called.
 
         """
         choice = self.hamiltonian
         if isinstance(choice, LearnedChoice):
             file = self._origin.model_file(choice.model, 'hamiltonian')
-            # Imported here: networks are compiled, which who only reads a scene has no use for.
+            # Imported lazily: reading a scene needs no compiled networks.
             from hnn_vi_ros.models import load_learned
             with self.placed('hamiltonian'):
                 hamiltonian = load_learned(file, choice.confine, choice.member)
@@ -272,12 +272,12 @@ class Scene(StrictModel):
 
     def model_files(self) -> dict[str, Path]:
         """
-        Return the files of the models and robots that it names.
+        Return the files of the scene's models and robots.
 
         Raises
         ------
         ModelError
-            One is not there.
+            A file does not exist.
 
         """
         placed = [(self.hamiltonian, 'hamiltonian'), (self.integrator, 'integrator'), *(
@@ -288,7 +288,7 @@ class Scene(StrictModel):
 
     @cached_property
     def model_digests(self) -> dict[str, str]:
-        """Return the SHA-256 of each model file; of one that is changed later, what it was."""
+        """Return the SHA-256 of each model file; for a file changed later, the earlier value."""
         return {name: file_digest(file) for name, file in self.model_files().items()}
 
     def _check_dimension(self, coordinates: Sequence[Coordinate]) -> None:
@@ -327,17 +327,17 @@ class Scene(StrictModel):
     @contextmanager
     def placed(self, *key: str | int) -> Iterator[None]:
         """
-        Add to errors in the scene's requests the place of their cause in its file.
+        Add the place of the cause in the scene's file to errors raised inside.
 
         Parameters
         ----------
         *key : str or int
-            Of what is made inside; ``'initial_state'`` for the simulation of the scene.
+            Key of the object created inside; ``'initial_state'`` for the simulation of the scene.
 
         Raises
         ------
         CalibrationError, ModelError, SceneError, UnsupportedSystem
-            In place of the error raised inside.
+            Raised in place of the original error.
 
         """
         try:
@@ -355,7 +355,7 @@ class Scene(StrictModel):
         value: Any = self
         for part in key:
             value = value[part] if isinstance(part, int) else getattr(value, part)
-        # The message begins with the wrong key, if there is a single one.
+        # The message starts with the invalid key if there is only one.
         name = message.partition(' ')[0]
         own = name in type(value).model_fields
         kind = f'{value.kind}: ' if hasattr(value, 'kind') else ''
@@ -364,11 +364,11 @@ class Scene(StrictModel):
 
 class Parts(NamedTuple):
     """
-    Scene with all that it names, made once and handed to whatever simulates it.
+    Scene with all its objects, created once and passed to simulations.
 
-    Simulations can share an integrator and effects: what these keep from step to step is in the
-    simulation. The kernel of H has working memory, so simulations of several threads, or one whose
-    numbers change, take a copy of H.
+    Simulations can share an integrator and effects, since per-step state is in the simulation. The
+    kernel of H has working memory, so simulations in several threads, or with changing parameter
+    values, need a copy of H.
     """
 
     scene: Scene
@@ -377,12 +377,12 @@ class Parts(NamedTuple):
     effects: list[Effect]
 
     def copy(self) -> 'Parts':
-        """Return them with a copy of H."""
+        """Return the parts with a copy of H."""
         return self._replace(hamiltonian=self.hamiltonian.copy())
 
 
 def _validated(data: dict[str, Any], where: str) -> Scene:
-    """Return the scene of plain data that its user vouches for, or raise SceneError."""
+    """Return the scene of plain data trusted by the user, or raise SceneError."""
     return validate(data, partial(KeyPlaces.of_data, data, where), Scene, SceneError,
                     trust_code=True)
 
@@ -394,17 +394,17 @@ def load_scene(scene: str | Path) -> Scene:
     Parameters
     ----------
     scene : str or Path
-        The name of a shipped scene, or the path of a YAML file.
+        Name of a shipped scene, or path of a YAML file.
 
     Returns
     -------
     Scene
-        The validated scene; its model is loaded when a simulation is made of it.
+        Validated scene; its model is loaded when a simulation is created.
 
     Raises
     ------
     SceneError
-        No such scene, or a file that is not a valid one; names file, line and key.
+        The scene does not exist or is not valid; the message names file, line and key.
 
     """
     if str(scene).endswith(('.urdf', '.xacro')):
