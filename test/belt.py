@@ -1,13 +1,12 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two pendulums on one another, driven by one motor through a belt."""
+"""A double pendulum driven by one motor through a belt."""
 
 from hnn_vi_ros.learning.data.motions import EvenMotion, smoothed
 import numpy as np
 from scipy.integrate import solve_ivp
 
-# Two pendulums on one another, by a belt of one motor; M, the weights of V, friction. The map
-# has the norm that the network gives it.
+# M, the weights of V, and the friction. The belt's map has the norm that the network gives it.
 MASS, WEIGHTS, RUB = np.array([[1.5, 0.4], [0.4, 0.8]]), np.array([5.0, 3.0]), 0.3
 MAP = np.array([[0.8], [-0.6]])
 FAMILY = {'kind': 'mechanical', 'prior': 'none', 'mass': 'constant', 'friction': {'coulomb': 0},
@@ -17,7 +16,7 @@ BELT = {'coordinates': [{'name': 'a', 'q_unit': 'rad'}, {'name': 'b', 'q_unit': 
 
 
 def motion_by_a_belt(seed: int, seconds: float = 6.0) -> EvenMotion:
-    """Return a motion under one motor, every 10 ms, with exact accelerations."""
+    """Return a motion with one motor, sampled every 10 ms, with exact accelerations."""
     rng = np.random.default_rng(seed)
     sizes, phases = rng.uniform(-2.0, 2.0, 3), rng.uniform(0.0, 6.0, 3)
 
@@ -40,7 +39,7 @@ def motion_by_a_belt(seed: int, seconds: float = 6.0) -> EvenMotion:
 
 
 def motions_by_a_belt() -> dict[str, np.ndarray]:
-    """Return arrays of six motions of 3 s, whose names are their seeds."""
+    """Return arrays of six motions of 3 s, named by their seeds."""
     arrays = {}
     for seed in range(1, 7):
         motion = motion_by_a_belt(seed, 3.0)

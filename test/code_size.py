@@ -1,9 +1,9 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count the lines of code of each room: ``python test/code_size.py [FOLDER]``.
+Count the lines of code of each package: ``python test/code_size.py [FOLDER]``.
 
-Blank lines, comments and docstrings do not count.
+Blank lines, comments and docstrings are not counted.
 """
 
 import ast
@@ -15,7 +15,7 @@ DOCUMENTED = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def lines_of_code(path: Path) -> int:
-    """Return the number of lines of a file that are code."""
+    """Return the number of lines of code in a file."""
     text = path.read_text(encoding='utf-8')
     lines = {number for number, line in enumerate(text.splitlines(), 1)
              if line.strip() and not line.strip().startswith('#')}
@@ -27,7 +27,7 @@ def lines_of_code(path: Path) -> int:
 
 
 def main() -> None:
-    """Print a row for each room, the largest first, and the sum."""
+    """Print a row for each package, the largest first, and the sum."""
     root = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parents[1] / 'hnn_vi_ros')
     files, code = Counter[str](), Counter[str]()
     for path in root.rglob('*.py'):

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Give every test session a ROS 2 graph, a domain and log folders of its own."""
+"""Give each test session its own ROS 2 graph, domain and log folders."""
 
 from collections.abc import Callable
 import csv
@@ -19,17 +19,17 @@ from hypothesis import HealthCheck, settings
 import messages
 import pytest
 
-# A machine that is busy is slow: that is no failure.
+# No deadline: a busy machine is slow, which is not a failure.
 settings.register_profile('any machine', deadline=None,
                           suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('any machine')
 
-# The studies of the pages stand beside these, in no package that is installed.
+# The studies of the pages are in docs, outside any installed package.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'docs'))
 
-# Where several processes share the files, these begin first, so that none of them is left over for
-# one process at the end: those that take more than 20 s of a processor where nothing is compiled
-# yet, and those of nodes that take as long by the clock.
+# Files started first if several processes share them, so that no long one remains for a single
+# process at the end: those that take more than 20 s of CPU time without compiled kernels, and
+# those of nodes that take as long in wall time.
 LONGEST = (
     'studies/test_work_precision.py', 'studies/test_hard_cases.py', 'test_planted_faults.py',
     'commands/test_scene_tool.py', 'simulation/accuracy/test_calibration.py',
@@ -44,14 +44,14 @@ LONGEST = (
     'ros/test_replay_check.py', 'ros/test_launch.py', 'ros/test_security.py',
     'ros/test_web_viewer.py')
 
-# Domains above 101 use ports in Linux's ephemeral range, where any program may sit.
+# Domains above 101 use ports in Linux's ephemeral range, where any program may listen.
 _DOMAINS = range(1, 101)
 _claimed: list[IO[str]] = []
 
 
 def _discovery_port_is_free(domain: int) -> bool:
-    # The RTPS rule: a domain's discovery port is 7400 + 250 * domain. Bound without SO_REUSEADDR,
-    # it tells whether any participant of another program is there.
+    # RTPS: the discovery port of a domain is 7400 + 250 * domain. Binding it without SO_REUSEADDR
+    # fails if a participant of another program uses it.
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.bind(('', 7400 + 250 * domain))
@@ -61,7 +61,7 @@ def _discovery_port_is_free(domain: int) -> bool:
 
 
 def _claim_domain() -> int:
-    """Return a domain that no other test session on this host holds; the lock ends with us."""
+    """Return a domain that no other test session on this host uses, and lock it."""
     folder = Path(tempfile.gettempdir())
     first = os.getpid() % len(_DOMAINS)
     for domain in [*_DOMAINS[first:], *_DOMAINS[:first]]:
@@ -83,16 +83,16 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     os.environ['ROS_DOMAIN_ID'] = str(_claim_domain())
     config.add_cleanup(lambda: [lock.close() for lock in _claimed])
-    # Systems as plain Python are slow, as tests of a few steps may be.
+    # Systems as plain Python are slow, which is acceptable in tests of a few steps.
     config.addinivalue_line('filterwarnings', 'ignore:.* is not a tanh network of ours')
     os.environ.setdefault('MPLBACKEND', 'Agg')
-    # Small matrices gain nothing from more threads; those of several workers wait for each other.
+    # Small matrices gain nothing from threads, and threads of several workers block each other.
     for library in ('OMP', 'OPENBLAS', 'MKL'):
         os.environ.setdefault(f'{library}_NUM_THREADS', '1')
-    # A Python that a test starts in this folder imports what was built, as this one does, and not
-    # the sources here, whose kernels would be compiled once more.
+    # A Python process started by a test in this folder imports the build, as this one does, and
+    # not the sources here, whose kernels would be compiled again.
     os.environ['PYTHONSAFEPATH'] = '1'
-    if (Path(sys.prefix) / 'share' / 'ament_index').is_dir():  # the ROS 2 wheels' own venv
+    if (Path(sys.prefix) / 'share' / 'ament_index').is_dir():  # a venv with the ROS 2 wheels
         os.environ.setdefault('AMENT_PREFIX_PATH', sys.prefix)
     if config.getoption('--messages') and messages.RECORD not in os.environ:
         os.environ[messages.RECORD] = tempfile.mkdtemp(prefix='ros-test-messages-')
@@ -102,12 +102,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_runtest_setup() -> None:
-    """Let a test press Ctrl-C: what ran before may have changed who handles it, or ignores it."""
+    """Restore the default handler of SIGINT, which earlier code may have changed or ignored."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the longest files before the others, each in its own order."""
+    """Move the longest files to the front; keep the order within files."""
     places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
     if missing := [str(path) for path in places if not path.is_file()]:
         raise pytest.UsageError(f'{__file__}: LONGEST has no file {", ".join(missing)}')
@@ -116,7 +116,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a test of a claim measured, against the bound that it asserts."""
+    """Value measured by a test of a claim, and the asserted bound."""
 
     claim: str
     subject: str
@@ -125,21 +125,21 @@ class Finding:
 
 
 _findings: list[Finding] = []
-# The tests that have run.
+# Tests that have run.
 _finished: set[str] = set()
 
 
 @pytest.fixture
 def measured(record_property: Callable[[str, object], None]
              ) -> Callable[[str, str, float, str], None]:
-    """Return a function that notes claim, subject, measured value and bound."""
-    # A property of the test's report, which comes from other processes as well.
+    """Return a function that records claim, subject, measured value and bound."""
+    # A property of the test's report, which is passed between processes as well.
     return lambda claim, subject, value, bound: record_property(
         'finding', [claim, subject, float(value), bound])
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Keep what a test has measured."""
+    """Collect the measurements of a test."""
     _finished.add(report.nodeid)
     if report.when == 'call':
         rows: list[Any] = [row for name, row in report.user_properties if name == 'finding']
@@ -147,7 +147,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Let files that tests compare with be renewed by them."""
+    """Add the options that update the files with expected results."""
     parser.addoption('--findings', type=Path, metavar='FILE',
                      help='write what the verification tests measured into a CSV')
     parser.addoption('--messages', action='store_true',
@@ -157,8 +157,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write the tables of messages, and the findings into a CSV by claim and subject."""
-    # Workers of pytest-xdist have what their own tests measured only.
+    """Write the tables of messages, and the findings as a CSV by claim and subject."""
+    # Workers of pytest-xdist know only the measurements of their own tests.
     if hasattr(session.config, 'workerinput'):
         return
     if session.config.getoption('--messages'):
@@ -176,5 +176,5 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 
 def pytest_report_header() -> str:
-    """Name the domain, so that a failed run can be looked into."""
+    """Name the domain, for the investigation of a failed run."""
     return f'ROS_DOMAIN_ID: {os.environ["ROS_DOMAIN_ID"]}'

@@ -20,24 +20,24 @@ import pytest
 @dataclass(frozen=True)
 class EffectRow:
     """
-    One row of the table: effects, and a system and a state on which they act.
+    One row of the table: effects, with a system and a state on which they act.
 
     Parameters
     ----------
     name : str
-        That of the first effect, or a word for the combination.
+        Name of the first effect, or of the combination.
     effects : tuple of (str, dict)
-        Kind and arguments of each; the first is the one that the row is about.
+        Kind and arguments of each effect; the row tests the first one.
     system : str
-        A nonlinear Hamiltonian, once the effects have joined it.
+        Hamiltonian, which is nonlinear including the effects.
     q, p : tuple of float
-        The initial state.
+        Initial state.
     duration : float
-        Of the tests' runs [s].
+        Duration of the tests' runs [s].
     arguments : dict, optional
-        Of the Hamiltonian.
+        Arguments of the Hamiltonian.
     order : int
-        The order of accuracy that the effects leave a method at best.
+        Maximum order of accuracy of a method with the effects.
 
     """
 
@@ -52,16 +52,16 @@ class EffectRow:
 
     @property
     def hamiltonian(self) -> Hamiltonian:
-        """Build the system, compiled."""
+        """Return the compiled system."""
         return HAMILTONIANS[self.system](*self.arguments)
 
     @property
     def uncompiled(self) -> Hamiltonian:
-        """Build the system as plain Python."""
+        """Return the system as plain Python."""
         return Uncompiled(self.hamiltonian)
 
     def create(self, folder: Path) -> list[Effect]:
-        """Build the effects; a network, with random weights, is written into a folder."""
+        """Return the effects; networks get random weights and are written to a folder."""
         return [create_effect(kind, arguments, folder) for kind, arguments in self.effects]
 
 
@@ -69,7 +69,7 @@ def assert_derivatives(potential: type[Potential] | Potential, own: Any, q: np.n
                        v: np.ndarray, tolerance: float) -> None:
     """Compare slope and curvature of a potential along v with differences of its energy."""
     gradient, ahead, behind, product = np.zeros((4, q.size))
-    # A central difference of spacing d errs by d^2 and eps / d, with derivatives below 100.
+    # A central difference of step d has errors of d^2 and eps / d, for derivatives below 100.
     d = float(np.cbrt(EPS))
     potential.add_gradient(own, q, gradient)
     slope = (potential.energy(own, q + d * v) - potential.energy(own, q - d * v)) / (2 * d)
@@ -78,13 +78,13 @@ def assert_derivatives(potential: type[Potential] | Potential, own: Any, q: np.n
     potential.add_gradient(own, q - d * v, behind)
     potential.add_hessian_vector(own, q, v, product)
     assert product == pytest.approx((ahead - behind) / (2 * d), abs=tolerance)
-    # They add to what is there.
+    # The functions add to the given array.
     potential.add_hessian_vector(own, q, v, product)
     assert product == pytest.approx((ahead - behind) / d, abs=2 * tolerance)
 
 
 def create_effect(kind: str, arguments: dict[str, Any], folder: Path) -> Effect:
-    """Build an effect; the network ``model`` of d coordinates is written into a folder."""
+    """Return an effect; the network ``model`` of d coordinates is written to a folder."""
     if kind == 'learned_dissipation':
         d = arguments['model']
         path = folder / f'dissipation_{d}.safetensors'
@@ -107,7 +107,7 @@ _IMPACT = ('impact', {'coordinate': 'angle', 'position': 0.3, 'side': 'above',
                       'restitution': 0.7})
 _ROD = ('holonomic_constraint', {'point': ['x', 'z'], 'anchor': [0.0, 0.0], 'length': 1.0})
 _WEIGHT = ('gravity', {'coordinate': 'z'})
-# Of a bob on a rod, and of a pendulum that will fall on a wall.
+# A bob on a rod, and a pendulum that will hit a wall.
 _ON_A_ROD = {'system': 'free_particle', 'arguments': (1.0, ('x', 'z')), 'q': (0.6, 0.8),
              'p': (0.8, -0.6), 'order': 2}
 _FALLING = {'q': (1.0,), 'p': (0.0,)}
@@ -127,7 +127,7 @@ EFFECT_ROWS = [
     EffectRow('damping', (_DAMPING,)),
     EffectRow('dry_friction', (('dry_friction', {
         'coordinate': 'angle', 'force': 2.0, 'speed': 1.0}),)),
-    # Not through rest, where its second derivative jumps.
+    # The motion avoids rest, where the second derivative jumps.
     EffectRow('quadratic_drag', (('quadratic_drag', {
         'coordinates': ['angle'], 'coefficient': 0.5}),), p=(-2.0,), duration=0.5),
     EffectRow('periodic_drive', (_DRIVE,)),
@@ -154,7 +154,7 @@ EFFECT_ROWS = [
         **_ON_A_ROD),
 ]
 
-# The first argument of each is a name that no coordinate has.
+# Arguments whose first entry is a name that no coordinate has.
 UNKNOWN = {
     'gravity': {'coordinate': 'w'}, 'spring': {'point': ['w'], 'anchor': [0.0]},
     'magnetic_field': {'plane': ['x', 'w']}, 'soft_wall': {'coordinate': 'w'},
@@ -169,13 +169,13 @@ UNKNOWN = {
     'impact': {'coordinate': 'w'}, 'joint_friction': {'damping': {'x': 1.0, 'w': 1.0}},
     'joint_limits': {'upper': {'w': 1.0}},
 }
-# Those whose lists have one number too many for two coordinates.
+# Arguments with one number too many for two coordinates.
 TOO_LONG = {
     'damping': {'rate': [1.0, 2.0, 3.0]}, 'thermostat': {'temperature': 1.0, 'rate': [1.0] * 3},
     'learned_dissipation': {'model': 3}, 'learned_friction': {'model': 'three'},
 }
 
-# Every effect once in compiled code, in as few compilations as their methods allow.
+# Each effect once in compiled code, with as few compilations as possible.
 COMPILED = {
     'potentials and forces': ('rk4', 'henon_heiles', (), (0.3, -0.2), (0.4, 0.3), [
         ('gravity', {'coordinate': 'y', 'acceleration': 0.3}),

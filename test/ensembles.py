@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small ensembles, which are not trained, for tests."""
+"""Small untrained ensembles for tests."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +12,7 @@ from hnn_vi_ros.models.model_card import EnsembleCard
 from mechanical_models import random_mechanical
 import numpy as np
 
-# How to train on a few states of it, to which the size of a network is added.
+# Training configuration with a few states; the size of a network is appended.
 OSCILLATOR = """\
 coordinates: [{name: x}]
 data:
@@ -24,7 +24,7 @@ data:
 
 
 def ensemble(count: int, factor: float | None = 2.0, change: float = 0.05) -> Checkpoint:
-    """Return members that are changes of one random network of one coordinate."""
+    """Return members that are perturbations of one random network of one coordinate."""
     base = random_checkpoint([2, 6, 1], 3)
     members = []
     for k in range(count):
@@ -41,7 +41,7 @@ def ensemble(count: int, factor: float | None = 2.0, change: float = 0.05) -> Ch
 
 def mechanisms(shape: str, count: int, factor: float | None = 2.0, change: float = 0.05,
                **changes) -> Checkpoint:
-    """Return members that are changes of one random mechanism, all its numbers included."""
+    """Return members that are perturbations of one random mechanism in all its numbers."""
     base = random_mechanical(shape, **changes)
     return together([scaled(replace(base, networks={
         name: Layers(tuple(weight * (1.0 + change * rng.normal(size=weight.shape))
@@ -51,7 +51,7 @@ def mechanisms(shape: str, count: int, factor: float | None = 2.0, change: float
 
 
 def together(members: Sequence[Checkpoint], factor: float | None = 2.0) -> Checkpoint:
-    """Return mechanisms as one model."""
+    """Return mechanisms as one ensemble model."""
     cards = [member.card for member in members]
     card = cards[0].model_copy(update={
         'ensemble': EnsembleCard(members=cards, factors=None if factor is None else [
@@ -61,7 +61,7 @@ def together(members: Sequence[Checkpoint], factor: float | None = 2.0) -> Check
 
 
 def scaled(model: Checkpoint, s: float) -> Checkpoint:
-    """Return a mechanism whose M, V, friction and input map are s times those of a model."""
+    """Return a mechanism whose M, V, friction and input map are scaled by s."""
     card, root = model.card.mechanical, float(np.sqrt(s))
 
     def forces(terms: list) -> list:
@@ -73,7 +73,7 @@ def scaled(model: Checkpoint, s: float) -> Checkpoint:
     mechanical = card.model_copy(update={
         'friction': friction, 'mass_scale': [root * scale for scale in card.mass_scale],
         'input_map': card.input_map and [[s * x for x in row] for row in card.input_map]})
-    # M has the factor by its scale, D = B B^T by that of B.
+    # M is scaled with its scale, D = B B^T with that of B.
     networks = dict(model.networks)
     for name, share in (('potential', s), ('friction', root)):
         if name in networks:

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What several tests share: the table of methods, exact motions and derivatives of steps."""
+"""Shared helpers of tests: table of methods, exact motions, derivatives of steps."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -36,24 +36,24 @@ import torch
 
 EPS = np.finfo(np.float64).eps
 DIGITS = 60
-# A network of given widths with random weights, as those that are measured.
+# A network of given widths with random weights.
 random_checkpoint = systems.random_checkpoint
 
 
 def long(*values: Any) -> Any:
-    """Return a parameter of a test that only `make test-long` takes."""
+    """Return a test parameter that only `make test-long` runs."""
     return pytest.param(*values, marks=pytest.mark.long)
 
 
 def mostly_long(values: Iterable[Any], *kept: str) -> list[Any]:
-    """Return parameters with their str() as ids; `make test` takes those that are kept."""
+    """Return parameters with their str() as ids; `make test` runs only the kept ones."""
     return [pytest.param(value, id=str(value),
                          marks=() if str(value) in kept else pytest.mark.long)
             for value in values]
 
 
 def alarm_of(guard: BlockGuard, sample: Observed) -> Alarm | None:
-    """Return what a guard finds in the next sample."""
+    """Return the alarm of a guard at the next sample, or None."""
     waiting = Waiting(1)
     waiting.add(sample)
     return next(iter(judge([guard], waiting.block())), None)
@@ -65,7 +65,7 @@ def identity(hamiltonian: Hamiltonian, h: float, z: np.ndarray) -> np.ndarray:
 
 
 def staggered(hamiltonian: Hamiltonian, h: float, z: np.ndarray) -> np.ndarray:
-    """Map (q, p) to (q, p + h H_q(q, p)), whose second half is the momentum one step before."""
+    """Map (q, p) to (q, p + h H_q(q, p)); the second half is the momentum one step earlier."""
     d = z.size // 2
     dH_dq, _ = python_gradient(hamiltonian, z)
     return np.concatenate([z[:d], z[d:] + h * dH_dq])
@@ -90,9 +90,9 @@ def kepler_lagrangian(q0: torch.Tensor, q1: torch.Tensor, h: float) -> torch.Ten
 
 
 def kepler_orbit(t: np.ndarray, e: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and p, shape (k, 2), of the orbit of a = mu = 1 at times since its pericentre."""
-    # Kepler's equation E - e sin E = t by Newton's method, from where E is too large: all of its
-    # steps are then to one side, and those at the end rounding.
+    """Return q and p, shape (k, 2), on the orbit with a = mu = 1 at times since pericentre."""
+    # Solve Kepler's equation E - e sin E = t with Newton's method, started above the root: all
+    # steps then have the same sign, up to rounding at the end.
     turns = np.round(t / (2.0 * np.pi))
     time = t - 2.0 * np.pi * turns
     anomaly = np.sign(time) * np.minimum(np.abs(time) + e, np.pi)
@@ -104,7 +104,7 @@ def kepler_orbit(t: np.ndarray, e: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def exact_pendulum(q0: float, p0: float, t: float) -> tuple[float, float]:
-    """Return (q, p) of the pendulum of 1 kg, 1 m, 9.81 m/s2, by theta functions of 40 digits."""
+    """Return (q, p) of the pendulum (1 kg, 1 m, 9.81 m/s2) from theta functions with 40 digits."""
     mp.dps = 40
     omega = mp.sqrt(mpf(9.81))
     m = mp.sin(mpf(q0) / 2) ** 2 + (mpf(p0) / (2 * omega)) ** 2
@@ -114,7 +114,7 @@ def exact_pendulum(q0: float, p0: float, t: float) -> tuple[float, float]:
         u = omega * t + mp.ellipf(phi, m)
         q = 2 * mp.asin(k * mp.ellipfun('sn', u, m=m))
         return float(q), float(2 * omega * k * mp.ellipfun('cn', u, m=m))
-    # Over the top: the angle is found again from its sine and cosine and the turns so far.
+    # Rotation: the angle follows from its sine and cosine and the number of turns.
     k, n = mp.sqrt(m), 1 / m
     u = k * omega * t + mp.ellipf(mpf(q0) / 2, n)
     turns = mp.floor((u + mp.ellipk(n)) / (2 * mp.ellipk(n)))
@@ -124,7 +124,7 @@ def exact_pendulum(q0: float, p0: float, t: float) -> tuple[float, float]:
 
 
 def exact_orbit(e: float, t: float) -> np.ndarray:
-    """Return (x, y, p_x, p_y) of the ellipse of a = 1, mu = 1, from its apocentre on -x."""
+    """Return (x, y, p_x, p_y) on the ellipse with a = 1, mu = 1, from its apocentre on -x."""
     mp.dps = 40
     mean = mpf(t) + mp.pi
     anomaly = mp.findroot(lambda E: E - e * mp.sin(E) - mean, mean)
@@ -136,20 +136,20 @@ def exact_orbit(e: float, t: float) -> np.ndarray:
 @dataclass(frozen=True)
 class Method:
     """
-    One row of the table: a method, and what the tests need to know beside its own claims.
+    One row of the table: a method, with the information that the tests need.
 
     Parameters
     ----------
     name : str
-        As in INTEGRATORS.
+        Name in INTEGRATORS.
     chart : callable or None
-        A map of (q, p) under which the method becomes symplectic; None if it is not.
+        Map of (q, p) under which the method becomes symplectic; None if it is not.
     system : str
         A nonlinear Hamiltonian that the method accepts.
     arguments : tuple
-        Of its constructor.
+        Arguments of the Hamiltonian.
     steps : int
-        Steps of the coarsest run of the test of its order.
+        Number of steps of the coarsest run in the test of its order.
 
     """
 
@@ -165,12 +165,12 @@ class Method:
 
     @property
     def integrator(self) -> Integrator:
-        """Build the method."""
+        """Return the integrator."""
         return INTEGRATORS[self.name](*self.arguments)
 
     @property
     def hamiltonian(self) -> Hamiltonian:
-        """Build a Hamiltonian that the method accepts."""
+        """Return a Hamiltonian that the method accepts."""
         return HAMILTONIANS[self.system]()
 
 
@@ -197,21 +197,21 @@ METHODS = [
     Method('dop853', None),
     *([Method('taylor', None)] if find_spec('heyoka') else ()),
 ]
-# Those whose steps run in any arithmetic, and those that are compiled: the same ones.
+# Methods whose steps run in any arithmetic, which are the compiled ones.
 GENERIC = [method for method in METHODS if method.integrator.compiled]
-# One of each kind, for `make test`; `make test-long` takes all of them.
+# One method of each kind, for `make test`; `make test-long` runs all of them.
 KINDS = ('variational_euler', 'symplectic_euler_adjoint', 'generalized_leapfrog', 'stormer_verlet',
          'implicit_midpoint', 'gauss4', 'yoshida4', 'rk4')
 
 
 class Uncompiled(Hamiltonian):
     """
-    The same function as plain Python, so that a test need not wait for the compiler.
+    The same Hamiltonian as plain Python, so that a test need not wait for the compiler.
 
     Parameters
     ----------
     base : Hamiltonian
-        Compiled.
+        Compiled Hamiltonian.
 
     """
 
@@ -221,23 +221,23 @@ class Uncompiled(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions, uncompiled."""
+        """Return the uncompiled functions."""
         return python_kernel(self._base)
 
 
 def free(*names: str) -> Uncompiled:
-    """Return free coordinates of 1 kg each."""
+    """Return a free system with 1 kg per coordinate."""
     return Uncompiled(HAMILTONIANS['free_particle'](1.0, names))
 
 
 def effect(kind: str, *arguments: object, **more: object) -> Effect:
-    """Build an effect."""
+    """Return an effect."""
     return EFFECTS[kind](*arguments, **more)
 
 
 def plain_run(system: str | Hamiltonian, method: str | Integrator, h: float, q: ArrayLike,
               p: ArrayLike, *effects: Effect, **options: Any) -> Simulation:
-    """Return a simulation in plain Python; systems and methods by name are those by default."""
+    """Return a simulation in plain Python; systems and methods by name have default arguments."""
     if isinstance(system, str):
         system = Uncompiled(HAMILTONIANS[system]())
     if isinstance(method, str):
@@ -247,25 +247,25 @@ def plain_run(system: str | Hamiltonian, method: str | Integrator, h: float, q: 
 
 @cache
 def problem_of(name: str) -> InitialValueProblem:
-    """Return what a shipped scene simulates."""
+    """Return the initial value problem of a shipped scene."""
     scene = load_scene(name)
     return InitialValueProblem(scene.create_hamiltonian(), tuple(scene.create_effects()),
                                np.array(scene.initial_state.q), np.array(scene.initial_state.p))
 
 
 class Malicious:
-    """Unpickling this makes a folder."""
+    """Object whose unpickling creates a folder."""
 
     def __init__(self, marker: Path):
         self.marker = marker
 
     def __reduce__(self):
-        """Have pickle call os.mkdir."""
+        """Make pickle call os.mkdir."""
         return os.mkdir, (str(self.marker),)
 
 
 def python_gradient(hamiltonian: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the gradient uncompiled, in the arithmetic of z, of shape (2 d,)."""
+    """Return the gradient computed without compilation in the arithmetic of z, shape (2 d,)."""
     d = z.size // 2
     kernel = python_kernel(hamiltonian)
     dH_dq, dH_dp = np.zeros_like(z[:d]), np.zeros_like(z[d:])
@@ -274,7 +274,7 @@ def python_gradient(hamiltonian: Hamiltonian, z: np.ndarray) -> tuple[np.ndarray
 
 
 def python_kernel(hamiltonian: Hamiltonian) -> Kernel:
-    """Return the kernel of a Hamiltonian, uncompiled."""
+    """Return the uncompiled kernel of a Hamiltonian."""
     kernel = hamiltonian.kernel
     if not kernel.compiled:
         return kernel
@@ -286,13 +286,13 @@ def exact_options(integrator: Integrator) -> tuple:
     """Return the options of a method with its coefficients to DIGITS digits."""
     options = integrator.options()
     if isinstance(options, solvers.SolverOptions):
-        # So many digits take many iterations, whichever solution it is.
+        # This precision takes many iterations, so any solution is accepted.
         return options._replace(connected=False)
     if isinstance(options, LieOptions):
         return options._replace(solver=options.solver._replace(connected=False))
     if not isinstance(integrator, (Gauss, LieGauss)):
         return options
-    # The eigenvectors are known to double precision: without them.
+    # Use a solver without eigenvectors, which are known only in double precision.
     solver = options.solver._replace(solve=solvers.anderson)
     matrix, weights, start = exact_tableau(integrator.stages)
     if isinstance(integrator, Gauss):
@@ -303,7 +303,7 @@ def exact_options(integrator: Integrator) -> tuple:
 def exact_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the coefficients of a Gauss method from the roots of the Legendre polynomial."""
     mp.dps = DIGITS
-    # 2^s P_s(x), whose coefficients are whole numbers.
+    # 2^s P_s(x) has integer coefficients.
     coefficients = [0] * (stages + 1)
     for k in range(stages // 2 + 1):
         coefficients[2 * k] = (-1) ** k * comb(stages, k) * comb(2 * stages - 2 * k, stages)
@@ -322,7 +322,7 @@ def exact_tableau(stages: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @contextmanager
 def exact_solver() -> Iterator[None]:
-    """Let the uncompiled solvers iterate to DIGITS digits instead of to double precision."""
+    """Make the uncompiled solvers iterate to DIGITS digits instead of double precision."""
     eps, solvers._EPS = solvers._EPS, mpf(10) ** (5 - DIGITS)
     try:
         yield
@@ -332,7 +332,7 @@ def exact_solver() -> Iterator[None]:
 
 def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: np.ndarray
                 ) -> np.ndarray:
-    """Take one step uncompiled, in the arithmetic of z, of shape (2 d,)."""
+    """Take one uncompiled step in the arithmetic of z, shape (2 d,)."""
     d = z.size // 2
 
     def point() -> Point:
@@ -351,7 +351,7 @@ def python_step(integrator: Integrator, hamiltonian: Hamiltonian, h: float, z: n
 
 def plain_steps(integrator: Integrator, kernel: Kernel, h: float, q: Sequence[float],
                 p: Sequence[float], steps: int = 1) -> Point:
-    """Return the end of steps of either sign by a kernel in Python; a short p ends in zeros."""
+    """Return the state after steps of a Python kernel; a short p is zero-padded."""
     z, z1 = Point.empty(len(q)), Point.empty(len(q))
     z.q[:], z.p[:len(p)] = q, p
     memory = integrator.memory(len(q))
@@ -372,10 +372,10 @@ def exact(values: list[float]) -> np.ndarray:
 
 def jacobian(function: Callable, z: np.ndarray) -> np.ndarray:
     """
-    Return the derivative of a map of phase space, by central differences in mpmath.
+    Return the derivative of a map of phase space by central differences in mpmath.
 
-    With 60 digits and a spacing of 1e-20 the truncation error is 1e-40 and the rounding error
-    1e-40: the result is exact in double precision.
+    With 60 digits and a step of 1e-20 the truncation and rounding errors are 1e-40: the result is
+    exact in double precision.
     """
     spacing = mpf(10) ** -20
     columns = []

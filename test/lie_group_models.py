@@ -9,7 +9,7 @@ from hnn_vi_ros.models.lie_group_card import LieGroupCard
 from hnn_vi_ros.models.model_card import Box, CoordinateCard, ModelCard
 import numpy as np
 
-# What their networks see, by name: every part of the kernel is in one of them.
+# Inputs of their networks by name; together they cover every part of the kernel.
 CARDS = {
     'rotation': {'kind': 'rotation', 'mass_depends_on': [],
                  'potential_depends_on': ['attitude'], 'dissipation_depends_on': [],
@@ -23,7 +23,7 @@ CARDS = {
 
 
 def random_lie_group(name: str, inputs: int = 2, seed: int = 0) -> Checkpoint:
-    """Return a model of random networks of the usual size, one of CARDS."""
+    """Return a model with random networks of the usual size, one of CARDS."""
     rng = np.random.default_rng(seed)
     size = 3 if CARDS[name]['kind'] == 'rotation' else 6
     card = LieGroupCard(**CARDS[name], mass_scale=rng.uniform(0.8, 1.2, size).tolist(), floor=0.3)

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Random models of the family mechanical, and what they are, written in torch."""
+"""Random models of the family mechanical, and their definition in torch."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -15,15 +15,15 @@ import numpy as np
 import pytest
 import torch
 
-# Hessians of networks as large as these are of the order of ten; see test_neural.
+# The Hessians of networks of this size are of the order of ten; see test_neural.
 ROUND_OFF = 1e-12
 PRIOR = PriorCard(kind='double_pendulum', parameters={
     name: Quantity(value=value, unit='1') for name, value in {
         'inertia1': 1.5, 'inertia2': 0.7, 'coupling12': 0.6, 'gravity1': 1.3, 'gravity2': -0.4,
         'motor_inertia2': 0.2}.items()})
-# An arm of two joints that turn over, seen by absolute angles; a cart with a pole; a joint that
-# does not turn over, with a constant mass; an arm beside a prior; three coordinates, combined; a
-# joint that rubs more in one place than in another; and an arm whose joints rub on each other.
+# An arm with two continuous joints and absolute angles as inputs; a cart with a pole; a revolute
+# joint with constant mass; an arm next to a prior; three combined coordinates; a joint with
+# friction that depends on position; and an arm with friction between its joints.
 SHAPES = {
     'arm': {'kinds': ['continuous', 'continuous'], 'features': [[1.0, 0.0], [1.0, 1.0]],
             'mass_features': [[0.0, 1.0]]},
@@ -52,7 +52,7 @@ def random_friction(d: int) -> FrictionCard:
 
 
 def random_mechanical(shape: str, **changes) -> Checkpoint:
-    """Return a model of random networks of the usual size."""
+    """Return a model with random networks of the usual size."""
     settings = {'floor': 0.05} | SHAPES[shape] | changes
     d = len(settings['kinds'])
     rng = np.random.default_rng(d)
@@ -98,7 +98,7 @@ def seen(card: MechanicalCard, features: list[list[float]], q: torch.Tensor) -> 
 
 
 def torch_energy(model: Checkpoint, z: torch.Tensor) -> torch.Tensor:
-    """Return H, written as the family defines it, with an inverse matrix; of several the mean."""
+    """Return H as defined by the family, with an inverse matrix; the mean for an ensemble."""
     q, p = z.chunk(2)
     found = [mass_and_potential(member, q) for member in model.members or (model,)]
     mass, potential = (sum(parts) / len(found) for parts in zip(*found, strict=True))
@@ -126,7 +126,7 @@ def mass_and_potential(model: Checkpoint, q: torch.Tensor) -> tuple[torch.Tensor
 
 
 def prior_mass(q: torch.Tensor) -> torch.Tensor:
-    """Return M of PRIOR, whose second angle is from the first link, as books have it."""
+    """Return M of PRIOR, whose second angle is relative to the first link, as in textbooks."""
     a, b, c, _, _, r = (quantity.value for quantity in PRIOR.parameters.values())
     both = b + c * torch.cos(q[1])
     return torch.stack([torch.stack([a + 2.0 * both - b, both]),
@@ -142,7 +142,7 @@ def prior_potential(q: torch.Tensor) -> torch.Tensor:
 def assert_agrees_with_torch(hamiltonian: Hamiltonian, model: Checkpoint, z: np.ndarray,
                              v: np.ndarray, torch_energy: Callable = torch_energy,
                              curvature: float = 10 * ROUND_OFF) -> None:
-    """Compare H, its gradient at z and its Hessian times v with those of autograd."""
+    """Compare H, its gradient at z and its Hessian times v with autograd."""
     d = hamiltonian.dimension
     gradient = np.hstack(hamiltonian.gradient(z[:, :d], z[:, d:]))
     product = np.hstack(hamiltonian.hessian_vector(z[:, :d], z[:, d:], v[:, :d], v[:, d:]))
@@ -154,5 +154,5 @@ def assert_agrees_with_torch(hamiltonian: Hamiltonian, model: Checkpoint, z: np.
         (curved,) = torch.autograd.grad(slope @ torch.tensor(v[i]), state)
         assert energies[i] == pytest.approx(energy.item(), abs=ROUND_OFF)
         assert np.abs(gradient[i] - slope.detach().numpy()).max() <= ROUND_OFF
-        # Second derivatives of M^-1, of condition 1 / floor, are larger than twice the slopes.
+        # Second derivatives of M^-1, with condition number 1 / floor, exceed twice the slopes.
         assert np.abs(product[i] - curved.numpy()).max() <= curvature

@@ -1,10 +1,10 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of error messages, one a folder of tests: `messages.txt`, a line for each mistake.
+Tables of error messages, one per folder of tests: `messages.txt`, one line per mistake.
 
-A row holds the test that makes the mistake, its parameters as the input, and the message that
-answers it. `make messages` writes the tables again; the diff is what gets reviewed.
+A row contains the test that makes the mistake, its parameters as the input, and the resulting
+message. `make messages` rewrites the tables; the diff is reviewed.
 """
 
 from collections import Counter
@@ -24,14 +24,14 @@ import pytest
 
 TESTS = Path(__file__).resolve().parent
 TABLE = 'messages.txt'
-# Set by --messages: a folder in which each process notes the messages that it has seen.
+# Set by --messages: folder in which each process records the messages it has seen.
 RECORD = 'HNN_VI_ROS_MESSAGES'
-# Folders of one run: that of pytest's tmp_path, and others below the folder of temporary files.
+# Temporary folders of one run: pytest's tmp_path, and others in the temporary directory.
 _FOLDER = re.compile(re.escape(tempfile.gettempdir())
                      + r'/(pytest-of-[^/ ]+/pytest-\d+/(popen-gw\d+/)?)?[^/\s\'"]+')
-# Of files that a test has made: bits that another processor would compute otherwise.
+# Digests of files made by tests, whose bits may differ on other processors.
 _DIGEST = re.compile(r'\b[0-9a-f]{16}([0-9a-f]{48})?\b')
-# How much of a long name is shown depends on the length of the path before it.
+# The shown part of a long name depends on the length of the path before it.
 _RUN = re.compile(r'(\w)\1{49,}')
 _LONGEST_KEY = 120
 _calls: Counter[str] = Counter()
@@ -39,7 +39,7 @@ _calls: Counter[str] = Counter()
 
 @contextmanager
 def refused(*kinds: type[BaseException]) -> Iterator[pytest.ExceptionInfo]:
-    """Expect an error of one of these kinds, in one line, with the message of the table."""
+    """Expect an error of one of these kinds in one line, with the message of the table."""
     with pytest.raises(kinds) as caught:
         yield caught
     assert_message(f'{caught.type.__name__}: {caught.value}')
@@ -47,15 +47,15 @@ def refused(*kinds: type[BaseException]) -> Iterator[pytest.ExceptionInfo]:
 
 @contextmanager
 def misfit() -> Iterator[None]:
-    """Expect data that do not fit a schema, for the reason in the table."""
+    """Expect an error about data that do not fit a schema, with the message of the table."""
     with pytest.raises(ValidationError) as caught:
         yield
     assert_message(in_plain_words(caught.value))
 
 
 def assert_message(text: str) -> None:
-    """Compare a message in one line with the row of the table for the running test."""
-    # A checkout may lie in the folder of temporary files as well.
+    """Compare a one-line message with the row of the table for the running test."""
+    # A checkout may be in the temporary directory as well.
     for folder in (share_folder(), TESTS.parent):
         text = text.replace(f'{folder}/', '')
     said = _RUN.sub(r'\1...', _DIGEST.sub('DIGEST', _FOLDER.sub('TMP', text)))
@@ -79,14 +79,14 @@ def assert_message(text: str) -> None:
 
 @cache
 def read_table(path: Path) -> dict[str, str]:
-    """Return the messages of a table by their keys."""
+    """Return the messages of a table by key."""
     if not path.exists():
         return {}
     return dict(line.split('\t', 1) for line in path.read_text(encoding='utf-8').splitlines())
 
 
 def write_tables(notes: Path, tests: set[str]) -> None:
-    """Put what was noted into the tables, in place of all rows of the test functions that ran."""
+    """Write recorded messages to the tables; they replace all rows of the functions that ran."""
     noted: dict[Path, dict[str, str]] = {}
     for line in (line for note in notes.iterdir()
                  for line in note.read_text(encoding='utf-8').splitlines()):
@@ -104,7 +104,7 @@ def write_tables(notes: Path, tests: set[str]) -> None:
 
 
 def _is_kept(table: Path, key: str, ran: set[str]) -> bool:
-    """Return whether the function of a row did not run, and still exists."""
+    """Return whether the test function of a row exists and did not run."""
     file, function = key.partition('[')[0].partition(' #')[0].split('::', 1)
     path = table.parent / file
     return (f'{path.relative_to(TESTS.parent)}::{function}' not in ran and path.exists()

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Motions of systems, most not shipped, in plain Python: nothing of them is compiled."""
+"""Motions of systems, mostly not shipped, in plain Python without compilation."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -18,18 +18,18 @@ _SPACING = 1e-5
 
 class Plain(Hamiltonian):
     """
-    A Hamiltonian of two functions.
+    A Hamiltonian given by two functions.
 
     Parameters
     ----------
     energy, gradient : callable
-        Of q and p, each of shape (d,); the second returns (H_q, H_p).
+        Functions of q and p, each of shape (d,); the second one returns (H_q, H_p).
     dimension : int
-        d.
+        Number d of coordinates.
     q_unit : str, optional
-        Of all coordinates.
+        Unit of all coordinates.
     separable : bool, optional
-        Whether H = T(p) + V(q).
+        True if H = T(p) + V(q).
 
     """
 
@@ -41,7 +41,7 @@ class Plain(Hamiltonian):
 
     @cached_property
     def kernel(self) -> Kernel:
-        """Return the functions, uncompiled; second derivatives are differences."""
+        """Return the uncompiled functions; second derivatives are finite differences."""
         H, slope = self._functions
 
         def energy(parameters, q, p):
@@ -62,7 +62,7 @@ class Plain(Hamiltonian):
 
 
 class Motion(NamedTuple):
-    """A system, an initial state, and its period, or a time like one [s]."""
+    """A system, an initial state, and its period or another time scale [s]."""
 
     hamiltonian: Hamiltonian
     q: np.ndarray
@@ -71,25 +71,25 @@ class Motion(NamedTuple):
 
 
 def motion_of(system: System) -> Motion:
-    """Return the motion of a system that is measured as well, uncompiled."""
+    """Return the uncompiled motion of a system of the benchmarks."""
     problem, period = system
     return Motion(Uncompiled(problem.hamiltonian), problem.q, problem.p, period)
 
 
 def kepler(eccentricity: float, end: str) -> Motion:
-    """Return an orbit of semi-major axis 1 m around mu = 1 m^3/s^2, from one of its ends."""
+    """Return an orbit with semi-major axis 1 m about mu = 1 m^3/s^2, starting at an apsis."""
     return motion_of(orbit(eccentricity, end == 'apocentre'))
 
 
 def pendulum(q: float, p: float, period: float, constant: float = 0.0) -> Motion:
-    """Return H = p^2 / 2 + 1 - cos q and a constant."""
+    """Return the motion of H = p^2 / 2 + 1 - cos q plus a constant."""
     return Motion(Plain(lambda q, p: 0.5 * p[0] ** 2 + 2.0 * np.sin(0.5 * q[0]) ** 2 + constant,
                         lambda q, p: (np.sin(q), p), 1, 'rad'), np.array([q]), np.array([p]),
                   period)
 
 
 def network(seed: int, gain: float, state: tuple[float, float]) -> Motion:
-    """Return a random 2-32-32-1 network in a harmonic well."""
+    """Return the motion of a random 2-32-32-1 network in a harmonic well."""
     rng = np.random.default_rng(seed)
     first, bias = gain / np.sqrt(2.0) * rng.normal(size=(32, 2)), 0.1 * rng.normal(size=32)
     second, last = gain / np.sqrt(32.0) * rng.normal(size=(32, 32)), rng.normal(size=32) / 6.0
@@ -109,7 +109,7 @@ def network(seed: int, gain: float, state: tuple[float, float]) -> Motion:
 
 
 def double_well(q: float, p: float) -> Motion:
-    """Return H = p^2 / 2 - q^2 / 2 + q^4 / 4, whose saddle is the origin."""
+    """Return the motion of H = p^2 / 2 - q^2 / 2 + q^4 / 4, with a saddle at the origin."""
     return motion_of(system('x0^4 / 4 - x0^2 / 2', [q], [p], 20.0))
 
 

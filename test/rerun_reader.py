@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a rerun recording holds, read back."""
+"""Read the content of rerun recordings back."""
 
 from pathlib import Path
 import subprocess
@@ -10,14 +10,14 @@ from rerun.chunk import RrdReader
 
 
 def read(path: Path) -> dict[str, dict[str, list]]:
-    """Return entity -> column -> rows of everything that has a time."""
+    """Return the temporal data as entity -> column -> rows."""
     entities: dict[str, dict[str, list]] = {}
     for chunk in RrdReader(path).stream():
         if not chunk.is_static:
             rows = entities.setdefault(chunk.entity_path, {})
             batch = chunk.to_record_batch()
             for name, column in zip(batch.schema.names, batch.columns, strict=True):
-                # As integers: a column of times becomes datetime objects otherwise.
+                # As integers: otherwise time columns become datetime objects.
                 if name in ('sim_time', 'ros_time'):
                     column = column.cast('int64')
                 rows.setdefault(name, []).extend(column.to_pylist())
@@ -25,7 +25,7 @@ def read(path: Path) -> dict[str, dict[str, list]]:
 
 
 def still_entities(path: Path) -> set[str]:
-    """Return the entities that have no time."""
+    """Return the entities with static data."""
     return {chunk.entity_path for chunk in RrdReader(path).stream() if chunk.is_static}
 
 

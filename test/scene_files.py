@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files of scenes that tests write, of parts in YAML."""
+"""Scene files written by tests, composed of parts in YAML."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +9,14 @@ from pathlib import Path
 def scene_text(kind: str = 'harmonic_oscillator', effects: str = '',
                integrator: str = 'generalized_leapfrog', step_size: float = 0.01,
                q: Sequence[float] = (1.0,), p: Sequence[float] = (0.0,), more: str = '') -> str:
-    """Return the text of a scene; parameters follow the kinds of Hamiltonian and integrator."""
+    """Return the text of a scene; the kinds of H and integrator may be followed by parameters."""
     return (f'hamiltonian: {{kind: {kind}}}\neffects: [{effects}]\n'
             f'integrator: {{kind: {integrator}}}\nstep_size: {step_size}\n'
             f'initial_state: {{q: {[*q]}, p: {[*p]}}}\n{more}')
 
 
 def write_scene(path: Path, *parts: str, **other: object) -> Path:
-    """Write the file of a scene of the parts that `scene_text` takes."""
+    """Write a scene file with the parts of `scene_text`."""
     path.write_text(scene_text(*parts, **other))
     return path
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Python files of the repository, each parsed once, and processes that lack some packages."""
+"""Python files of the repository, each parsed once, and processes without some packages."""
 
 import ast
 from contextlib import suppress
@@ -19,9 +19,9 @@ PACKAGE = ROOT / 'hnn_vi_ros'
 
 
 def python_files(*folders: str) -> list[Path]:
-    """Return the Python files below folders, of which a checkout may lack some."""
+    """Return the Python files below folders; folders missing in a checkout are skipped."""
     paths = [path for folder in folders for path in sorted((ROOT / folder).rglob('*.py'))]
-    # What is built stands in folders such as docs/_build.
+    # Builds are in folders such as docs/_build.
     return [path for path in paths
             if not any(part[0] in '._' for part in path.relative_to(ROOT).parts[:-1])]
 
@@ -32,7 +32,7 @@ TEST_FILES = [path for path in python_files('test') if path.name.startswith('tes
 
 
 def relative(path: Path) -> str:
-    """Return the path of a file from the top of the repository."""
+    """Return the path of a file relative to the root of the repository."""
     return path.relative_to(ROOT).as_posix()
 
 
@@ -48,20 +48,20 @@ sys.meta_path.insert(0, Hide())
 
 
 def run_without(hidden: set[str], code: str, *arguments: str) -> subprocess.CompletedProcess:
-    """Run code in a process from which some packages, its set `hidden`, cannot be imported."""
+    """Run code in a process in which the packages in the set `hidden` cannot be imported."""
     return subprocess.run([sys.executable, '-c', HIDE.format(hidden=hidden) + code, *arguments],
                           capture_output=True, text=True, timeout=300, check=False)
 
 
 def requirements_of(*files: str) -> list[Requirement]:
-    """Return what files of requirements name."""
+    """Return the requirements in requirements files."""
     return [Requirement(line) for file in files
             for line in (ROOT / 'requirements' / f'{file}.txt').read_text().splitlines()
             if re.match('[A-Za-z]', line)]
 
 
 def brought(requirements: list[Requirement], python: str) -> set[str]:
-    """Return the names, as they are compared, of what a Python installs by some requirements."""
+    """Return the normalised names of all packages that a Python installs for requirements."""
     environment = {'python_version': python, 'python_full_version': f'{python}.0'}
     pending, seen = [*requirements], set[tuple[str, frozenset[str]]]()
     while pending:
@@ -70,7 +70,7 @@ def brought(requirements: list[Requirement], python: str) -> set[str]:
         if key in seen:
             continue
         seen.add(key)
-        # Not of this platform or Python, or ROS is not from wheels: its own needs are unknown.
+        # Not for this platform or Python, or ROS is not from wheels: dependencies are unknown.
         with suppress(PackageNotFoundError):
             pending += [child for child in map(Requirement, requires(requirement.name) or ())
                         if child.marker is None or any(
@@ -80,7 +80,7 @@ def brought(requirements: list[Requirement], python: str) -> set[str]:
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    """Return the blocks of code of a page that are of one language."""
+    """Return the code blocks of a page in a given language."""
     return re.findall(rf'```{language}\n(.*?)```', page.read_text(encoding='utf-8'), re.DOTALL)
 
 

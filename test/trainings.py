@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small trainings, as files below pytest's cache: made once of the same sources and inputs."""
+"""Small trainings, cached below pytest's cache for equal sources and inputs."""
 
 from collections.abc import Callable, Iterable
 from contextlib import redirect_stdout
@@ -22,23 +22,23 @@ import torch
 
 @dataclass(frozen=True)
 class Training:
-    """Files of a training, which tests only read."""
+    """Files of a training; tests only read them."""
 
     folder: Path
 
     @property
     def config(self) -> str:
-        """Return the configuration."""
+        """Return the path of the configuration."""
         return str(self.folder / 'm.yaml')
 
     @property
     def data(self) -> str:
-        """Return the measured motions."""
+        """Return the path of the measured motions."""
         return str(self.folder / 'm.npz')
 
     @property
     def model(self) -> Path:
-        """Return the trained model; its report lies beside it, with empty pictures."""
+        """Return the path of the trained model; its report is next to it, with empty plots."""
         return self.folder / 'm.safetensors'
 
     @property
@@ -48,7 +48,7 @@ class Training:
 
 
 def empty_picture(figure: Figure, path: Path, **options: object) -> None:
-    """Take the place of ``Figure.savefig``, which takes longer than a small training."""
+    """Replace ``Figure.savefig``, which takes longer than a small training."""
     path.touch()
 
 
@@ -56,20 +56,20 @@ def trained(config: pytest.Config, name: str, settings: str | dict,
             arrays: Callable[[], dict[str, np.ndarray]] | None = None,
             options: Iterable[str] = ()) -> Training:
     """
-    Return a training, which is repeated where the package, the motions or the settings changed.
+    Return a training; it is repeated if the package, the motions or the settings changed.
 
-    Workers of one session that want the same one wait for the first.
+    Workers of a session that need the same training wait for the first one.
 
     Parameters
     ----------
     config : pytest.Config
-        Its cache holds the files.
+        Its cache contains the files.
     name : str
-        Of the training; one of another digest replaces it.
+        Name of the training; one with another digest is replaced.
     settings : str or dict
-        The configuration, as YAML.
+        Configuration, as YAML.
     arrays : callable, optional
-        A function that returns the motions to learn from.
+        Function that returns the motions to learn from.
     options : iterable of str, optional
         Further arguments of ``train``.
 
@@ -81,7 +81,7 @@ def trained(config: pytest.Config, name: str, settings: str | dict,
     files = [*Path(hnn_vi_ros.__file__).parent.rglob('*.py'), Path(__file__)]
     if arrays is not None:
         source = Path(arrays.__code__.co_filename)
-        files += [source, *source.parent.glob('[!t]*.py')]  # and what it may import beside it
+        files += [source, *source.parent.glob('[!t]*.py')]  # and its imports
     for file in sorted(files):
         digest.update(file.read_bytes())
     folder = config.cache.mkdir('trainings') / name
@@ -102,6 +102,6 @@ def trained(config: pytest.Config, name: str, settings: str | dict,
             patch.setattr(Figure, 'savefig', empty_picture)
             train.main(words)
         (folder / 'm.txt').write_text(said.getvalue(), encoding='utf-8')
-        # The last file: a training that was interrupted has none.
+        # Written last: an interrupted training does not have it.
         mark.write_text(digest.hexdigest())
     return made

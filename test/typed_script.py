@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Script of a user that mypy accepts with --strict, as test_linters.py asks; nothing runs it."""
+"""Script that mypy must accept with --strict; see test_linters.py. It is never run."""
 
 from pathlib import Path
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The hnn_vi_ros Authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots of tests, as the text of their URDF."""
+"""Robots for tests as URDF text."""
 
 from pathlib import Path
 import re
@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = sorted((ROOT / 'config' / 'robots').glob('*.urdf'))
 
-# All that a URDF may hold: a branch, joints that turn and slide about axes of any direction,
-# links that are fixed to others, turned inertias, a joint that follows, a tip without mass.
+# All features of a URDF: a branch, revolute and prismatic joints with arbitrary axes, fixed links,
+# rotated inertias, a mimic joint, a massless tip.
 TREE = """\
 <robot name="tree">
   <link name="ground"><inertial><mass value="9"/>
@@ -53,17 +53,17 @@ TREE = """\
     <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.02"/></inertial></link>
 </robot>
 """
-# Its follower is held, its coordinates are in another order than its bodies.
+# The mimic joint is fixed, and the order of coordinates differs from that of bodies.
 TREE_ARGUMENTS = {
     'joints': ['wrist', 'tail', 'rail', 'hip', 'finger'], 'locked': {'follower': 0.03},
     'gravity': [1.0, -2.0, -9.0], 'rotor_inertia': {'hip': 0.3, 'rail': 1.5, 'wrist': 0.02}}
-# Of two branches, with a slide, and joints that are held askew.
+# Two branches with a slide, and joints fixed at nonzero values.
 SMALL_ARGUMENTS = {'joints': ['tail', 'rail', 'hip'], 'rotor_inertia': {'rail': 1.5},
                    'locked': {'follower': 0.03, 'wrist': 0.6, 'finger': 0.3}}
 
 
 def with_quaternions(text: str, version: str = '1.2') -> str:
-    """Return a URDF with quaternions in the place of angles, which are of any length and sign."""
+    """Return a URDF with quaternions of any length and sign in place of angles."""
     def turned(angles: re.Match) -> str:
         turn = Rotation.from_euler('xyz', [float(angle) for angle in angles[1].split()])
         numbers = ' '.join(map(repr, (-3.0 * turn.as_quat()).tolist()))
@@ -74,7 +74,7 @@ def with_quaternions(text: str, version: str = '1.2') -> str:
 
 
 def chain(masses: list[float], lengths: list[float]) -> str:
-    """Return bobs on massless rods, one below the other, that swing about y."""
+    """Return bobs on massless rods in a chain that swings about y."""
     parts = ['<robot name="chain"><link name="l0"/>']
     above = 0.0
     for i, (mass, length) in enumerate(zip(masses, lengths, strict=True), 1):
