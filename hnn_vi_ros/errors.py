@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from hnn_vi_ros.phase_space import Event
     import numpy as np
 
-# Maximum number of names in a list.
+# Maximum number of names in a list; below, of characters of a message, and of its kept end.
 _MOST_LISTED = 20
 # Maximum number of letters to list all names; otherwise number of similar names listed.
 _MOST_LETTERS, _MOST_NEAR = 200, 8

@@ -266,7 +266,7 @@ def projected(solution: Solution, weights: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def units_of(solution: Solution) -> np.ndarray:
-    """Return the change of each number that has the same effect on residuals, shape (n,)."""
+    """Return the effect of each number on the residuals, the norm of its derivatives, (n,)."""
     raw = np.linalg.norm(solution.by_numbers[solution.windows.there].reshape(
         -1, len(solution.values)), axis=0)
     return np.where(raw > 0.0, raw, 1.0)
