@@ -39,7 +39,7 @@ def label_front(ax: Axes, labels: Iterable[Label]) -> None:
     """
     Label the points of the Pareto front, at least one line height apart.
 
-    The area to the lower left of such a point is empty, so its label is put there.
+    The area to the lower left of a front point is empty, so its label is put there.
 
     Parameters
     ----------

@@ -192,7 +192,7 @@ def rates(tree: RigidBodyTree, q: np.ndarray) -> tuple[float, np.ndarray]:
     curvature = np.column_stack([tree.hessian_vector(q, zero, unit, zero)[0]
                                  for unit in np.eye(q.size)])
     mass = tree.masses(q[None])[0]
-    # In units of each joint's own inertia: those of arm and gripper differ by orders of magnitude.
+    # In units of each joint's own inertia: arm and gripper differ by orders of magnitude.
     size = np.sqrt(np.diag(mass))
     try:
         with np.errstate(all='ignore'):
@@ -257,7 +257,7 @@ def _locked(robot: Robot, locked: dict[str, float]) -> str:
 
 
 def _rotors(rotors: dict[str, float], first: str) -> str:
-    """Return the lines on rotors; those of light links are required."""
+    """Return the lines on rotors; rotors of light links are required."""
     if not rotors:
         return f'\n  # rotor_inertia: {{{first}: 0.1}}'
     named = ', '.join(f'{_quoted(name)}: {value:g}' for name, value in rotors.items())

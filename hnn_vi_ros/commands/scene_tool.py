@@ -139,7 +139,7 @@ def explain(scene: Scene) -> Iterator[str]:
 
 
 def _coordinates(coordinates: Sequence[Coordinate], scene: Scene) -> Iterator[str]:
-    """Describe the coordinates and their initial values; those of rotations column by column."""
+    """Describe the coordinates and their initial values; rotations column by column."""
     q, p = (zip(names, units, values, strict=True) for names, units, values in zip(
         columns(coordinates), column_units(coordinates),
         (scene.initial_state.q, scene.initial_state.p), strict=True))

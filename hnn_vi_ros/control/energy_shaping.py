@@ -19,8 +19,8 @@ class EnergyShaping:
     Drive the energy to that of the goal along the inputs; regulate near the goal.
 
     H is passive from commands u to the velocities y = B v of the driven inputs: without friction
-    H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds for H~ = H + k
-    (B q - B q*)^2 / 2 and w. Therefore
+    H' = u . y. With springs on the inputs, u = -k (B q - B q*) + w, the same holds for
+    H~ = H + k (B q - B q*)^2 / 2 and w. Therefore
 
         w = -g (H~ - H*) y
 
